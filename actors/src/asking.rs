@@ -1,17 +1,17 @@
 //! Asking more than once, where that can do no harm.
 
 use crate::platform;
-use crate::sender::{Inlet, RequestError, next_id};
+use crate::sender::{MessageSink, RequestError, next_id};
 use blastema_core::contract::codec;
-use blastema_core::delivery::retry::Attempt;
-use blastema_core::{Contract, Instant, MessageId, RetryRule, Why};
+use blastema_core::delivery::retry::FailedAttempt;
+use blastema_core::{Contract, DeliveryError, Instant, MessageId, RetryPolicy};
 use std::time::Duration;
 
 /// Asks by this rule.
 pub(crate) async fn ask_by<M: Contract>(
-    inlet: &(impl Inlet<M> + ?Sized),
+    inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
-    rule: &RetryRule,
+    rule: &RetryPolicy,
 ) -> Result<M::Reply, RequestError<M>> {
     pursue(inlet, message, rule, |_| true).await
 }
@@ -19,19 +19,19 @@ pub(crate) async fn ask_by<M: Contract>(
 /// Asks once; where the receiver has died of something else's fault while it served the request, and
 /// that does no harm, the next life is asked.
 pub(crate) async fn ask_idempotent<M: Contract>(
-    inlet: &(impl Inlet<M> + ?Sized),
+    inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
     within: Duration,
 ) -> Result<M::Reply, RequestError<M>> {
-    let rule = RetryRule { within, ..RetryRule::default() };
-    pursue(inlet, message, &rule, |why| matches!(why, Why::PeerDied { .. })).await
+    let rule = RetryPolicy { within, ..RetryPolicy::default() };
+    pursue(inlet, message, &rule, |why| matches!(why, DeliveryError::PeerDied { .. })).await
 }
 
 async fn pursue<M: Contract>(
-    inlet: &(impl Inlet<M> + ?Sized),
+    inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
-    rule: &RetryRule,
-    concerns: impl Fn(&Why) -> bool,
+    rule: &RetryPolicy,
+    concerns: impl Fn(&DeliveryError) -> bool,
 ) -> Result<M::Reply, RequestError<M>> {
     let until = platform::now() + rule.within;
     // One identity for all attempts: a request that kills one life after the other is quarantined.
@@ -41,13 +41,13 @@ async fn pursue<M: Contract>(
     let copied = M::IDEMPOTENT && codec::encode(&message, &mut copy).is_ok();
     let (mut message, mut asked) = (message, 0);
     loop {
-        let RequestError { why, message: back, .. } = match attempt(inlet, message, id, until).await
-        {
-            Ok(reply) => return Ok(reply),
-            Err(error) => error,
-        };
+        let RequestError { kind: why, message: back, .. } =
+            match attempt(inlet, message, id, until).await {
+                Ok(reply) => return Ok(reply),
+                Err(error) => error,
+            };
         asked += 1;
-        let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
+        let attempt = FailedAttempt { asked, why: &why, idempotent: M::IDEMPOTENT };
         let wait = rule.again(attempt, until.as_nanos());
         let wait = wait.filter(|wait| concerns(&why) && platform::now() + *wait < until);
         let Some(wait) = wait else { return Err(RequestError::new(why, back)) };
@@ -63,7 +63,7 @@ async fn pursue<M: Contract>(
 }
 
 async fn attempt<M: Contract>(
-    inlet: &(impl Inlet<M> + ?Sized),
+    inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
     id: Option<MessageId>,
     until: Instant,

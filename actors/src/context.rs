@@ -1,15 +1,15 @@
 //! What a component may ask of its host while it serves something.
 
 use crate::component::{Component, Failure, Handle};
-use crate::death_watch::{Down, Mourner};
-use crate::host::anchor::Anchor;
-use crate::host::environment::HostEnvironment;
-use crate::host::life::{Life, Rhythm, TimerId};
+use crate::death_watch::{Down, Watcher};
+use crate::host::anchor::ComponentCell;
+use crate::host::environment::ComponentEnvironment;
+use crate::host::life::{IncarnationState, TimerId, TimerMode};
 use crate::host::pulse;
-use crate::host::stamp::Stamp;
+use crate::host::stamp::ActivityRecord;
 use crate::lease::{self, Commander};
 use crate::reference::ActorRef;
-use crate::sender::{Detached, Sender};
+use crate::sender::{DetachedSender, Sender};
 use crate::service::ServiceRef;
 use crate::topic::Publisher;
 use crate::variable::{self, VariableRef};
@@ -17,8 +17,8 @@ use crate::{platform, remote_watch};
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::parameters::Parameters;
 use blastema_core::{
-    Contract, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectAddress,
-    ObjectName, Request, Variable, Why,
+    Contract, DeliveryError, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError,
+    ObjectAddress, ObjectName, Request, Variable,
 };
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
@@ -35,8 +35,8 @@ use std::time::Duration;
 /// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
 /// panics, the component has panicked.
 pub struct Context<C: Component> {
-    anchor: Arc<Anchor<C>>,
-    life: Rc<Life<C>>,
+    anchor: Arc<ComponentCell<C>>,
+    life: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
     publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
     /// Objects of other nodes that are watched, and whether they still are.
@@ -44,7 +44,7 @@ pub struct Context<C: Component> {
 }
 
 impl<C: Component> Context<C> {
-    pub(crate) fn new(anchor: Arc<Anchor<C>>, life: Rc<Life<C>>) -> Self {
+    pub(crate) fn new(anchor: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
         Context { anchor, life, publishers: RefCell::default(), far_watches: Vec::new() }
     }
 
@@ -72,9 +72,9 @@ impl<C: Component> Context<C> {
     /// `module2:arm/left` on another node.
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] if there is no such object, [`Why::NotServed`] if it does not
-    /// serve the contract, [`Why::ContractDiffers`] if it knows another contract by this name.
-    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object, [`DeliveryError::NotServed`] if it does not
+    /// serve the contract, [`DeliveryError::ContractDiffers`] if it knows another contract by this name.
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
         self.anchor.record.environment.registry.sender(name)
     }
 
@@ -82,17 +82,17 @@ impl<C: Component> Context<C> {
     /// another node.
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
     /// owns no variables.
-    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         variable::find(&self.anchor.record.environment.registry, object)
     }
 
     /// The component's own parameters as they are now.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where its `ports` declare no such parameters.
-    pub fn parameters<P: Parameters>(&self) -> Result<P, Why> {
+    /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
+    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
         self.anchor.parameters()
     }
 
@@ -101,7 +101,7 @@ impl<C: Component> Context<C> {
     /// # Errors
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let HostEnvironment { registry, services, .. } = &self.anchor.record.environment;
+        let ComponentEnvironment { registry, services, .. } = &self.anchor.record.environment;
         ServiceRef::new(registry, services, name)
     }
 
@@ -109,9 +109,12 @@ impl<C: Component> Context<C> {
     /// this life: it ends with the life, and when the component hangs.
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
     /// is no actuator.
-    pub fn commander<M: Contract>(&mut self, actuator: &str) -> Result<Commander<M>, Why> {
+    pub fn commander<M: Contract>(
+        &mut self,
+        actuator: &str,
+    ) -> Result<Commander<M>, DeliveryError> {
         let environment = &self.anchor.record.environment;
         let own = environment.registry.full_name(self.name());
         let who = (own, self.incarnation());
@@ -121,9 +124,9 @@ impl<C: Component> Context<C> {
     }
 
     /// A sender for threads and blocking tasks that this life starts: what they still send after the
-    /// life has ended is refused as [`Why::Fenced`].
+    /// life has ended is refused as [`DeliveryError::Fenced`].
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
-        let detached = Detached { inner: sender.clone(), life: self.life.token.clone() };
+        let detached = DetachedSender { inner: sender.clone(), life: self.life.token.clone() };
         Sender(Arc::new(detached))
     }
 
@@ -176,13 +179,13 @@ impl<C: Component> Context<C> {
     }
 
     /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
-    /// publishes after that has ended, on whichever thread, is refused as [`Why::Fenced`].
+    /// publishes after that has ended, on whichever thread, is refused as [`DeliveryError::Fenced`].
     ///
     /// # Errors
-    /// [`Why::ContractDiffers`] if the topic carries another type under this contract's name; the text names
+    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's name; the text names
     /// both, where each was said, and what differs.
     #[track_caller]
-    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         let topics = &self.anchor.record.environment.topics;
         let publisher = topics.publisher_of(topic, self.name().as_str())?;
         Ok(publisher.of(self.life.token.clone()))
@@ -193,7 +196,7 @@ impl<C: Component> Context<C> {
     /// # Panics
     /// The component is ended if it holds 1024 tasks already: it has lost count of them.
     pub fn spawn(&mut self, task: impl Future<Output = ()> + 'static) {
-        self.life.wish(|wishes| wishes.tasks.push(Box::pin(task)));
+        self.life.defer(|wishes| wishes.tasks.push(Box::pin(task)));
     }
 
     /// Calls the closure every `interval` while the component is active. It takes its turn between
@@ -203,7 +206,7 @@ impl<C: Component> Context<C> {
         interval: Duration,
         tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
-        self.timer(Rhythm::Every(interval), tick)
+        self.timer(TimerMode::Every(interval), tick)
     }
 
     /// Calls the closure once, after `delay`.
@@ -213,7 +216,7 @@ impl<C: Component> Context<C> {
         fire: impl FnOnce(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
         let mut fire = Some(fire);
-        self.timer(Rhythm::Once(delay), move |component, cx| {
+        self.timer(TimerMode::Once(delay), move |component, cx| {
             if let Some(fire) = fire.take() {
                 fire(component, cx);
             }
@@ -225,7 +228,7 @@ impl<C: Component> Context<C> {
     where
         C: Handle<M>,
     {
-        self.timer(Rhythm::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
+        self.timer(TimerMode::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
     }
 
     /// Sends the component this message once, after `delay`.
@@ -242,23 +245,23 @@ impl<C: Component> Context<C> {
     {
         // A refusal is the queue's decision and counted there.
         if let Err(refused) = self.me().tell(message) {
-            self.anchor.record.bury(M::NAME, &refused.why);
+            self.anchor.record.record_dead_letter(M::NAME, &refused.kind);
         }
     }
 
     fn timer(
         &mut self,
-        rhythm: Rhythm,
+        rhythm: TimerMode,
         fire: impl FnMut(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
         let id = self.life.next_timer();
-        self.life.wish(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
+        self.life.defer(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
         id
     }
 
     /// Ends a timer.
     pub fn cancel(&mut self, timer: TimerId) {
-        self.life.wish(|wishes| wishes.cancelled.push(timer));
+        self.life.defer(|wishes| wishes.cancelled.push(timer));
     }
 
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
@@ -289,7 +292,7 @@ impl<C: Component> Context<C> {
 
     /// Changes how often `on_execute` is called; `None` for never.
     pub fn set_interval(&mut self, interval: Option<Duration>) {
-        self.life.wish(|wishes| wishes.interval = Some(interval));
+        self.life.defer(|wishes| wishes.interval = Some(interval));
     }
 
     /// Reports a fault that the component found in itself or in its data. It goes on working.
@@ -297,7 +300,7 @@ impl<C: Component> Context<C> {
     /// A code of the application's own that the plan has no answer to is reported with the codes that it
     /// has, and only observed: see [the manual](crate::manual::faults).
     pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
-        if pulse::forbidden() == Some(Why::Fenced) {
+        if pulse::send_refusal() == Some(DeliveryError::Fenced) {
             return;
         }
         let mut detail = detail.into();
@@ -341,13 +344,13 @@ impl<C: Component> Context<C> {
     /// Ends this life in order, when the present handler has ended. What is queued waits for the next
     /// life, if its supervisor begins one.
     pub fn stop(&mut self) {
-        self.life.wish(|wishes| wishes.stop = true);
+        self.life.defer(|wishes| wishes.stop = true);
     }
 
     /// Leaves work because of a failure, as if a hook had returned it.
     pub fn fail(&mut self, failure: impl Into<Failure>) {
         let failure = failure.into();
-        self.life.wish(|wishes| wishes.failure = Some(failure));
+        self.life.defer(|wishes| wishes.failure = Some(failure));
     }
 
     /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not live
@@ -383,7 +386,7 @@ impl<C: Component> Context<C> {
         match node {
             None => {
                 let (who, life) = (self.name().clone(), self.life.token.clone());
-                registry.watch(object, Mourner { who, life, tell: Box::new(tell) });
+                registry.watch(object, Watcher { who, life, tell: Box::new(tell) });
             }
             Some(node) => {
                 let address = ObjectAddress { node, object };
@@ -407,7 +410,7 @@ impl<C: Component> Context<C> {
 #[derive(Debug)]
 #[must_use = "the operation counts as long only while this guard lives"]
 pub struct LongOperation {
-    stamp: &'static Stamp,
+    stamp: &'static ActivityRecord,
 }
 
 impl Drop for LongOperation {

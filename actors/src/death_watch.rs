@@ -1,8 +1,8 @@
 //! Death watch: anyone may ask to be told when a life of an object ends.
 
 use crate::host::injection::Injection;
-use crate::host::life::LifeToken;
-use blastema_contract::reports::Exit;
+use crate::host::life::IncarnationToken;
+use blastema_contract::reports::ExitReason;
 use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::collections::BTreeMap;
@@ -57,37 +57,37 @@ pub enum Ending {
     },
 }
 
-impl From<&Exit> for Ending {
-    fn from(exit: &Exit) -> Self {
+impl From<&ExitReason> for Ending {
+    fn from(exit: &ExitReason) -> Self {
         match exit {
-            Exit::Returned => Ending::Returned,
-            Exit::Fatal => Ending::Fatal,
-            Exit::Panicked { text, at, during } => Ending::Panicked {
+            ExitReason::Returned => Ending::Returned,
+            ExitReason::Fatal => Ending::Fatal,
+            ExitReason::Panicked { text, at, during } => Ending::Panicked {
                 text: text.clone(),
                 at: at.clone(),
                 during: (*during).to_owned(),
             },
-            Exit::Aborted => Ending::Aborted,
-            Exit::Stopped => Ending::Stopped,
+            ExitReason::Aborted => Ending::Aborted,
+            ExitReason::Stopped => Ending::Stopped,
         }
     }
 }
 
 /// Somebody who wants to be told.
-pub(crate) struct Mourner {
+pub(crate) struct Watcher {
     /// Asking twice is asking once.
     pub(crate) who: ObjectName,
     /// The life that asked; when it has ended, nobody is told any more.
-    pub(crate) life: Arc<LifeToken>,
+    pub(crate) life: Arc<IncarnationToken>,
     pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
 }
 
 /// Those who watch one object: at most one entry for each object of the node.
 #[derive(Default)]
-pub(crate) struct Mourners(Mutex<Vec<Arc<Mourner>>>);
+pub(crate) struct Watchers(Mutex<Vec<Arc<Watcher>>>);
 
-impl Mourners {
-    pub(crate) fn join(&self, mourner: Arc<Mourner>) {
+impl Watchers {
+    pub(crate) fn join(&self, mourner: Arc<Watcher>) {
         let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         mourners.retain(|known| known.who != mourner.who && !known.life.has_ended());
         mourners.push(mourner);
@@ -119,7 +119,7 @@ pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
 struct Watched {
     incarnation: Incarnation,
     is_alive: bool,
-    mourners: Arc<Mourners>,
+    mourners: Arc<Watchers>,
 }
 
 impl Deaths {
@@ -154,8 +154,8 @@ impl Deaths {
         mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
     }
 
-    /// As [`Mortal::watch`]. A name that never was an object's gives the mourner back.
-    pub(crate) fn watch(&self, object: &ObjectName, mourner: Mourner) -> Option<Mourner> {
+    /// As [`Watchable::watch`]. A name that never was an object's gives the mourner back.
+    pub(crate) fn watch(&self, object: &ObjectName, mourner: Watcher) -> Option<Watcher> {
         let objects = self.lock();
         let Some(Watched { incarnation, is_alive, mourners }) = objects.get(object) else {
             return Some(mourner);
@@ -173,9 +173,9 @@ impl Deaths {
 }
 
 /// What can be watched.
-pub(crate) trait Mortal: Send + Sync {
+pub(crate) trait Watchable: Send + Sync {
     /// Tells at once if it is not alive, and whenever a life of it ends.
-    fn watch(&self, mourner: Mourner);
+    fn watch(&self, mourner: Watcher);
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
 }

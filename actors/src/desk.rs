@@ -5,11 +5,11 @@
 
 use crate::host::pulse;
 use crate::platform;
-use crate::registry::{Doorway, Postmark, ReplyTo, encoded_reply};
-use crate::reply::{Answer, Reply};
-use crate::sender::{Inlet, RequestError, SendError};
+use crate::registry::{MessageMetadata, ReplyTo, Skeleton, encoded_reply};
+use crate::reply::{ReplyFuture, Responder};
+use crate::sender::{MessageSink, RequestError, SendError};
 use blastema_core::contract::codec;
-use blastema_core::{Contract, FaultKind, MessageId, Why};
+use blastema_core::{Contract, DeliveryError, FaultKind, MessageId};
 use bytes::Bytes;
 use std::future::{self, Future};
 use std::pin::Pin;
@@ -17,31 +17,31 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// Serves one message; the answer may be given later. Must not wait.
-pub(crate) type Serve<M> = Arc<dyn Fn(M, Answer<M>) + Send + Sync>;
+pub(crate) type ServeFn<M> = Arc<dyn Fn(M, Responder<M>) + Send + Sync>;
 
 /// Where messages of one contract are served by a closure.
-pub(crate) struct Desk<M: Contract>(pub(crate) Serve<M>);
+pub(crate) struct ServiceFn<M: Contract>(pub(crate) ServeFn<M>);
 
-impl<M: Contract> Clone for Desk<M> {
+impl<M: Contract> Clone for ServiceFn<M> {
     fn clone(&self) -> Self {
-        Desk(self.0.clone())
+        ServiceFn(self.0.clone())
     }
 }
 
-impl<M: Contract> Inlet<M> for Desk<M> {
+impl<M: Contract> MessageSink<M> for ServiceFn<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         self.offer(message)
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        if let Some(why) = pulse::forbidden() {
+        if let Some(why) = pulse::send_refusal() {
             return Err(SendError::new(why, message));
         }
-        (self.0)(message, Answer::called_back(Box::new(|_| ()), None));
+        (self.0)(message, Responder::called_back(Box::new(|_| ()), None));
         Ok(())
     }
 
-    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(future::ready(()))
     }
 
@@ -50,34 +50,34 @@ impl<M: Contract> Inlet<M> for Desk<M> {
         message: M,
         _: Option<MessageId>,
         within: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
-        if let Some(why) = pulse::forbidden() {
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        if let Some(why) = pulse::send_refusal() {
             return Err(RequestError::new(why, Some(message)));
         }
         let until = within.map(|within| platform::now() + within);
-        let (answer, reply) = Answer::awaited_until(until);
+        let (answer, reply) = Responder::awaited_until(until);
         (self.0)(message, answer);
         Ok(reply)
     }
 }
 
-impl<M: Contract> Doorway for Desk<M> {
+impl<M: Contract> Skeleton for ServiceFn<M> {
     fn deliver(
         &self,
         message: &Bytes,
-        Postmark { until, .. }: Postmark,
+        MessageMetadata { until, .. }: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         let decoded = codec::decode_shared::<M>(message)
-            .map_err(|error| Why::Undecodable { reason: error.to_string() });
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
         match (decoded, reply_to) {
             (Ok(message), reply_to) => {
-                let callback = move |result: Result<M::Reply, Why>| {
+                let callback = move |result: Result<M::Reply, DeliveryError>| {
                     if let Some(reply_to) = reply_to {
                         reply_to(result.and_then(|reply| encoded_reply::<M>(reply, None)));
                     }
                 };
-                let answer = Answer::called_back(Box::new(callback), until);
+                let answer = Responder::called_back(Box::new(callback), until);
                 (self.0)(message, answer);
                 Ok(())
             }

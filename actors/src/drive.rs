@@ -10,7 +10,7 @@ use std::task::{self, Poll};
 /// An actor whose logic is a machine.
 ///
 /// A handler takes its message apart, feeds the machine, and calls [`drive`](Body::drive).
-pub(crate) trait Body: Actor<Context = Context<Self>> {
+pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
     /// The logic.
     type Machine: Machine;
 
@@ -18,7 +18,7 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
     fn machine(&mut self) -> &mut Self::Machine;
 
     /// The one timer.
-    fn wake(&mut self) -> &mut Wake;
+    fn wake(&mut self) -> &mut WakeTimer;
 
     /// Does what the machine wants done.
     fn carry_out(
@@ -68,9 +68,9 @@ pub(crate) trait Body: Actor<Context = Context<Self>> {
     }
 }
 
-/// The one timer of a [`Body`]. A body that begins anew begins with a fresh one.
+/// The one timer of a [`MachineActor`]. A body that begins anew begins with a fresh one.
 #[derive(Default)]
-pub(crate) struct Wake {
+pub(crate) struct WakeTimer {
     armed: Option<Instant>,
     handle: Option<SpawnHandle>,
     /// Inputs that are to be driven by [`Soon`].
@@ -79,14 +79,14 @@ pub(crate) struct Wake {
     has_soon: bool,
 }
 
-/// So many inputs may wait for [`Body::drive_soon`]: an actor whose mailbox never empties is driven too.
+/// So many inputs may wait for [`MachineActor::drive_soon`]: an actor whose mailbox never empties is driven too.
 const BATCH: usize = 64;
 
 /// Drives when the mailbox is empty, if there were inputs. actix polls it after each batch of messages; one that
 /// is spawned for each costs as much as the message, since the actor's other futures are polled again with it.
 struct Soon;
 
-impl<B: Body> ActorFuture<B> for Soon {
+impl<B: MachineActor> ActorFuture<B> for Soon {
     type Output = ();
 
     fn poll(
@@ -130,7 +130,7 @@ mod tests {
     #[derive(Default)]
     struct Lister {
         list: List,
-        wake: Wake,
+        wake: WakeTimer,
         said: Arc<Mutex<Vec<Vec<u32>>>>,
     }
 
@@ -138,14 +138,14 @@ mod tests {
         type Context = Context<Self>;
     }
 
-    impl Body for Lister {
+    impl MachineActor for Lister {
         type Machine = List;
 
         fn machine(&mut self) -> &mut List {
             &mut self.list
         }
 
-        fn wake(&mut self) -> &mut Wake {
+        fn wake(&mut self) -> &mut WakeTimer {
             &mut self.wake
         }
 

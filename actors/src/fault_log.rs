@@ -14,7 +14,7 @@
 //! found again is not printed again.
 
 use blastema_contract::detector::FaultEvent;
-use blastema_core::detection::Turn;
+use blastema_core::detection::FaultTransition;
 use blastema_core::{Fault, NodeName, Place, Severity};
 use std::io::{self, Write};
 use tracing::{Level, event};
@@ -66,16 +66,16 @@ pub(crate) fn log(node: &NodeName, step: &FaultEvent) {
     }
 }
 
-fn shown(fault: &Fault, turn: &Turn) -> Shown {
+fn shown(fault: &Fault, turn: &FaultTransition) -> Shown {
     let of_severity = match fault.severity {
         Severity::Warning => Level::WARN,
         Severity::Error | Severity::Critical => Level::ERROR,
     };
     let is_root = fault.symptom_of.is_none();
     match turn {
-        Turn::Found if is_root => Shown { level: of_severity, printed: true },
-        Turn::Repeated if is_root => Shown { level: of_severity, printed: false },
-        Turn::GaveUp { .. } => Shown { level: Level::ERROR, printed: true },
+        FaultTransition::Found if is_root => Shown { level: of_severity, printed: true },
+        FaultTransition::Repeated if is_root => Shown { level: of_severity, printed: false },
+        FaultTransition::GaveUp { .. } => Shown { level: Level::ERROR, printed: true },
         _ => Shown { level: Level::INFO, printed: false },
     }
 }
@@ -87,30 +87,30 @@ fn object(place: &Place) -> Option<&str> {
     }
 }
 
-fn step_name(turn: &Turn) -> &'static str {
+fn step_name(turn: &FaultTransition) -> &'static str {
     match turn {
-        Turn::Found => "found",
-        Turn::Repeated => "found again",
-        Turn::Explained => "explained",
-        Turn::Decided { .. } => "decided",
-        Turn::Recovered => "recovered",
-        Turn::GaveUp { .. } => "given up",
-        Turn::Cleared => "cleared",
+        FaultTransition::Found => "found",
+        FaultTransition::Repeated => "found again",
+        FaultTransition::Explained => "explained",
+        FaultTransition::Decided { .. } => "decided",
+        FaultTransition::Recovered => "recovered",
+        FaultTransition::GaveUp { .. } => "given up",
+        FaultTransition::Cleared => "cleared",
         _ => "changed",
     }
 }
 
 /// What is new in the step, or the particulars of the fault.
-fn detail<'a>(fault: &'a Fault, turn: &'a Turn) -> &'a str {
+fn detail<'a>(fault: &'a Fault, turn: &'a FaultTransition) -> &'a str {
     match turn {
-        Turn::Decided { measure } => measure,
-        Turn::GaveUp { reason } => reason,
+        FaultTransition::Decided { measure } => measure,
+        FaultTransition::GaveUp { reason } => reason,
         _ => &fault.detail,
     }
 }
 
 /// A step as one line for a person.
-fn line(node: &NodeName, fault: &Fault, turn: &Turn) -> String {
+fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
     let severity = match fault.severity {
         Severity::Warning => "warning",
         Severity::Error => "error",
@@ -118,7 +118,7 @@ fn line(node: &NodeName, fault: &Fault, turn: &Turn) -> String {
     };
     let (kind, place) = (&fault.kind, &fault.place);
     let told = match turn {
-        Turn::GaveUp { reason } => format!("{kind} of {place} is given up: {reason}"),
+        FaultTransition::GaveUp { reason } => format!("{kind} of {place} is given up: {reason}"),
         _ => format!("{kind} of {place}: {}", fault.detail),
     };
     let line = format!("blastema: {severity} on node {node}: {told}");
@@ -147,21 +147,26 @@ mod tests {
 
     #[test]
     fn what_a_user_must_act_on_is_a_warning_or_an_error_and_nothing_else_is() {
-        let gave_up = || Turn::GaveUp { reason: "no".to_owned() };
-        let decided = || Turn::Decided { measure: "restart".to_owned() };
+        let gave_up = || FaultTransition::GaveUp { reason: "no".to_owned() };
+        let decided = || FaultTransition::Decided { measure: "restart".to_owned() };
         let check = |kind, symptom_of, turn, level, printed| {
             let shown = shown(&fault(kind, symptom_of), &turn);
             assert_eq!(shown, Shown { level, printed }, "{turn:?}");
         };
-        check(FaultKind::Panic, None, Turn::Found, Level::ERROR, true);
-        check(FaultKind::NodeLost, None, Turn::Found, Level::ERROR, true);
-        check(FaultKind::Overload, None, Turn::Found, Level::WARN, true);
-        check(FaultKind::Overload, None, Turn::Repeated, Level::WARN, false);
+        check(FaultKind::Panic, None, FaultTransition::Found, Level::ERROR, true);
+        check(FaultKind::NodeLost, None, FaultTransition::Found, Level::ERROR, true);
+        check(FaultKind::Overload, None, FaultTransition::Found, Level::WARN, true);
+        check(FaultKind::Overload, None, FaultTransition::Repeated, Level::WARN, false);
         check(FaultKind::Panic, None, gave_up(), Level::ERROR, true);
         check(FaultKind::Panic, Some(1), gave_up(), Level::ERROR, true);
-        check(FaultKind::Panic, Some(1), Turn::Found, Level::INFO, false);
-        check(FaultKind::Panic, Some(1), Turn::Repeated, Level::INFO, false);
-        for turn in [decided(), Turn::Explained, Turn::Recovered, Turn::Cleared] {
+        check(FaultKind::Panic, Some(1), FaultTransition::Found, Level::INFO, false);
+        check(FaultKind::Panic, Some(1), FaultTransition::Repeated, Level::INFO, false);
+        for turn in [
+            decided(),
+            FaultTransition::Explained,
+            FaultTransition::Recovered,
+            FaultTransition::Cleared,
+        ] {
             check(FaultKind::Panic, None, turn, Level::INFO, false);
         }
     }
@@ -169,7 +174,7 @@ mod tests {
     #[test]
     fn a_printed_fault_is_one_line_with_the_node_the_object_and_the_particulars() {
         let node = NodeName::new("module1").unwrap();
-        let line = line(&node, &fault(FaultKind::Panic, None), &Turn::Found);
+        let line = line(&node, &fault(FaultKind::Panic, None), &FaultTransition::Found);
         assert_eq!(line, "blastema: error on node module1: panic of module1:arm: boom at arm.rs:7");
     }
 }

@@ -9,7 +9,7 @@ use crate::death_watch::{Deaths, Ending};
 use crate::{panics, platform};
 use actix::dev::{ContextFut, channel};
 use actix::prelude::*;
-use blastema_contract::reports::{Alive, Exit, Exited};
+use blastema_contract::reports::{Alive, ExitReason, Exited};
 use blastema_core::{Incarnation, Instant, Lifecycle, ObjectName};
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -144,7 +144,8 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
         self.past.push_back(now);
         let alive = self.past.len() <= TIMES
             && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
-        let exit = Exit::Panicked { text, at: panics::take_place(), during: "the middleware" };
+        let exit =
+            ExitReason::Panicked { text, at: panics::take_place(), during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
         let (object, incarnation) = (self.name.clone(), self.incarnation);
         self.watched.end(&object, Ending::from(&exit));
@@ -166,7 +167,7 @@ impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
         LIFE.set(self.incarnation);
         let future = &mut self.future;
         let caught = {
-            let _guarded = panics::Guarded::enter();
+            let _guarded = panics::PanicGuard::enter();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))
         };
         match caught {

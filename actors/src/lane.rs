@@ -7,7 +7,7 @@
 use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::atomic::{AtomicBool, AtomicUsize};
 use crate::sync::{Mutex, MutexGuard};
-use blastema_core::{Incarnation, Why};
+use blastema_core::{DeliveryError, Incarnation};
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
 use std::sync::PoisonError;
@@ -28,7 +28,7 @@ pub enum WhenFull {
 }
 
 /// The next message, if there is one.
-pub(crate) enum Taken<T> {
+pub(crate) enum Popped<T> {
     /// Here it is.
     Got(T),
     /// None; the waker is kept for when one comes.
@@ -46,7 +46,7 @@ pub(crate) struct Pushed<T> {
 }
 
 /// A bounded queue from many senders to the one life that owns it.
-pub(crate) struct Lane<T> {
+pub(crate) struct BoundedQueue<T> {
     inner: Mutex<Inner<T>>,
     /// Written under the lock; a hint for those who only want to know whether anything is there.
     length: AtomicUsize,
@@ -72,7 +72,7 @@ struct Inner<T> {
     next_ticket: u64,
 }
 
-impl<T> Lane<T> {
+impl<T> BoundedQueue<T> {
     pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
@@ -84,7 +84,7 @@ impl<T> Lane<T> {
             room: VecDeque::new(),
             next_ticket: 0,
         };
-        Lane {
+        BoundedQueue {
             inner: Mutex::new(inner),
             length: AtomicUsize::new(0),
             held: AtomicBool::new(false),
@@ -113,7 +113,7 @@ impl<T> Lane<T> {
         &self,
         message: M,
         pack: impl FnOnce(M) -> T,
-    ) -> Result<Option<T>, (M, Why)> {
+    ) -> Result<Option<T>, (M, DeliveryError)> {
         let Pushed { displaced, parked } = self.push_quietly(message, pack)?;
         // To wake across threads is a system call, so it happens outside of the lock.
         if let Some(waker) = parked {
@@ -128,18 +128,18 @@ impl<T> Lane<T> {
         &self,
         message: M,
         pack: impl FnOnce(M) -> T,
-    ) -> Result<Pushed<T>, (M, Why)> {
+    ) -> Result<Pushed<T>, (M, DeliveryError)> {
         let mut lane = self.lock();
         if lane.stopped {
-            return Err((message, Why::Stopped));
+            return Err((message, DeliveryError::Stopped));
         }
         let mut displaced = None;
         if lane.queue.len() >= self.capacity {
             match self.policy {
                 WhenFull::DropOldest => displaced = lane.queue.pop_front(),
                 // Nobody takes from it now: the reason is the death, not the load.
-                _ if lane.owner.is_none() => return Err((message, Why::Restarting)),
-                _ => return Err((message, Why::Full)),
+                _ if lane.owner.is_none() => return Err((message, DeliveryError::Restarting)),
+                _ => return Err((message, DeliveryError::Full)),
             }
         }
         lane.queue.push_back(pack(message));
@@ -175,28 +175,28 @@ impl<T> Lane<T> {
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
     /// passed on to the next.
     pub(crate) fn room(&self) -> impl Future<Output = ()> + '_ {
-        let mut claim = Claim { lane: self, ticket: None };
+        let mut claim = SpaceWaiter { lane: self, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
     }
 
     /// The next message for the life `owner`; where there is none, the waker is kept.
     #[inline]
-    pub(crate) fn take(&self, owner: Incarnation, waker: &Waker) -> Taken<T> {
+    pub(crate) fn take(&self, owner: Incarnation, waker: &Waker) -> Popped<T> {
         let mut lane = self.lock();
         if lane.owner != Some(owner) {
-            return Taken::Retired;
+            return Popped::Retired;
         }
         if self.held.load(Relaxed) {
             lane.parked = Some(waker.clone());
-            return Taken::Empty;
+            return Popped::Empty;
         }
         if let Some((_, notice)) = lane.notices.pop_front() {
             self.length.store(lane.depth(), Relaxed);
-            return Taken::Got(notice);
+            return Popped::Got(notice);
         }
         let Some(item) = lane.queue.pop_front() else {
             lane.parked = Some(waker.clone());
-            return Taken::Empty;
+            return Popped::Empty;
         };
         self.length.store(lane.depth(), Relaxed);
         let next = lane.room.pop_front();
@@ -204,7 +204,7 @@ impl<T> Lane<T> {
         if let Some((_, waker)) = next {
             waker.wake();
         }
-        Taken::Got(item)
+        Popped::Got(item)
     }
 
     /// From now on only this life may take: `life`, or the one after the last that has owned the lane, so
@@ -333,12 +333,12 @@ impl<T> Inner<T> {
 }
 
 /// One sender's place among those that wait for room.
-struct Claim<'a, T> {
-    lane: &'a Lane<T>,
+struct SpaceWaiter<'a, T> {
+    lane: &'a BoundedQueue<T>,
     ticket: Option<u64>,
 }
 
-impl<T> Claim<'_, T> {
+impl<T> SpaceWaiter<'_, T> {
     fn poll(&mut self, waker: &Waker) -> Poll<()> {
         let mut lane = self.lane.lock();
         if let Some(ticket) = self.ticket {
@@ -361,7 +361,7 @@ impl<T> Claim<'_, T> {
     }
 }
 
-impl<T> Drop for Claim<'_, T> {
+impl<T> Drop for SpaceWaiter<'_, T> {
     fn drop(&mut self) {
         let Some(ticket) = self.ticket else { return };
         let mut lane = self.lane.lock();
@@ -395,23 +395,23 @@ mod tests {
 
     const LIFE: Incarnation = Incarnation(1);
 
-    fn lane(capacity: usize, policy: WhenFull) -> Lane<u32> {
-        let lane = Lane::new(capacity, policy);
+    fn lane(capacity: usize, policy: WhenFull) -> BoundedQueue<u32> {
+        let lane = BoundedQueue::new(capacity, policy);
         lane.begin(LIFE);
         lane
     }
 
-    fn push(lane: &Lane<u32>, n: u32) -> Result<Option<u32>, (u32, Why)> {
+    fn push(lane: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
         lane.push_with(n, |n| n)
     }
 
-    fn take(lane: &Lane<u32>) -> Option<u32> {
+    fn take(lane: &BoundedQueue<u32>) -> Option<u32> {
         take_as(lane, LIFE)
     }
 
-    fn take_as(lane: &Lane<u32>, life: Incarnation) -> Option<u32> {
+    fn take_as(lane: &BoundedQueue<u32>, life: Incarnation) -> Option<u32> {
         match lane.take(life, Waker::noop()) {
-            Taken::Got(n) => Some(n),
+            Popped::Got(n) => Some(n),
             _ => None,
         }
     }
@@ -421,7 +421,7 @@ mod tests {
         for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::Wait] {
             let lane = lane(1, policy);
             assert_eq!(push(&lane, 1), Ok(None));
-            assert_eq!(push(&lane, 2), Err((2, Why::Full)));
+            assert_eq!(push(&lane, 2), Err((2, DeliveryError::Full)));
         }
         let lane = lane(1, WhenFull::DropOldest);
         assert_eq!(push(&lane, 1), Ok(None));
@@ -434,11 +434,11 @@ mod tests {
         assert!(lane.leave(LIFE));
 
         assert_eq!(push(&lane, 1), Ok(None));
-        assert_eq!(push(&lane, 2), Err((2, Why::Restarting)));
+        assert_eq!(push(&lane, 2), Err((2, DeliveryError::Restarting)));
 
         let next = lane.begin(LIFE);
         assert_eq!(next, LIFE.next(), "no two lives have one number");
-        assert!(matches!(lane.take(next, Waker::noop()), Taken::Got(1)));
+        assert!(matches!(lane.take(next, Waker::noop()), Popped::Got(1)));
     }
 
     #[test]
@@ -448,9 +448,9 @@ mod tests {
 
         lane.begin(LIFE.next());
 
-        assert!(matches!(lane.take(LIFE, Waker::noop()), Taken::Retired));
+        assert!(matches!(lane.take(LIFE, Waker::noop()), Popped::Retired));
         assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
-        assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Taken::Got(1)));
+        assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Popped::Got(1)));
         assert!(lane.pass_on(LIFE.next(), LIFE));
         assert_eq!(lane.owner(), Some(LIFE));
     }
@@ -463,7 +463,7 @@ mod tests {
         assert_eq!(lane.stop_by(LIFE.next()), [0; 0]);
         assert_eq!(lane.stop_by(LIFE), [1]);
         assert_eq!(lane.stop(), [0; 0]);
-        assert_eq!(push(&lane, 2), Err((2, Why::Stopped)));
+        assert_eq!(push(&lane, 2), Err((2, DeliveryError::Stopped)));
 
         lane.begin(LIFE.next());
         assert_eq!(push(&lane, 2), Ok(None));
@@ -537,7 +537,7 @@ mod tests {
         let lane = lane(1, WhenFull::Wait);
         let (owner, sender) = (Arc::new(Count::default()), Arc::new(Count::default()));
         let of_owner = Waker::from(owner.clone());
-        assert!(matches!(lane.take(LIFE, &of_owner), Taken::Empty));
+        assert!(matches!(lane.take(LIFE, &of_owner), Popped::Empty));
         lane.notify(LIFE, "arm", 1);
         assert_eq!(owner.0.load(Relaxed), 1);
         push(&lane, 2).unwrap();

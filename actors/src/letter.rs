@@ -8,10 +8,10 @@
 
 use crate::component::{Component, Handle};
 use crate::host::pulse;
-use crate::host::pump::{Home, Pump};
+use crate::host::pump::{ComponentExecutor, ComponentSlot};
 use crate::platform;
-use crate::reply::{Answer, Revocable};
-use blastema_core::{Contract, Instant, MessageId, Why};
+use crate::reply::{Cancel, Responder};
+use blastema_core::{Contract, DeliveryError, Instant, MessageId};
 use pin_project_lite::pin_project;
 use std::any::{Any, TypeId};
 use std::future::Future;
@@ -21,10 +21,10 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-pub(crate) type Mail<C> = Box<dyn Letter<C> + Send>;
+pub(crate) type BoxedEnvelope<C> = Box<dyn Envelope<C> + Send>;
 
 /// What the pump must know of a letter before it opens it.
-pub(crate) struct Brief {
+pub(crate) struct EnvelopeHeader {
     pub(crate) contract: TypeId,
     pub(crate) name: &'static str,
     pub(crate) posted_at: Instant,
@@ -57,30 +57,30 @@ impl From<Instant> for Times {
     }
 }
 
-pub(crate) trait Letter<C: Component> {
-    fn brief(&self) -> Brief;
+pub(crate) trait Envelope<C: Component> {
+    fn brief(&self) -> EnvelopeHeader;
     /// Nobody waits for the answer any more.
     fn is_void(&self) -> bool;
     fn id(&self) -> Option<MessageId>;
     /// The asker's slot, for whoever watches over the receiver.
-    fn revocable(&self) -> Option<Arc<dyn Revocable>>;
+    fn revocable(&self) -> Option<Arc<dyn Cancel>>;
     /// Tells the asker that the message was not taken up, and gives it back.
-    fn give_back(&mut self, why: Why);
+    fn give_back(&mut self, why: DeliveryError);
     /// A nest for futures of this contract, filled with this message.
-    fn nest(&mut self, home: &Rc<Home<C>>) -> Option<Pin<Box<dyn Nest<C>>>>;
+    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
     /// Where a nest of this contract finds the message.
     fn contents(&mut self) -> &mut dyn Any;
 }
 
 /// A pinned place, on the arbiter only, in which one contract's handler futures run one after another.
-pub(crate) trait Nest<C: Component> {
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<Home<C>>) -> bool;
+pub(crate) trait FutureSlot<C: Component> {
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool;
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
 }
 
 struct Contents<M: Contract> {
     message: Option<M>,
-    answer: Option<Answer<M>>,
+    answer: Option<Responder<M>>,
 }
 
 /// A letter that stays what it is: plain data, and `Send` by itself.
@@ -101,22 +101,22 @@ struct Rare {
 pin_project! {
     struct Brood<M: Contract, G, F> {
         make: G,
-        answer: Option<Answer<M>>,
+        answer: Option<Responder<M>>,
         #[pin]
         future: Option<F>,
     }
 }
 
-impl<C, M, G, F> Letter<C> for Sealed<M, G>
+impl<C, M, G, F> Envelope<C> for Sealed<M, G>
 where
     C: Component,
     M: Contract,
-    G: Fn(Rc<Home<C>>, M) -> F + Copy + Send + 'static,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + Send + 'static,
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn brief(&self) -> Brief {
-        Brief {
+    fn brief(&self) -> EnvelopeHeader {
+        EnvelopeHeader {
             contract: TypeId::of::<M>(),
             name: M::NAME,
             posted_at: self.posted_at,
@@ -139,21 +139,21 @@ where
         self.rare.as_ref().and_then(|rare| rare.id)
     }
 
-    fn revocable(&self) -> Option<Arc<dyn Revocable>> {
+    fn revocable(&self) -> Option<Arc<dyn Cancel>> {
         self.contents.answer.as_ref()?.revocable()
     }
 
-    fn give_back(&mut self, why: Why) {
+    fn give_back(&mut self, why: DeliveryError) {
         let message = self.contents.message.take();
         if let Some(answer) = self.contents.answer.take() {
             answer.refuse(why, message);
         }
     }
 
-    fn nest(&mut self, home: &Rc<Home<C>>) -> Option<Pin<Box<dyn Nest<C>>>> {
+    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
         let make = self.make;
         let mut nest = Box::pin(Brood { make, answer: None, future: None::<F> });
-        Nest::<C>::refill(nest.as_mut(), &mut self.contents, home).then_some(nest as _)
+        FutureSlot::<C>::refill(nest.as_mut(), &mut self.contents, home).then_some(nest as _)
     }
 
     fn contents(&mut self) -> &mut dyn Any {
@@ -161,15 +161,15 @@ where
     }
 }
 
-impl<C, M, G, F> Nest<C> for Brood<M, G, F>
+impl<C, M, G, F> FutureSlot<C> for Brood<M, G, F>
 where
     C: Component,
     M: Contract,
-    G: Fn(Rc<Home<C>>, M) -> F + Copy,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy,
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<Home<C>>) -> bool {
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool {
         let mut this = self.project();
         let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
         let Some(message) = contents.message.take() else { return false };
@@ -184,7 +184,7 @@ where
         let Some(future) = this.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
         let Poll::Ready(reply) = future.poll(cx) else { return Poll::Pending };
         if let Some(answer) = this.answer.take() {
-            match pulse::forbidden() {
+            match pulse::send_refusal() {
                 None => answer.give(reply),
                 Some(why) => answer.refuse(why, None),
             }
@@ -196,10 +196,10 @@ where
 
 /// When the message was posted: exactly where its contract limits its age, else to the beat.
 #[inline]
-pub(crate) fn posting_time<M: Contract>() -> Instant {
+pub(crate) fn enqueue_time<M: Contract>() -> Instant {
     match M::MAX_AGE {
         Some(_) => platform::now(),
-        None => pulse::rough_now(),
+        None => pulse::coarse_now(),
     }
 }
 
@@ -207,7 +207,7 @@ pub(crate) fn posting_time<M: Contract>() -> Instant {
 pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
     match M::MAX_AGE {
         Some(_) => Instant::ORIGIN + (platform::now() - Instant::ORIGIN).saturating_sub(age),
-        None => pulse::rough_now(),
+        None => pulse::coarse_now(),
     }
 }
 
@@ -217,13 +217,13 @@ pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control lane does not borrow"
 )]
-pub(crate) fn pack<C: Handle<M>, M: Contract>(
+pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
     message: M,
-    answer: Option<Answer<M>>,
+    answer: Option<Responder<M>>,
     id: Option<MessageId>,
     times: impl Into<Times>,
-) -> Mail<C> {
-    let make = |home: Rc<Home<C>>, message: M| async move {
+) -> BoxedEnvelope<C> {
+    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
         if let Some(injected) = cx.before() {
@@ -240,8 +240,12 @@ pub(crate) fn pack<C: Handle<M>, M: Contract>(
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control lane does not borrow"
 )]
-pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, times: Times) {
-    let make = |home: Rc<Home<C>>, message: M| async move {
+pub(crate) fn pass<C: Handle<M>, M: Contract>(
+    pump: &mut ComponentExecutor<C>,
+    message: M,
+    times: Times,
+) {
+    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
         if let Some(injected) = cx.before() {
@@ -257,14 +261,14 @@ pub(crate) fn pass<C: Handle<M>, M: Contract>(pump: &mut Pump<C>, message: M, ti
 fn seal<C, M, G, F>(
     make: G,
     message: M,
-    answer: Option<Answer<M>>,
+    answer: Option<Responder<M>>,
     id: Option<MessageId>,
     Times { posted_at, captured_at }: Times,
 ) -> Sealed<M, G>
 where
     C: Component,
     M: Contract,
-    G: Fn(Rc<Home<C>>, M) -> F + Copy + Send + 'static,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + Send + 'static,
     F: Future<Output = M::Reply> + 'static,
 {
     let contents = Contents { message: Some(message), answer };

@@ -2,7 +2,7 @@
 //!
 //! A robot is made of [components](Component), which send each other [messages](Contract) and live on
 //! [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema finds the
-//! fault, names it, and recovers from it in bounded time, or brings the robot to safe rest. The
+//! fault, names it, and recovers from it in bounded time, or brings the robot to the safe state. The
 //! application says what its parts are and what depends on what.
 //!
 //! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the scanner's
@@ -62,13 +62,13 @@
 //! | write a component | [`Component`], [`Handle`], [`Ports`], [`Context`], [`Failure`] |
 //! | describe messages | [`Event`](derive@Event), [`Request`](derive@Request), [`Structure`] |
 //! | run components | [`Node`], [`NodeBuilder`], [`ChildSpec`], [`SupervisorSpec`] |
-//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`Why`], [`Outcome`] |
+//! | send | [`Sender`], [`ActorRef`], [`Publisher`], [`DeliveryError`], [`Outcome`] |
 //! | share values | [`Variable`](derive@Variable), [`VariableSpec`], [`VariableRef`], [`Transaction`] |
 //! | set a component up | [`Parameters`](derive@Parameters), [`NodeBuilder::parameters_from`] |
 //! | command actuators | [`ActuatorSpec`], [`Commander`] |
 //! | find whoever it is | [`Node::claim`], [`ChildSpec::claim`], [`Claim`], [`NameWatch`] |
 //! | outlive a node | [`ServiceSpec`], [`Stateful`], [`ServiceRef`] |
-//! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`Row`] |
+//! | see faults | [`FaultKind`], [`Fault`], [`FaultEvents`], [`MonitorRow`] |
 //! | recover | [`recovery::Plan`], [`RecoveryStrategy`] |
 //! | connect nodes | [`Network`], [`Link`], [`medium::FrameMedium`] |
 //!
@@ -144,12 +144,12 @@ pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
 pub use blastema_core::delivery::dead_letters::DeadReason;
-pub use blastema_core::lease::{CommanderId, LeaseStanding};
+pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
-    Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryRule, Why,
+    DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
 };
 pub use death_watch::{Down, Ending};
-pub use host::office::DeadLetterOffice;
+pub use host::office::DeadLetterLog;
 pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
 pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender};
@@ -158,7 +158,7 @@ pub use service::{
 };
 pub use topic::{Publisher, TopicRow};
 pub use variable::{
-    Decision, Reading, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
+    Reading, RestoreDecision, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,
     VariableWatch,
 };
 
@@ -171,29 +171,30 @@ pub use claim::{
 pub use blastema_contract::link::LinkRow;
 pub use blastema_contract::naming::NodeRow;
 pub use blastema_contract::session::SessionRow;
-pub use blastema_contract::supervisor::Branch;
-pub use blastema_core::net::session::{SessionCounters, SessionStanding, SessionState};
+pub use blastema_contract::supervisor::SupervisionTree;
+pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
 pub use blastema_core::net::{LinkState, Refusals, Route};
 pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, IsolateError, Link, MemoryMedium, Network, Node,
-    NodeBuilder, NodeState, Picture, RestartError, StartError, SupervisorSpec,
+    NodeBuilder, NodeSnapshot, NodeState, RestartError, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
-    CheckFailed, FaultStatus, Freshness, Invariant, Opinion, Range, Rate, Record, Row, Turn,
+    CheckFailed, FaultRecord, FaultStatus, FaultTransition, Freshness, Invariant, MonitorRow,
+    Opinion, Range, Rate,
 };
 pub use blastema_core::{Fault, FaultId, FaultKind, Instant, Lifecycle, Place, Severity};
-pub use chain::strategy::{RecoveryStrategy, Tools};
+pub use chain::strategy::{RecoveryStrategy, StrategyContext};
 
 /// What an application needs for a medium of its own; it is given to [`Network::own`].
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
     pub use blastema_transports::frame_medium::{
-        Arrival, FrameMedium, Opening, QueueLimits, Sending,
+        FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult,
     };
     pub use bytes::Bytes;
 }
@@ -201,16 +202,17 @@ pub mod medium {
 /// Plans, ladders and rules of restarts, and what strategies of an application's own answer.
 pub mod recovery {
     pub use blastema_core::recovery::{
-        Backoff, Done, Failed, Ladder, Measure, Order, Plan, PlanError, Restart, Step, Strategy,
-        WhenExceeded,
+        Backoff, Ladder, LadderStep, Plan, PlanError, RecoveryAction, RecoveryDone, RecoveryFailed,
+        RecoveryOrder, Restart, Strategy, WhenExceeded,
     };
 }
 
 /// How components are watched, and what the monitor's table and the record of faults say.
 pub mod detection {
     pub use blastema_core::detection::{
-        CheckFailed, Current, EnrolError, Entry, FaultStatus, Freshness, Invariant, ObjectKind,
-        Opinion, Pull, Push, QueueSeen, Range, Rate, Record, Row, Turn, Watch,
+        CheckFailed, CurrentHandler, FaultEntry, FaultRecord, FaultStatus, FaultTransition,
+        Freshness, Invariant, Liveness, MonitorRow, ObjectKind, Opinion, Pull, Push, QueueSample,
+        Range, Rate, RegistrationError,
     };
 }
 
@@ -219,12 +221,12 @@ pub use blastema_core as core;
 
 /// Everything that an application usually needs.
 pub mod prelude {
-    pub use crate::detection::Watch;
-    pub use crate::recovery::{Ladder, Measure, Plan, Restart, Strategy, WhenExceeded};
+    pub use crate::detection::Liveness;
+    pub use crate::recovery::{Ladder, Plan, RecoveryAction, Restart, Strategy, WhenExceeded};
     pub use crate::{
-        ActorRef, ChildSpec, Component, Context, Event, Failure, FaultKind, Handle, Node,
-        NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError, Structure,
-        SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, Why, sleep,
+        ActorRef, ChildSpec, Component, Context, DeliveryError, Event, Failure, FaultKind, Handle,
+        Node, NodeState, Outcome, Parameters, Ports, Publisher, Request, Sender, StartError,
+        Structure, SupervisorSpec, Variable, VariableRef, VariableSpec, WhenFull, sleep,
     };
 }
 

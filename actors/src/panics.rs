@@ -15,18 +15,18 @@ thread_local! {
 }
 
 /// While it lives, panics on this thread are going to be caught by a guard.
-pub(crate) struct Guarded(());
+pub(crate) struct PanicGuard(());
 
-impl Guarded {
+impl PanicGuard {
     /// Enters guarded code.
     #[inline]
     pub(crate) fn enter() -> Self {
         GUARDED.set(GUARDED.get() + 1);
-        Guarded(())
+        PanicGuard(())
     }
 }
 
-impl Drop for Guarded {
+impl Drop for PanicGuard {
     #[inline]
     fn drop(&mut self) {
         GUARDED.set(GUARDED.get() - 1);
@@ -72,7 +72,7 @@ pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
 
 /// Runs what is the user's outside of a life, and says where and how it panicked, if it did.
 pub(crate) fn caught<T>(run: impl FnOnce() -> T) -> Result<T, String> {
-    let _guarded = Guarded::enter();
+    let _guarded = PanicGuard::enter();
     panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(|payload| {
         let at = take_place();
         format!("panicked at {at}: {}", text_of(payload))

@@ -4,12 +4,12 @@
 //! this adds where their first values come from, and that the component is told of every change.
 
 use crate::component::{Component, Handle};
-use crate::host::anchor::Anchor;
+use crate::host::anchor::ComponentCell;
 use crate::host::pulse;
-use crate::variable::{Declared, RestorePolicy, VariableRef};
+use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
-use blastema_core::{ObjectName, Why, suggestion};
+use blastema_core::{DeliveryError, ObjectName, suggestion};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
@@ -90,29 +90,30 @@ fn read(value: Value) -> Result<ParameterValue, &'static str> {
 
 /// Makes the variable that holds a component's parameters.
 pub(crate) type DeclareParameters<C> =
-    fn(&Arc<Anchor<C>>, &Configured) -> Result<Declared, ParameterError>;
+    fn(&Arc<ComponentCell<C>>, &Configured) -> Result<DeclaredVariable, ParameterError>;
 
 /// The parameters `P` of a component.
 pub(crate) fn declare<C: Handle<P>, P: Parameters>(
-    anchor: &Arc<Anchor<C>>,
+    anchor: &Arc<ComponentCell<C>>,
     configured: &Configured,
-) -> Result<Declared, ParameterError> {
+) -> Result<DeclaredVariable, ParameterError> {
     let parameters = configured.parameters::<P>(&anchor.record.name)?;
     let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
     let owner = Arc::downgrade(anchor);
     let changed = move |value: &[u8]| {
         if let (Some(owner), Ok(parameters)) = (owner.upgrade(), codec::decode::<P>(value)) {
-            owner.queue_event(parameters, pulse::rough_now());
+            owner.queue_event(parameters, pulse::coarse_now());
         }
     };
-    Ok(Declared::new(&parameters, RestorePolicy::Restore, check).observed(changed))
+    Ok(DeclaredVariable::new(&parameters, RestorePolicy::Restore, check).observed(changed))
 }
 
-impl<C: Component> Anchor<C> {
+impl<C: Component> ComponentCell<C> {
     /// The component's own parameters as they are now.
-    pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, Why> {
+    pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
         let value = self.record.environment.variables.value(&self.record.name, P::NAME)?;
-        codec::decode::<P>(&value).map_err(|error| Why::Undecodable { reason: error.to_string() })
+        codec::decode::<P>(&value)
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
 }
 
@@ -120,17 +121,17 @@ impl<P: Parameters> VariableRef<P> {
     /// Sets one parameter and leaves the others as they are. Answers the revision.
     ///
     /// # Errors
-    /// As [`write_if`](VariableRef::write_if); [`Why::CheckFailed`] says what is wrong with the value:
+    /// As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] says what is wrong with the value:
     /// its range, its type, or that there is no such parameter, with the nearest name.
-    pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, Why> {
+    pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, DeliveryError> {
         loop {
             let reading = self.read().await?;
             let mut parameters = reading.value;
             let set = parameters.set(key, &value).and_then(|()| parameters.check());
-            set.map_err(|error| Why::CheckFailed { reason: error.to_string() })?;
+            set.map_err(|error| DeliveryError::CheckFailed { reason: error.to_string() })?;
             match self.write_if(parameters, reading.revision).await {
                 // Another one was set meanwhile.
-                Err(Why::Changed { .. }) => {}
+                Err(DeliveryError::Changed { .. }) => {}
                 written => return written,
             }
         }

@@ -34,13 +34,13 @@
 //! ```
 
 use crate::host::pulse;
-use crate::reply::{Answer, Reply};
-use crate::sender::{Inlet, RequestError, SendError, Sender};
+use crate::reply::{ReplyFuture, Responder};
+use crate::sender::{MessageSink, RequestError, SendError, Sender};
 use actix::fut::wrap_future;
 use actix::prelude::{
     Actor, Addr, AsyncContext, Context, Handler, Message, Recipient, ResponseFuture,
 };
-use blastema_core::{Contract, MessageId, Why};
+use blastema_core::{Contract, DeliveryError, MessageId};
 use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
@@ -50,14 +50,14 @@ use std::time::Duration;
 pub struct Deliver<M>(pub M);
 
 impl<M: Contract> Message for Deliver<M> {
-    type Result = Result<M::Reply, Why>;
+    type Result = Result<M::Reply, DeliveryError>;
 }
 
 /// A message on its way to a plain actor, which answers as the contract says.
 #[derive(Debug)]
-pub struct Serve<M>(pub M);
+pub struct ServeRequest<M>(pub M);
 
-impl<M: Contract> Message for Serve<M> {
+impl<M: Contract> Message for ServeRequest<M> {
     type Result = M::Reply;
 }
 
@@ -74,7 +74,7 @@ pub fn recipient<M: Contract>(sender: &Sender<M>) -> Recipient<Deliver<M>> {
 ///
 /// # Panics
 /// Outside of an actix arbiter.
-pub fn sender<M: Contract>(recipient: Recipient<Serve<M>>) -> Sender<M> {
+pub fn sender<M: Contract>(recipient: Recipient<ServeRequest<M>>) -> Sender<M> {
     Sender(std::sync::Arc::new(Outside { relay: Relay(recipient).start() }))
 }
 
@@ -86,16 +86,16 @@ impl<M: Contract> Actor for Door<M> {
 }
 
 impl<M: Contract> Handler<Deliver<M>> for Door<M> {
-    type Result = ResponseFuture<Result<M::Reply, Why>>;
+    type Result = ResponseFuture<Result<M::Reply, DeliveryError>>;
 
     fn handle(&mut self, Deliver(message): Deliver<M>, _: &mut Self::Context) -> Self::Result {
         let sender = self.0.clone();
-        Box::pin(async move { sender.ask(message).await.map_err(|error| error.why) })
+        Box::pin(async move { sender.ask(message).await.map_err(|error| error.kind) })
     }
 }
 
 /// Asks a plain actor, and passes its answer on.
-struct Relay<M: Contract>(Recipient<Serve<M>>);
+struct Relay<M: Contract>(Recipient<ServeRequest<M>>);
 
 impl<M: Contract> Actor for Relay<M> {
     type Context = Context<Self>;
@@ -103,7 +103,7 @@ impl<M: Contract> Actor for Relay<M> {
 
 struct Pass<M: Contract> {
     message: M,
-    answer: Option<Answer<M>>,
+    answer: Option<Responder<M>>,
 }
 
 impl<M: Contract> Message for Pass<M> {
@@ -115,13 +115,13 @@ impl<M: Contract> Handler<Pass<M>> for Relay<M> {
 
     fn handle(&mut self, Pass { message, answer }: Pass<M>, context: &mut Self::Context) {
         match answer {
-            None => self.0.do_send(Serve(message)),
+            None => self.0.do_send(ServeRequest(message)),
             Some(answer) => {
-                let served = self.0.send(Serve(message));
+                let served = self.0.send(ServeRequest(message));
                 context.spawn(wrap_future(async move {
                     match served.await {
                         Ok(reply) => answer.give(reply),
-                        Err(_) => answer.refuse(Why::Stopped, None),
+                        Err(_) => answer.refuse(DeliveryError::Stopped, None),
                     }
                 }));
             }
@@ -134,20 +134,22 @@ struct Outside<M: Contract> {
 }
 
 impl<M: Contract> Outside<M> {
-    fn pass(&self, message: M, answer: Option<Answer<M>>) -> Result<(), SendError<M>> {
-        if let Some(why) = pulse::forbidden() {
+    fn pass(&self, message: M, answer: Option<Responder<M>>) -> Result<(), SendError<M>> {
+        if let Some(why) = pulse::send_refusal() {
             return Err(SendError::new(why, message));
         }
         self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
-            actix::dev::SendError::Full(Pass { message, .. }) => SendError::new(Why::Full, message),
+            actix::dev::SendError::Full(Pass { message, .. }) => {
+                SendError::new(DeliveryError::Full, message)
+            }
             actix::dev::SendError::Closed(Pass { message, .. }) => {
-                SendError::new(Why::Stopped, message)
+                SendError::new(DeliveryError::Stopped, message)
             }
         })
     }
 }
 
-impl<M: Contract> Inlet<M> for Outside<M> {
+impl<M: Contract> MessageSink<M> for Outside<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         self.pass(message, None)
     }
@@ -156,9 +158,9 @@ impl<M: Contract> Inlet<M> for Outside<M> {
         self.pass(message, None)
     }
 
-    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         // An actix mailbox tells nobody that it has room again.
-        Box::pin(tokio::time::sleep(pulse::BEAT))
+        Box::pin(tokio::time::sleep(pulse::HEARTBEAT_INTERVAL))
     }
 
     fn ask(
@@ -166,8 +168,8 @@ impl<M: Contract> Inlet<M> for Outside<M> {
         message: M,
         _: Option<MessageId>,
         _: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
-        let (answer, reply) = Answer::awaited();
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        let (answer, reply) = Responder::awaited();
         self.pass(message, Some(answer))?;
         Ok(reply)
     }

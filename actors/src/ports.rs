@@ -1,32 +1,32 @@
 //! What a component takes, declared once for all its lives.
 
 use crate::component::{Component, Handle};
-use crate::host::anchor::Anchor;
+use crate::host::anchor::ComponentCell;
 use crate::host::spec::SpecError;
 use crate::lease::{self, ActuatorSpec};
 use crate::parameters::{self, DeclareParameters};
-use crate::registry::{Doorway, Port};
-use crate::topic::{Condition, Listening, Subscription, Subscriptions, Topics};
-use crate::variable::{Declared, VariableSpec};
+use crate::registry::{ContractPort, Skeleton};
+use crate::topic::{EventFilter, Subscription, Subscriptions, TopicSubscription, Topics};
+use crate::variable::{DeclaredVariable, VariableSpec};
 use blastema_core::parameters::{ParameterError, Parameters};
-use blastema_core::{Contract, Event, ObjectName, Request, Variable, Why};
+use blastema_core::{Contract, DeliveryError, Event, ObjectName, Request, Variable};
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::Location;
 use std::sync::Arc;
 
 /// Makes the door for one contract.
-pub(crate) type OpenPort<C> = fn(&Arc<Anchor<C>>) -> Port;
-type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, Why>>;
+pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
+type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, DeliveryError>>;
 
 /// The ports of one component: filled in `Component::ports`.
 pub struct Ports<C: Component> {
-    open: Vec<OpenPort<C>>,
+    open: Vec<PortConstructor<C>>,
     /// The contracts that they are for.
     taken: Vec<&'static str>,
     listen: Vec<Bind<C>>,
-    variables: Vec<Declared>,
+    variables: Vec<DeclaredVariable>,
     parameters: Vec<(&'static str, DeclareParameters<C>)>,
-    actuators: Vec<(lease::Declared, OpenPort<C>)>,
+    actuators: Vec<(lease::DeclaredActuator, PortConstructor<C>)>,
 }
 
 impl<C: Component> Ports<C> {
@@ -49,7 +49,7 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
-        self.open.push(Port::open::<C, M>);
+        self.open.push(ContractPort::open::<C, M>);
         self.taken.push(M::NAME);
         self
     }
@@ -59,7 +59,7 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
-        self.open.push(Port::open::<C, M>);
+        self.open.push(ContractPort::open::<C, M>);
         self.taken.push(M::NAME);
         self
     }
@@ -99,7 +99,7 @@ impl<C: Component> Ports<C> {
     where
         C: Handle<M>,
     {
-        self.actuators.push((spec.declared(), Port::open::<C, M>));
+        self.actuators.push((spec.declared(), ContractPort::open::<C, M>));
         self
     }
 
@@ -131,7 +131,12 @@ impl<C: Component> Ports<C> {
             return twice(contract, "a component has one set of parameters");
         }
         let mut variables: BTreeSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
-        match self.variables.iter().map(Declared::name).find(|name| !variables.insert(*name)) {
+        match self
+            .variables
+            .iter()
+            .map(DeclaredVariable::name)
+            .find(|name| !variables.insert(*name))
+        {
             Some(contract) => twice(contract, "both by variable"),
             None => Ok(()),
         }
@@ -140,22 +145,22 @@ impl<C: Component> Ports<C> {
     /// The actuators that were declared, and the ways to them.
     pub(crate) fn take_actuators(
         &mut self,
-        anchor: &Arc<Anchor<C>>,
-    ) -> Vec<(lease::Declared, Arc<dyn Doorway>)> {
+        anchor: &Arc<ComponentCell<C>>,
+    ) -> Vec<(lease::DeclaredActuator, Arc<dyn Skeleton>)> {
         let actuators = std::mem::take(&mut self.actuators).into_iter();
         actuators.map(|(declared, open)| (declared, open(anchor).into_doorway())).collect()
     }
 
     /// More contracts that it takes.
-    pub(crate) fn open_beside(&mut self, beside: Vec<OpenPort<C>>) {
+    pub(crate) fn add_ports(&mut self, beside: Vec<PortConstructor<C>>) {
         self.open.extend(beside);
     }
 
     /// The variables that were declared, its parameters among them.
     pub(crate) fn take_variables(
         &mut self,
-        anchor: &Arc<Anchor<C>>,
-    ) -> Result<Vec<Declared>, ParameterError> {
+        anchor: &Arc<ComponentCell<C>>,
+    ) -> Result<Vec<DeclaredVariable>, ParameterError> {
         let configured = &anchor.record.environment.parameters;
         for (_, declare) in std::mem::take(&mut self.parameters) {
             self.variables.push(declare(anchor, configured)?);
@@ -164,12 +169,15 @@ impl<C: Component> Ports<C> {
     }
 
     /// The doors by which others find the component, by contract.
-    pub(crate) fn doors(&self, anchor: &Arc<Anchor<C>>) -> BTreeMap<&'static str, Port> {
+    pub(crate) fn doors(
+        &self,
+        anchor: &Arc<ComponentCell<C>>,
+    ) -> BTreeMap<&'static str, ContractPort> {
         self.open.iter().map(|open| open(anchor)).map(|port| (port.identity.name, port)).collect()
     }
 
     /// The subscriptions, bound to their topics.
-    pub(crate) fn subscriptions(self, topics: &Topics) -> Result<Subscriptions<C>, Why> {
+    pub(crate) fn subscriptions(self, topics: &Topics) -> Result<Subscriptions<C>, DeliveryError> {
         self.listen.into_iter().map(|bind| bind(topics)).collect()
     }
 }
@@ -178,7 +186,7 @@ impl<C: Component> Ports<C> {
 pub struct ListenPort<'a, C: Handle<E>, E: Event> {
     ports: &'a mut Ports<C>,
     topic: String,
-    only_if: Option<Condition<E>>,
+    only_if: Option<EventFilter<E>>,
     at: &'static Location<'static>,
 }
 
@@ -203,7 +211,7 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
         let at = self.at;
         self.ports.listen.push(Box::new(move |topics| {
             let topic = topics.topic::<E>(&topic, at)?;
-            Ok(Arc::new(Listening::new(topic, only_if)))
+            Ok(Arc::new(TopicSubscription::new(topic, only_if)))
         }));
     }
 }

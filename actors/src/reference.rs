@@ -2,16 +2,16 @@
 
 use crate::asking;
 use crate::component::{Component, Handle};
-use crate::host::Control;
-use crate::host::anchor::Anchor;
-use crate::sender::{DEFAULT_DEADLINE, Inlet, RequestError, SendError, Sender, deliver};
+use crate::host::HostCommand;
+use crate::host::anchor::ComponentCell;
+use crate::sender::{DEFAULT_DEADLINE, MessageSink, RequestError, SendError, Sender, deliver};
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending means.
-pub struct ActorRef<C: Component>(pub(crate) Arc<Anchor<C>>);
+pub struct ActorRef<C: Component>(pub(crate) Arc<ComponentCell<C>>);
 
 impl<C: Component> Clone for ActorRef<C> {
     fn clone(&self) -> Self {
@@ -35,8 +35,8 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        let told = Inlet::tell(&*self.0, message);
-        told.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
+        let told = MessageSink::tell(&*self.0, message);
+        told.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
     /// Hands the message to the component's queue, and waits while it has no room.
@@ -48,7 +48,7 @@ impl<C: Component> ActorRef<C> {
         C: Handle<M>,
     {
         let delivered = deliver(&*self.0, message).await;
-        delivered.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
+        delivered.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
     /// Asks, and waits for the reply for one second at most.
@@ -79,9 +79,9 @@ impl<C: Component> ActorRef<C> {
             if M::IDEMPOTENT {
                 return asking::ask_idempotent::<M>(&*self.0, message, deadline).await;
             }
-            Inlet::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
+            MessageSink::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
         };
-        asked.await.map_err(|error| error.at(|| Inlet::<M>::receiver(&*self.0)))
+        asked.await.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
     /// The same for one contract only, with the component's type hidden.
@@ -95,15 +95,15 @@ impl<C: Component> ActorRef<C> {
     /// Asks the component to leave work in order; messages wait until it returns. Without effect
     /// unless it is active.
     pub fn deactivate(&self) {
-        self.order(Control::Activate(false));
+        self.order(HostCommand::Activate(false));
     }
 
     /// Asks the component to return to work. Without effect unless it is initialised and not active.
     pub fn activate(&self) {
-        self.order(Control::Activate(true));
+        self.order(HostCommand::Activate(true));
     }
 
-    fn order(&self, control: Control) {
+    fn order(&self, control: HostCommand) {
         if let Some(host) = self.0.control() {
             host.do_send(control);
         }

@@ -1,24 +1,25 @@
 //! Who is called what on this node, and what they take.
 //!
-//! Local parties bind by type; the network binds through a [`Doorway`], which knows the contract but
+//! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract but
 //! not the type behind it. Both compare the contract's identity first.
 
-use crate::claim::{Names, Roaming};
+use crate::claim::{GlobalNameSender, GlobalNameTable};
 use crate::component::Handle;
-use crate::death_watch::{Deaths, Down, Ending, Mortal, Mourner};
-use crate::desk::Desk;
-use crate::host::anchor::Anchor;
+use crate::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
+use crate::desk::ServiceFn;
+use crate::host::anchor::ComponentCell;
 use crate::host::injection::Injection;
 use crate::letter::arrived_posting_time;
 use crate::panics;
-use crate::reply::{Answer, Reply};
-use crate::sender::{Inlet, Receiver, RequestError, SendError, Sender};
-use blastema_contract::reports::FaultMended;
+use crate::reply::{ReplyFuture, Responder};
+use crate::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
+use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::{
-    Contract, ContractIdentity, FaultKind, Former, Incarnation, Instant, Lifecycle, MessageId,
-    NodeName, ObjectAddress, ObjectName, Parcel, PeerIdentity, Why, suggestion,
+    Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
+    Lifecycle, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, PreviousVersion,
+    suggestion,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -34,11 +35,11 @@ use tracing::error;
 pub(crate) const ANY_NODE: &str = "*";
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
-pub(crate) type ReplyTo = Box<dyn FnOnce(Result<Parcel, Why>) + Send>;
+pub(crate) type ReplyTo = Box<dyn FnOnce(Result<GatherBuffer, DeliveryError>) + Send>;
 
 /// What is known of a message that comes from outside, beside its contents.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Postmark {
+pub(crate) struct MessageMetadata {
     pub(crate) id: Option<MessageId>,
     /// How long it has been on its way.
     pub(crate) age: Duration,
@@ -49,38 +50,38 @@ pub(crate) struct Postmark {
 }
 
 /// A request for an object of another node, beside its contents.
-pub(crate) struct Asked {
+pub(crate) struct OutgoingRequest {
     pub(crate) id: Option<MessageId>,
     pub(crate) within: Option<Duration>,
     pub(crate) reply_to: ReplyTo,
 }
 
 /// Waits for room.
-pub(crate) type Room = Pin<Box<dyn Future<Output = ()> + Send>>;
+pub(crate) type CapacityFuture = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// The way into an object for messages that come from outside the process.
-pub(crate) trait Doorway: Send + Sync {
+pub(crate) trait Skeleton: Send + Sync {
     /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case; the
     /// error then repeats what it was told. Where it is not, and there is [`room`](Self::room) to wait
-    /// for, a message that is refused as [`Why::Full`] or [`Why::Restarting`] remains the caller's: to be
+    /// for, a message that is refused as [`DeliveryError::Full`] or [`DeliveryError::Restarting`] remains the caller's: to be
     /// tried again, or [buried](Self::bury).
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: Postmark,
+        postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why>;
+    ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused; `None` where nothing waits.
-    fn room(&self) -> Option<Room> {
+    fn room(&self) -> Option<CapacityFuture> {
         None
     }
 
     /// Counts a message that was refused for want of room, and is given up.
-    fn bury(&self, _why: &Why) {}
+    fn bury(&self, _why: &DeliveryError) {}
 
     /// The way for a sender with an earlier version of the contract, if it is understood.
-    fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {
+    fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
         None
     }
 
@@ -97,37 +98,42 @@ pub(crate) trait Doorway: Send + Sync {
 }
 
 /// The ways to objects of other nodes, provided by the network.
-pub(crate) trait RemoteDoors: Send + Sync {
+pub(crate) trait StubFactory: Send + Sync {
     /// A way to this object for this contract. What stands in its way is found when it is used.
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor>;
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
 }
 
 /// The way to one object of another node, for one contract.
-pub(crate) trait RemoteDoor: Send + Sync {
+pub(crate) trait RemoteStub: Send + Sync {
     /// Ships one encoded message. Where it is a request and was taken, its `reply_to` is called once.
     /// Never waits.
     ///
     /// # Errors
     /// Why the message was not taken.
-    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why>;
+    fn send(
+        &self,
+        message: GatherBuffer,
+        asked: Option<OutgoingRequest>,
+    ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused so.
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn room<'a>(&'a self, refused: &DeliveryError)
+    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 }
 
 /// One contract that one object takes.
-pub(crate) struct Port {
+pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
     /// Its type, for people.
     named: &'static str,
     /// A `Sender<M>`.
     sender: Box<dyn Any + Send + Sync>,
-    doorway: Arc<dyn Doorway>,
+    doorway: Arc<dyn Skeleton>,
 }
 
-impl Port {
-    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<Anchor<C>>) -> Self {
-        Port {
+impl ContractPort {
+    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<ComponentCell<C>>) -> Self {
+        ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(Sender::<M>(anchor.clone())),
@@ -136,15 +142,15 @@ impl Port {
     }
 }
 
-impl Port {
+impl ContractPort {
     /// The way from outside.
-    pub(crate) fn into_doorway(self) -> Arc<dyn Doorway> {
+    pub(crate) fn into_doorway(self) -> Arc<dyn Skeleton> {
         self.doorway
     }
 
     /// A contract that only other nodes use.
-    pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Doorway>) -> Self {
-        Port {
+    pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Skeleton>) -> Self {
+        ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(()),
@@ -153,8 +159,8 @@ impl Port {
     }
 
     /// A contract that the node itself serves at the object's name.
-    pub(crate) fn of_desk<M: Contract>(desk: Desk<M>) -> Self {
-        Port {
+    pub(crate) fn of_desk<M: Contract>(desk: ServiceFn<M>) -> Self {
+        ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(Sender::<M>(Arc::new(desk.clone()))),
@@ -163,50 +169,52 @@ impl Port {
     }
 
     /// The same, where it matters which node says it: what comes from others goes by `doorway`.
-    pub(crate) fn of_peers<M: Contract>(desk: Desk<M>, doorway: Arc<dyn Doorway>) -> Self {
-        Port { doorway, ..Port::of_desk(desk) }
+    pub(crate) fn of_peers<M: Contract>(desk: ServiceFn<M>, doorway: Arc<dyn Skeleton>) -> Self {
+        ContractPort { doorway, ..ContractPort::of_desk(desk) }
     }
 }
 
 struct LocalDoor<C: Handle<M>, M: Contract> {
-    anchor: Arc<Anchor<C>>,
+    anchor: Arc<ComponentCell<C>>,
     /// The version that the sender holds, where it is an earlier one.
-    former: Option<Arc<Former<M>>>,
+    former: Option<Arc<PreviousVersion<M>>>,
 }
 
 impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
     fn hand_over(
         &self,
         message: M,
-        Postmark { id, age, until, .. }: Postmark,
+        MessageMetadata { id, age, until, .. }: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         match reply_to {
             // Its sender is elsewhere, and has been told that it was sent.
             None => {
                 let posted_at = arrived_posting_time::<M>(age);
-                self.anchor.tell_at(message, posted_at).map_err(|SendError { why, .. }| {
-                    // For want of room it may wait.
-                    if !matches!(why, Why::Full | Why::Restarting) {
-                        self.anchor.record.bury(M::NAME, &why);
-                    }
-                    why
-                })
+                self.anchor.tell_at(message, posted_at).map_err(
+                    |SendError { kind: why, .. }| {
+                        // For want of room it may wait.
+                        if !matches!(why, DeliveryError::Full | DeliveryError::Restarting) {
+                            self.anchor.record.record_dead_letter(M::NAME, &why);
+                        }
+                        why
+                    },
+                )
             }
             Some(reply_to) => {
                 let (former, anchor) = (self.former.clone(), self.anchor.clone());
-                let callback = move |result: Result<M::Reply, Why>| {
+                let callback = move |result: Result<M::Reply, DeliveryError>| {
                     // The asker is not to wait for its deadline where the conversion panics.
                     let converted = |reply| {
                         let what = || format!("the conversion of a reply to {}", M::NAME);
                         let encode = || encoded_reply(reply, former.as_deref());
                         let encoded = anchor.record.guard(what, encode);
-                        encoded.unwrap_or_else(|reason| Err(Why::Undecodable { reason }))
+                        encoded.unwrap_or_else(|reason| Err(DeliveryError::Undecodable { reason }))
                     };
                     reply_to(result.and_then(converted));
                 };
-                let answer = Answer::called_back(Box::new(callback), until);
-                self.anchor.post(message, answer, id).map_err(|error| error.why)
+                let answer = Responder::called_back(Box::new(callback), until);
+                self.anchor.post(message, answer, id).map_err(|error| error.kind)
             }
         }
     }
@@ -214,32 +222,32 @@ impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
 
 pub(crate) fn encoded_reply<M: Contract>(
     reply: M::Reply,
-    former: Option<&Former<M>>,
-) -> Result<Parcel, Why> {
+    former: Option<&PreviousVersion<M>>,
+) -> Result<GatherBuffer, DeliveryError> {
     let encoded = match former {
         None => codec::encode_parcel_reply::<M>(reply),
         Some(former) => former.answer(reply),
     };
     encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
-        Why::TooLarge { limit } => Why::ReplyTooLarge { limit },
+        DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
         other => other,
     })
 }
 
-fn encoding(error: codec::EncodeError, limit: usize) -> Why {
+fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
     match error {
-        codec::EncodeError::TooLarge { .. } => Why::TooLarge { limit },
-        other => Why::Undecodable { reason: other.to_string() },
+        codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
+        other => DeliveryError::Undecodable { reason: other.to_string() },
     }
 }
 
-impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
+impl<C: Handle<M>, M: Contract> Skeleton for LocalDoor<C, M> {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: Postmark,
+        postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         // To read it runs what is the user's, on the network's thread.
         let what = || format!("to read a message of {}", M::NAME);
         let read = || match &self.former {
@@ -250,8 +258,8 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(message) => self.hand_over(message, postmark, reply_to),
             Err(reason) => {
-                let why = Why::Undecodable { reason };
-                self.anchor.record.bury(M::NAME, &why);
+                let why = DeliveryError::Undecodable { reason };
+                self.anchor.record.record_dead_letter(M::NAME, &why);
                 if let Some(reply_to) = reply_to {
                     reply_to(Err(why.clone()));
                 }
@@ -260,17 +268,17 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         }
     }
 
-    fn room(&self) -> Option<Room> {
+    fn room(&self) -> Option<CapacityFuture> {
         let anchor = self.anchor.clone();
         Some(Box::pin(async move { anchor.lane.room().await }))
     }
 
-    fn bury(&self, why: &Why) {
-        self.anchor.record.bury(M::NAME, why);
+    fn bury(&self, why: &DeliveryError) {
+        self.anchor.record.record_dead_letter(M::NAME, why);
     }
 
-    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Doorway>> {
-        let mut former = M::former().into_iter();
+    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
+        let mut former = M::previous_versions().into_iter();
         let former = former.find(|former| former.identity().check(theirs).is_ok())?;
         let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
         Some(Arc::new(LocalDoor::<C, M> { anchor, former }))
@@ -288,22 +296,22 @@ impl<C: Handle<M>, M: Contract> Doorway for LocalDoor<C, M> {
         let record = &self.anchor.record;
         if let Some(mended) = &record.environment.reports.mended {
             let (object, incarnation) = (record.name.clone(), record.incarnation());
-            mended.do_send(FaultMended { object, incarnation, kind });
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }
 
 /// Messages of one contract to an object of another node.
 struct Outlet<M: Contract> {
-    door: Arc<dyn RemoteDoor>,
+    door: Arc<dyn RemoteStub>,
     to: ObjectAddress,
     sends: PhantomData<fn(M)>,
 }
 
 impl<M: Contract> Outlet<M> {
     /// The message is as it was where it is refused.
-    fn send(&self, message: &mut M, asked: Option<Asked>) -> Result<(), Why> {
-        if let Some(why) = crate::host::pulse::forbidden() {
+    fn send(&self, message: &mut M, asked: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
+        if let Some(why) = crate::host::pulse::send_refusal() {
             return Err(why);
         }
         let encoded = codec::encode_out_of(message);
@@ -316,7 +324,7 @@ impl<M: Contract> Outlet<M> {
     }
 }
 
-impl<M: Contract> Inlet<M> for Outlet<M> {
+impl<M: Contract> MessageSink<M> for Outlet<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         self.offer(message)
     }
@@ -330,7 +338,10 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         Some(Receiver { node: Some(node), object, contract: M::NAME, queue: None })
     }
 
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         self.door.room(refused)
     }
 
@@ -339,16 +350,16 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
         mut message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
-        let (answer, reply) = Answer::awaited();
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        let (answer, reply) = Responder::awaited();
         // Only what may come twice needs to be known again.
         let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
-        let reply_to = move |result: Result<Parcel, Why>| {
-            let decode = |reply: Parcel| codec::decode_shared_reply::<M>(&reply.into_bytes());
+        let reply_to = move |result: Result<GatherBuffer, DeliveryError>| {
+            let decode = |reply: GatherBuffer| codec::decode_shared_reply::<M>(&reply.into_bytes());
             let decoded = result.and_then(|reply| {
                 let read = panics::caught(|| decode(reply));
                 let read = read.and_then(|read| read.map_err(|error| error.to_string()));
-                read.map_err(|reason| Why::Undecodable { reason })
+                read.map_err(|reason| DeliveryError::Undecodable { reason })
             });
             // Where nobody waits any more, the reply is dropped here, on the network's thread.
             let given = panics::caught(|| match decoded {
@@ -359,7 +370,7 @@ impl<M: Contract> Inlet<M> for Outlet<M> {
                 error!(contract = M::NAME, "the Drop of a reply that nobody waits for {panicked}");
             }
         };
-        let asked = Asked { id, within, reply_to: Box::new(reply_to) };
+        let asked = OutgoingRequest { id, within, reply_to: Box::new(reply_to) };
         match self.send(&mut message, Some(asked)) {
             Ok(()) => Ok(reply),
             Err(why) => Err(RequestError::new(why, Some(message))),
@@ -376,13 +387,13 @@ pub struct NameTaken {
 }
 
 struct Entry {
-    ports: BTreeMap<&'static str, Port>,
-    mortal: Arc<dyn Mortal>,
+    ports: BTreeMap<&'static str, ContractPort>,
+    mortal: Arc<dyn Watchable>,
 }
 
 impl Entry {
-    fn not_served(&self, object: &ObjectName, contract: &str) -> Why {
-        Why::NotServed {
+    fn not_served(&self, object: &ObjectName, contract: &str) -> DeliveryError {
+        DeliveryError::NotServed {
             object: object.to_string(),
             contract: contract.to_owned(),
             served: self.ports.keys().map(|&name| name.to_owned()).collect(),
@@ -395,30 +406,30 @@ struct Inner {
     /// As many as the node has objects.
     objects: BTreeMap<ObjectName, Entry>,
     /// What nodes say to each other, and no object does: one contract each.
-    hidden: BTreeMap<ObjectName, Port>,
+    hidden: BTreeMap<ObjectName, ContractPort>,
     /// Names of supervisors and of the middleware's own objects, at which nothing can be sent.
     reserved: BTreeSet<ObjectName>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
-    remote: Option<Arc<dyn RemoteDoors>>,
+    remote: Option<Arc<dyn StubFactory>>,
     /// The names of the whole robot.
-    names: Option<Names>,
+    names: Option<GlobalNameTable>,
     /// Where objects that are not components can be watched.
     deaths: Deaths,
 }
 
 impl Inner {
     /// What to say of a name that no object of this node has.
-    fn misspelt(&self, name: &str) -> Why {
+    fn misspelt(&self, name: &str) -> DeliveryError {
         let known = self.objects.keys().map(ObjectName::as_str);
         let object = name.split_once(':').map_or(name, |(_, object)| object);
         let name = name.to_owned();
         match suggestion::nearest(object, known) {
             // It is there, and the wrong one for what is asked.
-            Some(nearest) if nearest == object => Why::Unknown { name },
-            Some(nearest) => Why::Misspelt { nearest: nearest.to_owned(), name },
-            None => Why::Unknown { name },
+            Some(nearest) if nearest == object => DeliveryError::Unknown { name },
+            Some(nearest) => DeliveryError::Misspelt { nearest: nearest.to_owned(), name },
+            None => DeliveryError::Unknown { name },
         }
     }
 }
@@ -433,14 +444,14 @@ impl Registry {
     }
 
     /// Names of this node may be written with `node` in front; those of others lead to `remote`.
-    pub(crate) fn connect(&self, node: NodeName, remote: Option<Arc<dyn RemoteDoors>>) {
+    pub(crate) fn connect(&self, node: NodeName, remote: Option<Arc<dyn StubFactory>>) {
         let mut inner = self.lock();
         inner.node = Some(node);
         inner.remote = remote;
     }
 
     /// Names of the whole robot, such as `*:map`, are looked up there.
-    pub(crate) fn look_up_in(&self, names: Names) {
+    pub(crate) fn set_name_resolver(&self, names: GlobalNameTable) {
         self.lock().names = Some(names);
     }
 
@@ -450,11 +461,11 @@ impl Registry {
     }
 
     /// Gives a name to an object.
-    pub(crate) fn claim(
+    pub(crate) fn register(
         &self,
         name: &ObjectName,
-        ports: BTreeMap<&'static str, Port>,
-        mortal: Arc<dyn Mortal>,
+        ports: BTreeMap<&'static str, ContractPort>,
+        mortal: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
         if inner.objects.contains_key(name) || inner.reserved.contains(name) {
@@ -471,19 +482,19 @@ impl Registry {
     }
 
     /// Takes a contract from other nodes under a name that is nobody's and is not told to them.
-    pub(crate) fn hide(&self, name: ObjectName, port: Port) {
+    pub(crate) fn register_hidden(&self, name: ObjectName, port: ContractPort) {
         self.lock().hidden.insert(name, port);
     }
 
     /// One more contract is taken at an object's name.
-    pub(crate) fn open(&self, name: &ObjectName, port: Port) {
+    pub(crate) fn open(&self, name: &ObjectName, port: ContractPort) {
         if let Some(entry) = self.lock().objects.get_mut(name) {
             entry.ports.insert(port.identity.name, port);
         }
     }
 
     /// Takes the name away.
-    pub(crate) fn release(&self, name: &ObjectName) {
+    pub(crate) fn unregister(&self, name: &ObjectName) {
         let mut inner = self.lock();
         let released = inner.objects.remove(name);
         inner.revision += 1;
@@ -492,15 +503,15 @@ impl Registry {
     }
 
     /// Where messages of contract `M` can be sent to the object of this name.
-    pub(crate) fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
-        let unknown = || Why::Unknown { name: name.to_owned() };
+    pub(crate) fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
+        let unknown = || DeliveryError::Unknown { name: name.to_owned() };
         let inner = self.lock();
         let object = match name.split_once(':') {
             None => ObjectName::new(name).map_err(|_| inner.misspelt(name))?,
             Some((ANY_NODE, claimed)) => {
                 let name = ObjectName::new(claimed).map_err(|_| unknown())?;
                 let names = inner.names.clone().ok_or_else(unknown)?;
-                return Ok(Sender(Arc::new(Roaming::<M>::new(name, self.clone(), names))));
+                return Ok(Sender(Arc::new(GlobalNameSender::<M>::new(name, self.clone(), names))));
             }
             Some(_) => {
                 let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
@@ -522,7 +533,7 @@ impl Registry {
                 let difference = difference(&port.identity, &ContractIdentity::of::<M>());
                 let (known, wanted) = (port.named, type_name::<M>());
                 let difference = format!("{object} takes {known}, and not {wanted}: {difference}");
-                Err(Why::ContractDiffers { difference })
+                Err(DeliveryError::ContractDiffers { difference })
             }
         }
     }
@@ -532,20 +543,20 @@ impl Registry {
         &self,
         object: &ObjectName,
         contract: &str,
-    ) -> Result<(ContractIdentity, Arc<dyn Doorway>), Why> {
+    ) -> Result<(ContractIdentity, Arc<dyn Skeleton>), DeliveryError> {
         let inner = self.lock();
         let entry = inner.objects.get(object);
         let port = entry.and_then(|entry| entry.ports.get(contract));
         let port = port.or_else(|| inner.hidden.get(object));
         let port = port.ok_or_else(|| match entry {
             Some(entry) => entry.not_served(object, contract),
-            None => Why::Unknown { name: object.to_string() },
+            None => DeliveryError::Unknown { name: object.to_string() },
         })?;
         Ok((port.identity.clone(), port.doorway.clone()))
     }
 
     /// What to say of a name that no object of this node has.
-    pub(crate) fn misspelt(&self, name: &str) -> Why {
+    pub(crate) fn misspelt(&self, name: &str) -> DeliveryError {
         self.lock().misspelt(name)
     }
 
@@ -580,7 +591,7 @@ impl Registry {
     }
 
     /// Puts a fault into the object of this name.
-    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), Why> {
+    pub(crate) fn inject(&self, name: &str, injection: Injection) -> Result<(), DeliveryError> {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));
@@ -591,7 +602,7 @@ impl Registry {
     }
 
     /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
-    pub(crate) fn watch(&self, object: ObjectName, mourner: Mourner) {
+    pub(crate) fn watch(&self, object: ObjectName, mourner: Watcher) {
         let inner = self.lock();
         let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
         let deaths = inner.deaths.clone();

@@ -11,14 +11,14 @@
 //! is watched, so that none between two questions is missed. That the object's node is lost is seen by the
 //! session, which resolves the request.
 
-use crate::death_watch::{Down, Ending, Mourner};
-use crate::desk::Desk;
-use crate::host::life::LifeToken;
+use crate::death_watch::{Down, Ending, Watcher};
+use crate::desk::ServiceFn;
+use crate::host::life::IncarnationToken;
 use crate::platform;
-use crate::registry::{Port, Registry, WeakRegistry};
-use crate::reply::Answer;
+use crate::registry::{ContractPort, Registry, WeakRegistry};
+use crate::reply::Responder;
 use crate::sender::Sender;
-use blastema_core::{Incarnation, ObjectAddress, ObjectName, Why};
+use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -86,7 +86,7 @@ pub(crate) fn follow(
             tell(Down { object: object.clone(), node: Some(node.clone()), incarnation, ending });
         };
         let incarnation = Incarnation(0);
-        let lost = |why: &Why| {
+        let lost = |why: &DeliveryError| {
             down(Ended { incarnation, ending: Ending::NodeLost { reason: why.to_string() } });
         };
         match sender {
@@ -101,7 +101,7 @@ async fn ask_on(
     sender: &Sender<AwaitEnd>,
     object: &ObjectName,
     down: impl Fn(Ended),
-    lost: impl Fn(&Why),
+    lost: impl Fn(&DeliveryError),
 ) {
     let (mut seen, mut is_lost) = (None, false);
     loop {
@@ -118,12 +118,15 @@ async fn ask_on(
                 }
                 continue;
             }
-            Err(error) => error.why,
+            Err(error) => error.kind,
         };
         match why {
-            Why::DeadlinePassed => continue, // No life has ended.
+            DeliveryError::DeadlinePassed => continue, // No life has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is fenced.
-            Why::Full | Why::WayFull { .. } | Why::Restarting | Why::Fenced => {}
+            DeliveryError::Full
+            | DeliveryError::WayFull { .. }
+            | DeliveryError::Restarting
+            | DeliveryError::Fenced => {}
             why if !is_lost => {
                 lost(&why);
                 (seen, is_lost) = (None, true);
@@ -139,7 +142,7 @@ pub(crate) fn serve(registry: &Registry) {
     let desk = DeathDesk { registry: registry.downgrade(), objects: Arc::default() };
     let serve = move |AwaitEnd { object, seen }, answer| desk.serve(object, seen, answer);
     let place = ObjectName::new(PLACE).expect("a name of letters");
-    registry.hide(place, Port::of_desk(Desk::<AwaitEnd>(Arc::new(serve))));
+    registry.register_hidden(place, ContractPort::of_desk(ServiceFn::<AwaitEnd>(Arc::new(serve))));
 }
 
 /// The objects of this node that others watch. Clones share them.
@@ -154,7 +157,7 @@ struct DeathDesk {
 struct Counted {
     ends: u64,
     last: Option<Ended>,
-    waiting: Vec<Answer<AwaitEnd>>,
+    waiting: Vec<Responder<AwaitEnd>>,
 }
 
 impl DeathDesk {
@@ -162,13 +165,13 @@ impl DeathDesk {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn serve(&self, object: ObjectName, seen: Option<u64>, answer: Answer<AwaitEnd>) {
+    fn serve(&self, object: ObjectName, seen: Option<u64>, answer: Responder<AwaitEnd>) {
         let absent = self.watch(&object);
         let mut objects = self.lock();
         let waiting: usize = objects
             .values_mut()
             .map(|counted| {
-                counted.waiting.retain(Answer::is_wanted);
+                counted.waiting.retain(Responder::is_wanted);
                 counted.waiting.len()
             })
             .sum();
@@ -186,7 +189,7 @@ impl DeathDesk {
             }
             Some(seen) if seen == counted.ends => {
                 drop(objects);
-                return answer.refuse(Why::Full, None);
+                return answer.refuse(DeliveryError::Full, None);
             }
             Some(_) => counted.last.clone(),
             None => absent,
@@ -209,8 +212,8 @@ impl DeathDesk {
             _ => desk.end(down),
         };
         let who = ObjectName::new(PLACE).expect("a name of letters");
-        let life = Arc::new(LifeToken::default());
-        registry.watch(object.clone(), Mourner { who, life, tell: Box::new(tell) });
+        let life = Arc::new(IncarnationToken::default());
+        registry.watch(object.clone(), Watcher { who, life, tell: Box::new(tell) });
         absent.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 

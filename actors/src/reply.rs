@@ -4,13 +4,13 @@
 //! callee holds a way to revoke it, so that a callee which hangs cannot keep its askers waiting, and
 //! what it says after it was given up is refused. A slot takes one result, the first.
 
-use crate::host::pulse::{Deadline, Pulse};
+use crate::host::pulse::{ArbiterHeartbeat, Deadline};
 use crate::platform;
 use crate::sender::RequestError;
 use crate::sync::atomic::AtomicBool;
 use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::{Mutex, MutexGuard};
-use blastema_core::{Contract, Instant, Why};
+use blastema_core::{Contract, DeliveryError, Instant};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, PoisonError};
@@ -18,12 +18,13 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 /// Gets a reply that leaves this process, or the reason why there is none.
-pub(crate) type Callback<M> = Box<dyn FnOnce(Result<<M as Contract>::Reply, Why>) + Send>;
+pub(crate) type ReplyCallback<M> =
+    Box<dyn FnOnce(Result<<M as Contract>::Reply, DeliveryError>) + Send>;
 
 /// What whoever watches over the callee may do with a slot.
-pub(crate) trait Revocable: Send + Sync {
+pub(crate) trait Cancel: Send + Sync {
     /// Resolves the request with this reason, unless it is resolved already.
-    fn revoke(&self, why: Why);
+    fn cancel(&self, why: DeliveryError);
 }
 
 pub(crate) struct ReplySlot<M: Contract> {
@@ -46,7 +47,7 @@ enum State<M: Contract> {
 enum Listener<M: Contract> {
     Nobody,
     Task(Waker),
-    Callback(Callback<M>),
+    Callback(ReplyCallback<M>),
 }
 
 impl<M: Contract> ReplySlot<M> {
@@ -68,40 +69,40 @@ impl<M: Contract> ReplySlot<M> {
             Listener::Callback(callback) => {
                 *state = State::Closed;
                 drop(state);
-                callback(result.map_err(|error| error.why));
+                callback(result.map_err(|error| error.kind));
             }
         }
     }
 }
 
-impl<M: Contract> Revocable for ReplySlot<M> {
-    fn revoke(&self, why: Why) {
+impl<M: Contract> Cancel for ReplySlot<M> {
+    fn cancel(&self, why: DeliveryError) {
         self.resolve(Err(RequestError::new(why, None)));
     }
 }
 
 /// The callee's end of a slot. Dropped without an answer, it says that the callee was stopped.
-pub(crate) struct Answer<M: Contract>(Option<Arc<ReplySlot<M>>>);
+pub(crate) struct Responder<M: Contract>(Option<Arc<ReplySlot<M>>>);
 
-impl<M: Contract> Answer<M> {
+impl<M: Contract> Responder<M> {
     /// A slot whose result is awaited.
     #[inline]
-    pub(crate) fn awaited() -> (Answer<M>, Reply<M>) {
-        Answer::awaited_until(None)
+    pub(crate) fn awaited() -> (Responder<M>, ReplyFuture<M>) {
+        Responder::awaited_until(None)
     }
 
     /// A slot whose result is awaited until then.
-    pub(crate) fn awaited_until(until: Option<Instant>) -> (Answer<M>, Reply<M>) {
+    pub(crate) fn awaited_until(until: Option<Instant>) -> (Responder<M>, ReplyFuture<M>) {
         let state = Mutex::new(State::Open(Listener::Nobody));
         let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until });
-        (Answer(Some(slot.clone())), Reply { slot, limit: Limit::None, done: false })
+        (Responder(Some(slot.clone())), ReplyFuture { slot, limit: Limit::None, done: false })
     }
 
     /// A slot whose result goes to a callback, and is wanted until then.
-    pub(crate) fn called_back(callback: Callback<M>, until: Option<Instant>) -> Answer<M> {
+    pub(crate) fn called_back(callback: ReplyCallback<M>, until: Option<Instant>) -> Responder<M> {
         let state = Mutex::new(State::Open(Listener::Callback(callback)));
         let open = AtomicBool::new(true);
-        Answer(Some(Arc::new(ReplySlot { state, open, until })))
+        Responder(Some(Arc::new(ReplySlot { state, open, until })))
     }
 
     /// Puts the reply in, unless the slot was revoked.
@@ -113,7 +114,7 @@ impl<M: Contract> Answer<M> {
     }
 
     /// Says that there will be no reply, and gives the message back where it was not taken up.
-    pub(crate) fn refuse(mut self, why: Why, message: Option<M>) {
+    pub(crate) fn refuse(mut self, why: DeliveryError, message: Option<M>) {
         if let Some(slot) = self.0.take() {
             slot.resolve(Err(RequestError::new(why, message)));
         }
@@ -121,8 +122,8 @@ impl<M: Contract> Answer<M> {
 
     /// The end of the slot for whoever watches over the callee.
     #[inline]
-    pub(crate) fn revocable(&self) -> Option<Arc<dyn Revocable>> {
-        self.0.clone().map(|slot| slot as Arc<dyn Revocable>)
+    pub(crate) fn revocable(&self) -> Option<Arc<dyn Cancel>> {
+        self.0.clone().map(|slot| slot as Arc<dyn Cancel>)
     }
 
     /// When nobody wants the answer any more, if that is known.
@@ -140,17 +141,17 @@ impl<M: Contract> Answer<M> {
     }
 }
 
-impl<M: Contract> Drop for Answer<M> {
+impl<M: Contract> Drop for Responder<M> {
     fn drop(&mut self) {
         if let Some(slot) = self.0.take() {
-            slot.revoke(Why::Stopped);
+            slot.cancel(DeliveryError::Stopped);
         }
     }
 }
 
 /// The asker's end of a slot: resolves to the reply, or to why there is none. Dropped, it tells the
 /// callee that nobody waits.
-pub(crate) struct Reply<M: Contract> {
+pub(crate) struct ReplyFuture<M: Contract> {
     slot: Arc<ReplySlot<M>>,
     limit: Limit,
     /// The result has been fetched.
@@ -169,8 +170,8 @@ enum Limit {
     Timed(Pin<Box<tokio::time::Sleep>>),
 }
 
-impl<M: Contract> Reply<M> {
-    /// The same, and it resolves with [`Why::DeadlinePassed`] when nothing came in time.
+impl<M: Contract> ReplyFuture<M> {
+    /// The same, and it resolves with [`DeliveryError::DeadlinePassed`] when nothing came in time.
     #[inline]
     pub(crate) fn within(mut self, deadline: Duration) -> Self {
         self.limit = Limit::Within(deadline);
@@ -178,7 +179,7 @@ impl<M: Contract> Reply<M> {
     }
 }
 
-impl<M: Contract> Future for Reply<M> {
+impl<M: Contract> Future for ReplyFuture<M> {
     type Output = Result<M::Reply, RequestError<M>>;
 
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
@@ -186,7 +187,7 @@ impl<M: Contract> Future for Reply<M> {
         if let Limit::Timed(sleep) = &mut this.limit
             && sleep.as_mut().poll(cx).is_ready()
         {
-            this.slot.revoke(Why::DeadlinePassed);
+            this.slot.cancel(DeliveryError::DeadlinePassed);
         }
         let mut state = this.slot.lock();
         match &mut *state {
@@ -204,7 +205,7 @@ impl<M: Contract> Future for Reply<M> {
         }
         drop(state);
         if let Limit::Within(deadline) = this.limit {
-            if Pulse::beats_here() {
+            if ArbiterHeartbeat::beats_here() {
                 this.limit = Limit::Swept { _deadline: Deadline::set(deadline, this.slot.clone()) };
             } else {
                 this.limit = Limit::Timed(Box::pin(tokio::time::sleep(deadline)));
@@ -215,7 +216,7 @@ impl<M: Contract> Future for Reply<M> {
     }
 }
 
-impl<M: Contract> Drop for Reply<M> {
+impl<M: Contract> Drop for ReplyFuture<M> {
     fn drop(&mut self) {
         if self.done {
             return;

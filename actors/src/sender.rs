@@ -1,9 +1,11 @@
 //! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
 
 use crate::asking;
-use crate::host::life::LifeToken;
-use crate::reply::Reply;
-use blastema_core::{Contract, MessageId, NodeName, ObjectName, Outcome, RetryRule, Why};
+use crate::host::life::IncarnationToken;
+use crate::reply::ReplyFuture;
+use blastema_core::{
+    Contract, DeliveryError, MessageId, NodeName, ObjectName, Outcome, RetryPolicy,
+};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
@@ -16,7 +18,7 @@ use std::time::Duration;
 pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(1);
 
 /// What stands behind a [`Sender`]: a component here, or one on another node.
-pub(crate) trait Inlet<M: Contract>: Send + Sync {
+pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     /// Hands the message over, or lets the receiver's policy decide. Never waits.
     fn tell(&self, message: M) -> Result<(), SendError<M>>;
 
@@ -24,7 +26,8 @@ pub(crate) trait Inlet<M: Contract>: Send + Sync {
     fn offer(&self, message: M) -> Result<(), SendError<M>>;
 
     /// Completes when there may be room for what was refused so.
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn room<'a>(&'a self, refused: &DeliveryError)
+    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 
     /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
     fn ask(
@@ -32,7 +35,7 @@ pub(crate) trait Inlet<M: Contract>: Send + Sync {
         message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>>;
+    ) -> Result<ReplyFuture<M>, RequestError<M>>;
 
     /// Whom its errors name.
     fn receiver(&self) -> Option<Receiver> {
@@ -69,7 +72,7 @@ impl fmt::Display for Receiver {
 /// Messages from one sender to one receiver arrive in order. What was accepted is served unless the
 /// receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these are
 /// counted among the dead letters.
-pub struct Sender<M: Contract>(pub(crate) Arc<dyn Inlet<M>>);
+pub struct Sender<M: Contract>(pub(crate) Arc<dyn MessageSink<M>>);
 
 impl<M: Contract> Clone for Sender<M> {
     fn clone(&self) -> Self {
@@ -97,8 +100,8 @@ impl<M: Contract> Sender<M> {
     /// node waits there, once it has been accepted here, until the receiver has room.
     ///
     /// # Errors
-    /// The reason, and the message as it was; never [`Why::Full`], [`Why::WayFull`] or
-    /// [`Why::Restarting`].
+    /// The reason, and the message as it was; never [`DeliveryError::Full`], [`DeliveryError::WayFull`] or
+    /// [`DeliveryError::Restarting`].
     pub async fn deliver(&self, message: M) -> Result<(), SendError<M>> {
         deliver(&*self.0, message).await.map_err(|error| error.at(|| self.0.receiver()))
     }
@@ -111,7 +114,7 @@ impl<M: Contract> Sender<M> {
     ///
     /// A receiver on another node does not begin a request whose deadline has passed. Where the way
     /// to it was lost after the request had been sent, the outcome is not known, which is said by
-    /// [`Why::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked again by itself
+    /// [`DeliveryError::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked again by itself
     /// as soon as there is a way, and where the receiver died while it served it, within the deadline.
     pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
         self.ask_within(message, DEFAULT_DEADLINE).await
@@ -139,18 +142,22 @@ impl<M: Contract> Sender<M> {
     /// declared `idempotent`, where it may have taken effect.
     ///
     /// ```
-    /// use blastema::RetryRule;
+    /// use blastema::RetryPolicy;
     /// # use blastema::prelude::*;
     /// # #[derive(Debug, Request)] #[contract(reply = u32)] struct Count;
     /// # async fn f(counter: Sender<Count>) -> Result<(), Box<dyn std::error::Error>> {
-    /// let rule = RetryRule { attempts: 3, ..RetryRule::default() };
+    /// let rule = RetryPolicy { attempts: 3, ..RetryPolicy::default() };
     /// let count = counter.ask_by(Count, &rule).await?;
     /// # let _ = count; Ok(()) }
     /// ```
     ///
     /// # Errors
     /// What stood in the way of the last attempt.
-    pub async fn ask_by(&self, message: M, rule: &RetryRule) -> Result<M::Reply, RequestError<M>> {
+    pub async fn ask_by(
+        &self,
+        message: M,
+        rule: &RetryPolicy,
+    ) -> Result<M::Reply, RequestError<M>> {
         let asked = asking::ask_by(&*self.0, message, rule).await;
         asked.map_err(|error| error.at(|| self.0.receiver()))
     }
@@ -210,14 +217,17 @@ pub(crate) fn next_id() -> MessageId {
 }
 
 pub(crate) async fn deliver<M: Contract>(
-    inlet: &(impl Inlet<M> + ?Sized),
+    inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
 ) -> Result<(), SendError<M>> {
     let mut message = message;
     loop {
         let refused = match inlet.offer(message) {
             Err(SendError {
-                why: why @ (Why::Full | Why::WayFull { .. } | Why::Restarting),
+                kind:
+                    why @ (DeliveryError::Full
+                    | DeliveryError::WayFull { .. }
+                    | DeliveryError::Restarting),
                 message: back,
                 ..
             }) => {
@@ -231,12 +241,12 @@ pub(crate) async fn deliver<M: Contract>(
 }
 
 /// A sender for a thread of the component's own: it is refused once the life that made it has ended.
-pub(crate) struct Detached<M: Contract> {
+pub(crate) struct DetachedSender<M: Contract> {
     pub(crate) inner: Sender<M>,
-    pub(crate) life: Arc<LifeToken>,
+    pub(crate) life: Arc<IncarnationToken>,
 }
 
-impl<M: Contract> Inlet<M> for Detached<M> {
+impl<M: Contract> MessageSink<M> for DetachedSender<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.life.forbidden() {
             Some(why) => Err(SendError::new(why, message)),
@@ -251,7 +261,10 @@ impl<M: Contract> Inlet<M> for Detached<M> {
         }
     }
 
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         self.inner.0.room(refused)
     }
 
@@ -260,7 +273,7 @@ impl<M: Contract> Inlet<M> for Detached<M> {
         message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
         match self.life.forbidden() {
             Some(why) => Err(RequestError::new(why, Some(message))),
             None => self.inner.0.ask(message, id, within),
@@ -276,7 +289,7 @@ impl<M: Contract> Inlet<M> for Detached<M> {
 #[derive(PartialEq, Eq)]
 pub struct SendError<M> {
     /// Why.
-    pub why: Why,
+    pub kind: DeliveryError,
     /// The message as it was.
     pub message: M,
     // An error that is passed on through every call is better small.
@@ -284,8 +297,8 @@ pub struct SendError<M> {
 }
 
 impl<M> SendError<M> {
-    pub(crate) fn new(why: Why, message: M) -> Self {
-        SendError { why, message, receiver: None }
+    pub(crate) fn new(kind: DeliveryError, message: M) -> Self {
+        SendError { kind, message, receiver: None }
     }
 
     /// Names the receiver.
@@ -305,15 +318,15 @@ impl<M> SendError<M> {
 #[derive(PartialEq, Eq)]
 pub struct RequestError<M> {
     /// Why.
-    pub why: Why,
+    pub kind: DeliveryError,
     /// The message as it was, where the receiver did not take it up.
     pub message: Option<M>,
     receiver: Option<Box<Receiver>>,
 }
 
 impl<M> RequestError<M> {
-    pub(crate) fn new(why: Why, message: Option<M>) -> Self {
-        RequestError { why, message, receiver: None }
+    pub(crate) fn new(kind: DeliveryError, message: Option<M>) -> Self {
+        RequestError { kind, message, receiver: None }
     }
 
     /// Names the receiver.
@@ -332,7 +345,7 @@ impl<M> RequestError<M> {
     pub fn outcome(&self) -> Outcome {
         match self.message {
             Some(_) => Outcome::NotTaken,
-            None => self.why.outcome(),
+            None => self.kind.outcome(),
         }
     }
 }
@@ -340,7 +353,7 @@ impl<M> RequestError<M> {
 // By hand, so that nobody asks the user's message for `Debug`.
 impl<M> fmt::Debug for SendError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SendError").field("why", &self.why).finish_non_exhaustive()
+        f.debug_struct("SendError").field("why", &self.kind).finish_non_exhaustive()
     }
 }
 
@@ -348,7 +361,7 @@ impl<M> fmt::Debug for RequestError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let returned = self.message.is_some();
         f.debug_struct("RequestError")
-            .field("why", &self.why)
+            .field("why", &self.kind)
             .field("message_returned", &returned)
             .finish()
     }
@@ -356,13 +369,13 @@ impl<M> fmt::Debug for RequestError<M> {
 
 impl<M> fmt::Display for SendError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        describe(f, self.receiver(), "was not sent", &self.why)
+        describe(f, self.receiver(), "was not sent", &self.kind)
     }
 }
 
 impl<M> fmt::Display for RequestError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        describe(f, self.receiver(), "failed", &self.why)
+        describe(f, self.receiver(), "failed", &self.kind)
     }
 }
 
@@ -371,14 +384,14 @@ fn describe(
     f: &mut fmt::Formatter<'_>,
     receiver: Option<&Receiver>,
     what: &str,
-    why: &Why,
+    why: &DeliveryError,
 ) -> fmt::Result {
     match receiver {
         None => write!(f, "the message {what}: {why}"),
         Some(to) => {
             write!(f, "`{}` to {to} {what}: ", to.contract)?;
             match (why, to.queue) {
-                (Why::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
+                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
                 _ => write!(f, "{why}"),
             }
         }
@@ -390,6 +403,6 @@ impl<M> std::error::Error for RequestError<M> {}
 
 impl<M> From<SendError<M>> for RequestError<M> {
     fn from(error: SendError<M>) -> Self {
-        RequestError::new(error.why, Some(error.message))
+        RequestError::new(error.kind, Some(error.message))
     }
 }

@@ -45,7 +45,7 @@ pub enum FaultKind {
     NameTaken,
     /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
     CommanderGone,
-    /// A whole node has come to safe rest: its safe outputs were applied, and nothing of it serves.
+    /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it serves.
     NodeAtRest,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
     Unprotected,

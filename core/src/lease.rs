@@ -12,7 +12,7 @@
 //! its process or the cable, the safe outputs are applied there when the lease is over. Every claim
 //! that is granted has a greater epoch than any before; what comes under an older one is refused.
 
-use crate::{Incarnation, Instant, Machine, Why};
+use crate::{DeliveryError, Incarnation, Instant, Machine};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -48,7 +48,7 @@ pub enum LeaseEnd {
 
 /// How a lease stands, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum LeaseStanding {
+pub enum LeaseStatus {
     /// Nobody commands; the outputs are at rest.
     Free,
     /// Somebody commands.
@@ -115,16 +115,16 @@ impl Lease {
     }
 
     /// How it stands at `now`.
-    pub fn standing(&self, now: Instant) -> LeaseStanding {
+    pub fn standing(&self, now: Instant) -> LeaseStatus {
         match &self.state {
-            State::Free => LeaseStanding::Free,
-            State::Held { commander, due } => LeaseStanding::Held {
+            State::Free => LeaseStatus::Free,
+            State::Held { commander, due } => LeaseStatus::Held {
                 commander: commander.clone(),
                 epoch: self.last_epoch,
                 left: *due - now,
             },
             State::Settling { commander, .. } => {
-                LeaseStanding::Settling { commander: commander.clone() }
+                LeaseStatus::Settling { commander: commander.clone() }
             }
         }
     }
@@ -132,20 +132,20 @@ impl Lease {
     /// Somebody wants to command.
     ///
     /// # Errors
-    /// [`Why::Held`] while another one does; a later life of the same commander takes over from the
-    /// one before. [`Why::Restarting`] while safe outputs are being applied.
+    /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes over from the
+    /// one before. [`DeliveryError::Restarting`] while safe outputs are being applied.
     pub fn handle_claim(
         &mut self,
         commander: CommanderId,
         now: Instant,
-    ) -> Result<LeaseGrant, Why> {
+    ) -> Result<LeaseGrant, DeliveryError> {
         self.handle_timeout(now);
         match &self.state {
-            State::Settling { .. } => return Err(Why::Restarting),
+            State::Settling { .. } => return Err(DeliveryError::Restarting),
             State::Held { commander: holder, .. }
                 if holder.name != commander.name || holder.life > commander.life =>
             {
-                return Err(Why::Held { by: format!("{}{}", holder.name, holder.life) });
+                return Err(DeliveryError::Held { by: format!("{}{}", holder.name, holder.life) });
             }
             State::Free | State::Held { .. } => {}
         }
@@ -157,8 +157,8 @@ impl Lease {
     /// The commander lives, or commands: the lease begins anew.
     ///
     /// # Errors
-    /// [`Why::Superseded`] where another claim holds, [`Why::LeaseEnded`] where none does.
-    pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), Why> {
+    /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where none does.
+    pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), DeliveryError> {
         self.handle_timeout(now);
         let span = self.span;
         match &mut self.state {
@@ -166,8 +166,8 @@ impl Lease {
                 *due = now + span;
                 Ok(())
             }
-            State::Held { .. } => Err(Why::Superseded { epoch: self.last_epoch }),
-            State::Free | State::Settling { .. } => Err(Why::LeaseEnded),
+            State::Held { .. } => Err(DeliveryError::Superseded { epoch: self.last_epoch }),
+            State::Free | State::Settling { .. } => Err(DeliveryError::LeaseEnded),
         }
     }
 
@@ -261,12 +261,12 @@ mod tests {
         let (mut lease, epoch) = held();
         let commander = who("planner", 1);
         let (now, left) = (ms(40), SPAN - Duration::from_millis(40));
-        let held = LeaseStanding::Held { commander: commander.clone(), epoch, left };
+        let held = LeaseStatus::Held { commander: commander.clone(), epoch, left };
         assert_eq!(lease.standing(now), held);
         lease.handle_timeout(ms(100));
-        assert_eq!(lease.standing(ms(100)), LeaseStanding::Settling { commander });
+        assert_eq!(lease.standing(ms(100)), LeaseStatus::Settling { commander });
         lease.handle_applied(true, ms(101));
-        assert_eq!(lease.standing(ms(102)), LeaseStanding::Free);
+        assert_eq!(lease.standing(ms(102)), LeaseStatus::Free);
     }
 
     #[test]
@@ -281,24 +281,24 @@ mod tests {
 
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
         assert_eq!(lease.holder(), None);
-        assert_eq!(lease.handle_renewal(epoch, ms(161)), Err(Why::LeaseEnded));
+        assert_eq!(lease.handle_renewal(epoch, ms(161)), Err(DeliveryError::LeaseEnded));
     }
 
     #[test]
     fn a_late_command_ends_the_lease_itself_where_the_timer_was_later_still() {
         let (mut lease, epoch) = held();
-        assert_eq!(lease.handle_renewal(epoch, ms(100)), Err(Why::LeaseEnded));
+        assert_eq!(lease.handle_renewal(epoch, ms(100)), Err(DeliveryError::LeaseEnded));
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
     }
 
     #[test]
     fn a_second_commander_is_refused_while_the_lease_holds_and_until_all_is_safe() {
         let (mut lease, epoch) = held();
-        let held = Err(Why::Held { by: "planner#1".into() });
+        let held = Err(DeliveryError::Held { by: "planner#1".into() });
         assert_eq!(lease.handle_claim(who("console", 1), ms(99)), held);
 
         let settling = lease.handle_claim(who("console", 1), ms(100));
-        assert_eq!(settling, Err(Why::Restarting));
+        assert_eq!(settling, Err(DeliveryError::Restarting));
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
         lease.handle_applied(true, ms(101));
         let grant = lease.handle_claim(who("console", 1), ms(102)).unwrap();
@@ -306,7 +306,7 @@ mod tests {
         assert!(grant.epoch > epoch);
         assert_eq!(
             lease.handle_renewal(epoch, ms(103)),
-            Err(Why::Superseded { epoch: grant.epoch })
+            Err(DeliveryError::Superseded { epoch: grant.epoch })
         );
         lease.handle_release(epoch);
         assert_eq!(lease.holder(), Some((&who("console", 1), grant.epoch)));
@@ -316,9 +316,12 @@ mod tests {
     fn the_next_life_of_a_commander_takes_over_and_fences_the_one_before() {
         let (mut lease, old) = held();
         let grant = lease.handle_claim(who("planner", 2), ms(10)).unwrap();
-        assert_eq!(lease.handle_renewal(old, ms(11)), Err(Why::Superseded { epoch: grant.epoch }));
+        assert_eq!(
+            lease.handle_renewal(old, ms(11)),
+            Err(DeliveryError::Superseded { epoch: grant.epoch })
+        );
         let late = lease.handle_claim(who("planner", 1), ms(12));
-        assert_eq!(late, Err(Why::Held { by: "planner#2".into() }));
+        assert_eq!(late, Err(DeliveryError::Held { by: "planner#2".into() }));
         assert_eq!(applied(&mut lease), None);
     }
 

@@ -30,17 +30,17 @@ pub mod variables;
 
 pub use contract::blob::Blob;
 pub use contract::codec::{DecodeError, EncodeError};
-pub use contract::gather_buffer::Parcel;
+pub use contract::gather_buffer::GatherBuffer;
 pub use contract::layout::description::{DescriptionError, LayoutDescription};
 pub use contract::layout::difference::Difference;
 pub use contract::layout::{Described, Layout};
-pub use contract::previous_version::Former;
+pub use contract::previous_version::PreviousVersion;
 pub use contract::{
     Contract, ContractIdentity, Event, PeerIdentity, PeerStructure, Request, Variable,
 };
 pub use delivery::quarantine::MessageId;
-pub use delivery::retry::RetryRule;
-pub use delivery::{Delivery, Outcome, Why};
+pub use delivery::retry::RetryPolicy;
+pub use delivery::{Delivery, DeliveryError, Outcome};
 pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
 pub use incarnation::Incarnation;
 pub use lifecycle::Lifecycle;

@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Whoever is spoken to is asked for its outputs, nobody else; the earliest deadline is known without
 /// looking at all.
 #[derive(Debug)]
-pub struct Crowd<K, M> {
+pub struct MachineSet<K, M> {
     members: BTreeMap<K, M>,
     /// Those that may have outputs.
     talking: BTreeSet<K>,
@@ -18,9 +18,9 @@ pub struct Crowd<K, M> {
     last: Option<K>,
 }
 
-impl<K, M> Default for Crowd<K, M> {
+impl<K, M> Default for MachineSet<K, M> {
     fn default() -> Self {
-        Crowd {
+        MachineSet {
             members: BTreeMap::new(),
             talking: BTreeSet::new(),
             due: BTreeSet::new(),
@@ -30,7 +30,7 @@ impl<K, M> Default for Crowd<K, M> {
     }
 }
 
-impl<K: Ord + Copy, M: Machine> Crowd<K, M> {
+impl<K: Ord + Copy, M: Machine> MachineSet<K, M> {
     /// Adds a member, or replaces it. Both may have something to say at once.
     pub fn insert(&mut self, key: K, machine: M) {
         self.members.insert(key, machine);
@@ -79,7 +79,7 @@ impl<K: Ord + Copy, M: Machine> Crowd<K, M> {
     }
 }
 
-impl<K: Ord + Copy, M: Machine> Machine for Crowd<K, M> {
+impl<K: Ord + Copy, M: Machine> Machine for MachineSet<K, M> {
     type Output = (K, M::Output);
 
     fn poll_output(&mut self) -> Option<(K, M::Output)> {
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn each_member_is_woken_at_its_own_time_and_heard() {
-        let mut crowd = Crowd::default();
+        let mut crowd = MachineSet::default();
         for every in [2, 3] {
             crowd.insert(every, Clock { every, next: Instant::ORIGIN, says: None });
         }

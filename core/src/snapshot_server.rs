@@ -31,51 +31,51 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Somebody who looks: the n-th who came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Viewer(u64);
+pub struct ClientId(u64);
 
 /// The n-th picture that was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PictureNumber(u64);
+pub struct SnapshotId(u64);
 
 /// The machine.
 #[derive(Debug, Default)]
-pub struct Audience {
-    seats: BTreeMap<Viewer, Seat>,
+pub struct SnapshotServer {
+    seats: BTreeMap<ClientId, Seat>,
     came: u64,
     taken: u64,
     /// When a picture was begun last.
     taken_at: Option<Instant>,
     /// Since when somebody waits.
     waited_since: Option<Instant>,
-    outputs: VecDeque<AudienceOutput>,
+    outputs: VecDeque<SnapshotServerOutput>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Seat {
     Waiting,
-    Posing { picture: PictureNumber },
-    Looking { picture: PictureNumber, since: Instant },
+    Posing { picture: SnapshotId },
+    Looking { picture: SnapshotId, since: Instant },
 }
 
 /// What is to be done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AudienceOutput {
+pub enum SnapshotServerOutput {
     /// Take a picture, and say [when it is there](Audience::handle_taken).
-    Take(PictureNumber),
+    Take(SnapshotId),
     /// Close his connection; he is gone.
-    Close(Viewer),
+    Close(ClientId),
 }
 
-impl Audience {
+impl SnapshotServer {
     /// Whether one more may come in.
     pub fn is_open(&self) -> bool {
         self.seats.len() < SEATS
     }
 
     /// One more has come in.
-    pub fn handle_arrival(&mut self, now: Instant) -> Viewer {
+    pub fn handle_arrival(&mut self, now: Instant) -> ClientId {
         self.came += 1;
-        let viewer = Viewer(self.came);
+        let viewer = ClientId(self.came);
         self.seats.insert(viewer, Seat::Waiting);
         self.waited_since.get_or_insert(now);
         self.handle_timeout(now);
@@ -83,8 +83,8 @@ impl Audience {
     }
 
     /// A picture is there. Answers who is to be given it.
-    pub fn handle_taken(&mut self, picture: PictureNumber, now: Instant) -> Vec<Viewer> {
-        let posing = |(_, seat): &(&Viewer, &mut Seat)| **seat == Seat::Posing { picture };
+    pub fn handle_taken(&mut self, picture: SnapshotId, now: Instant) -> Vec<ClientId> {
+        let posing = |(_, seat): &(&ClientId, &mut Seat)| **seat == Seat::Posing { picture };
         let looking = self.seats.iter_mut().filter(posing).map(|(viewer, seat)| {
             *seat = Seat::Looking { picture, since: now };
             *viewer
@@ -93,7 +93,7 @@ impl Audience {
     }
 
     /// He has seen it, or has gone away.
-    pub fn handle_gone(&mut self, viewer: Viewer, now: Instant) {
+    pub fn handle_gone(&mut self, viewer: ClientId, now: Instant) {
         self.seats.remove(&viewer);
         self.handle_timeout(now);
     }
@@ -107,7 +107,7 @@ impl Audience {
     }
 
     /// When whoever was given a picture longest ago must go.
-    fn oldest(&self) -> Option<(Instant, Viewer)> {
+    fn oldest(&self) -> Option<(Instant, ClientId)> {
         let full = !self.is_open() || self.pictures() >= PICTURES && self.waited_since.is_some();
         let most = if full { ENOUGH } else { PATIENCE };
         let looking = self.seats.iter().filter_map(|(viewer, seat)| match seat {
@@ -124,10 +124,10 @@ impl Audience {
     }
 }
 
-impl Machine for Audience {
-    type Output = AudienceOutput;
+impl Machine for SnapshotServer {
+    type Output = SnapshotServerOutput;
 
-    fn poll_output(&mut self) -> Option<AudienceOutput> {
+    fn poll_output(&mut self) -> Option<SnapshotServerOutput> {
         self.outputs.pop_front()
     }
 
@@ -139,16 +139,16 @@ impl Machine for Audience {
     fn handle_timeout(&mut self, now: Instant) {
         while let Some((_, viewer)) = self.oldest().filter(|(due, _)| *due <= now) {
             self.seats.remove(&viewer);
-            self.outputs.push_back(AudienceOutput::Close(viewer));
+            self.outputs.push_back(SnapshotServerOutput::Close(viewer));
         }
         if self.next_picture().is_some_and(|due| due <= now) {
             self.taken += 1;
             (self.taken_at, self.waited_since) = (Some(now), None);
-            let picture = PictureNumber(self.taken);
+            let picture = SnapshotId(self.taken);
             for seat in self.seats.values_mut().filter(|seat| **seat == Seat::Waiting) {
                 *seat = Seat::Posing { picture };
             }
-            self.outputs.push_back(AudienceOutput::Take(picture));
+            self.outputs.push_back(SnapshotServerOutput::Take(picture));
         }
     }
 }
@@ -163,12 +163,12 @@ mod tests {
     /// A room with a door, at which any number waits.
     #[derive(Default)]
     struct Room {
-        audience: Audience,
+        audience: SnapshotServer,
         now: u64,
         /// Who waits at the door, and whether he will read.
         door: VecDeque<bool>,
-        readers: BTreeSet<Viewer>,
-        taking: Vec<(u64, PictureNumber)>,
+        readers: BTreeSet<ClientId>,
+        taking: Vec<(u64, SnapshotId)>,
         served: u64,
         closed: u64,
         pictures: u64,
@@ -207,11 +207,11 @@ mod tests {
         fn carry_out(&mut self) {
             while let Some(output) = self.audience.poll_output() {
                 match output {
-                    AudienceOutput::Take(picture) => {
+                    SnapshotServerOutput::Take(picture) => {
                         self.taking.push((self.now + TAKING, picture));
                         self.pictures += 1;
                     }
-                    AudienceOutput::Close(_) => self.closed += 1,
+                    SnapshotServerOutput::Close(_) => self.closed += 1,
                 }
             }
         }

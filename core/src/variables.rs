@@ -7,7 +7,7 @@
 //! Every change has a revision, which rises over all variables and over the lives of the node, so that
 //! "has it changed since?" has an answer whatever happened in between.
 
-use crate::{Instant, ObjectName, Why};
+use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
@@ -48,7 +48,7 @@ pub enum ValueState {
 
 /// The answer to a variable that awaits a decision.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Choice {
+pub enum RestoreChoice {
     /// The value from before.
     Restore,
     /// The default.
@@ -86,7 +86,7 @@ pub struct ValueWrite {
 
 /// A variable as its owner declares it.
 #[derive(Clone, Debug)]
-pub struct Declaration {
+pub struct VariableDeclaration {
     /// Its value until it is written.
     pub default: Bytes,
     /// What becomes of it when a life of its owner ends.
@@ -95,7 +95,7 @@ pub struct Declaration {
 
 /// A value as it is kept for the node's next process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct KeptValue {
+pub struct PersistedValue {
     /// Whose, and which.
     pub variable: VariableKey,
     /// Of the contract under which it was written: under another, its bytes mean something else.
@@ -106,11 +106,11 @@ pub struct KeptValue {
 
 /// An answer to somebody who watches.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Watched {
+pub struct WatchReport {
     /// The number under which it was asked.
     pub watcher: u64,
     /// What has become of the variable.
-    pub result: Result<ValueReport, Why>,
+    pub result: Result<ValueReport, DeliveryError>,
 }
 
 /// The variables of one node.
@@ -119,12 +119,12 @@ pub struct Variables {
     entries: BTreeMap<VariableKey, Entry>,
     last_revision: u64,
     watchers: BTreeMap<u64, Watcher>,
-    outputs: VecDeque<Watched>,
+    outputs: VecDeque<WatchReport>,
 }
 
 #[derive(Debug)]
 struct Entry {
-    declaration: Declaration,
+    declaration: VariableDeclaration,
     value: Bytes,
     revision: u64,
     state: ValueState,
@@ -149,7 +149,7 @@ impl Variables {
     }
 
     /// The next watcher to be answered.
-    pub fn poll_output(&mut self) -> Option<Watched> {
+    pub fn poll_output(&mut self) -> Option<WatchReport> {
         self.outputs.pop_front()
     }
 
@@ -158,7 +158,7 @@ impl Variables {
     pub fn handle_declared(
         &mut self,
         variable: VariableKey,
-        declared: Declaration,
+        declared: VariableDeclaration,
         kept: Option<Bytes>,
         now: Instant,
     ) {
@@ -196,8 +196,8 @@ impl Variables {
     /// Reads a variable.
     ///
     /// # Errors
-    /// [`Why::Unknown`], and [`Why::Undecided`] while a decision is awaited.
-    pub fn read(&self, variable: &VariableKey, now: Instant) -> Result<ValueReport, Why> {
+    /// [`DeliveryError::Unknown`], and [`DeliveryError::Undecided`] while a decision is awaited.
+    pub fn read(&self, variable: &VariableKey, now: Instant) -> Result<ValueReport, DeliveryError> {
         let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
         entry.check(variable)?;
         Ok(entry.report(now))
@@ -211,16 +211,16 @@ impl Variables {
             Some(_) => {
                 // Those who went without a word make room.
                 let stale = |known: &Watcher| now - known.asked > WATCHER_PATIENCE;
-                self.answer(stale, |_| Err(Why::DeadlinePassed));
+                self.answer(stale, |_| Err(DeliveryError::DeadlinePassed));
                 if self.watchers.len() < WATCHERS_MAX {
                     let waiting = Watcher { variable, asked: now };
                     self.watchers.insert(watcher, waiting);
                     return;
                 }
-                Err(Why::Full)
+                Err(DeliveryError::Full)
             }
         };
-        self.outputs.push_back(Watched { watcher, result });
+        self.outputs.push_back(WatchReport { watcher, result });
     }
 
     /// This watcher does not wait any more.
@@ -232,16 +232,20 @@ impl Variables {
     ///
     /// # Errors
     /// The first thing that stands in the way; nothing is written then.
-    pub fn handle_write(&mut self, writes: Vec<ValueWrite>, now: Instant) -> Result<u64, Why> {
+    pub fn handle_write(
+        &mut self,
+        writes: Vec<ValueWrite>,
+        now: Instant,
+    ) -> Result<u64, DeliveryError> {
         if writes.len() > WRITES_MAX {
-            return Err(Why::TooLarge { limit: WRITES_MAX });
+            return Err(DeliveryError::TooLarge { limit: WRITES_MAX });
         }
         for ValueWrite { variable, if_revision, .. } in &writes {
             let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
             entry.check(variable)?;
             if if_revision.is_some_and(|wanted| wanted != entry.revision) {
                 let variable = shown(variable);
-                return Err(Why::Changed { variable, revision: entry.revision });
+                return Err(DeliveryError::Changed { variable, revision: entry.revision });
             }
         }
         self.last_revision += 1;
@@ -275,21 +279,24 @@ impl Variables {
     /// Somebody has decided what a variable is to be.
     ///
     /// # Errors
-    /// [`Why::Unknown`]; [`Why::Changed`] where no decision is awaited, or not any more.
+    /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not any more.
     pub fn handle_choice(
         &mut self,
         variable: &VariableKey,
-        choice: Choice,
+        choice: RestoreChoice,
         now: Instant,
-    ) -> Result<u64, Why> {
+    ) -> Result<u64, DeliveryError> {
         let entry = self.entries.get(variable).ok_or_else(|| unknown(variable))?;
         if entry.state != ValueState::Undecided {
-            return Err(Why::Changed { variable: shown(variable), revision: entry.revision });
+            return Err(DeliveryError::Changed {
+                variable: shown(variable),
+                revision: entry.revision,
+            });
         }
         let value = match choice {
-            Choice::Restore => None,
-            Choice::Default => Some(entry.declaration.default.clone()),
-            Choice::Value(value) => Some(value),
+            RestoreChoice::Restore => None,
+            RestoreChoice::Default => Some(entry.declaration.default.clone()),
+            RestoreChoice::Value(value) => Some(value),
         };
         self.last_revision += 1;
         self.set(variable, value, ValueState::Current, now);
@@ -313,13 +320,13 @@ impl Variables {
     fn answer(
         &mut self,
         whom: impl Fn(&Watcher) -> bool,
-        what: impl Fn(&Watcher) -> Result<ValueReport, Why>,
+        what: impl Fn(&Watcher) -> Result<ValueReport, DeliveryError>,
     ) {
         let outputs = &mut self.outputs;
         self.watchers.retain(|&number, watcher| {
             let told = whom(watcher);
             if told {
-                outputs.push_back(Watched { watcher: number, result: what(watcher) });
+                outputs.push_back(WatchReport { watcher: number, result: what(watcher) });
             }
             !told
         });
@@ -327,9 +334,9 @@ impl Variables {
 }
 
 impl Entry {
-    fn check(&self, variable: &VariableKey) -> Result<(), Why> {
+    fn check(&self, variable: &VariableKey) -> Result<(), DeliveryError> {
         match self.state {
-            ValueState::Undecided => Err(Why::Undecided { variable: shown(variable) }),
+            ValueState::Undecided => Err(DeliveryError::Undecided { variable: shown(variable) }),
             ValueState::Current | ValueState::Held => Ok(()),
         }
     }
@@ -348,8 +355,8 @@ fn shown((object, variable): &VariableKey) -> String {
     format!("{variable} of {object}")
 }
 
-fn unknown(variable: &VariableKey) -> Why {
-    Why::Unknown { name: shown(variable) }
+fn unknown(variable: &VariableKey) -> DeliveryError {
+    DeliveryError::Unknown { name: shown(variable) }
 }
 
 #[cfg(test)]
@@ -373,13 +380,13 @@ mod tests {
     fn declared(all: &[(&str, RestorePolicy)]) -> Variables {
         let mut variables = Variables::new(100);
         for &(name, policy) in all {
-            let declaration = Declaration { default: value(0), policy };
+            let declaration = VariableDeclaration { default: value(0), policy };
             variables.handle_declared(key(name), declaration, None, NOW);
         }
         variables
     }
 
-    fn now_is(variables: &Variables, name: &str) -> Result<(u8, ValueState), Why> {
+    fn now_is(variables: &Variables, name: &str) -> Result<(u8, ValueState), DeliveryError> {
         variables.read(&key(name), NOW).map(|report| (report.value[0], report.state))
     }
 
@@ -400,7 +407,7 @@ mod tests {
         assert_eq!(now_is(&variables, "speed"), Ok((7, ValueState::Current)));
         assert_eq!(now_is(&variables, "torque"), Ok((0, ValueState::Current)));
         assert_eq!(now_is(&variables, "height"), Ok((7, ValueState::Held)));
-        let undecided = Err(Why::Undecided { variable: "target of arm".into() });
+        let undecided = Err(DeliveryError::Undecided { variable: "target of arm".into() });
         assert_eq!(now_is(&variables, "target"), undecided);
         variables.handle_write(vec![write("height", 8)], NOW).unwrap();
         assert_eq!(now_is(&variables, "height"), Ok((8, ValueState::Current)));
@@ -412,11 +419,14 @@ mod tests {
             (RestorePolicy::Restore, Ok((7, ValueState::Current))),
             (RestorePolicy::Default, Ok((0, ValueState::Current))),
             (RestorePolicy::Hold, Ok((7, ValueState::Held))),
-            (RestorePolicy::AskFirst, Err(Why::Undecided { variable: "it of arm".into() })),
+            (
+                RestorePolicy::AskFirst,
+                Err(DeliveryError::Undecided { variable: "it of arm".into() }),
+            ),
         ];
         for (policy, left) in expected {
             let mut variables = Variables::new(100);
-            let declaration = Declaration { default: value(0), policy };
+            let declaration = VariableDeclaration { default: value(0), policy };
             variables.handle_declared(key("it"), declaration, Some(value(7)), NOW);
 
             assert_eq!(now_is(&variables, "it"), left, "{policy:?}");
@@ -428,20 +438,22 @@ mod tests {
 
     #[test]
     fn what_awaits_a_decision_is_not_written_until_somebody_has_decided() {
-        for (choice, left) in
-            [(Choice::Restore, 7), (Choice::Default, 0), (Choice::Value(value(3)), 3)]
-        {
+        for (choice, left) in [
+            (RestoreChoice::Restore, 7),
+            (RestoreChoice::Default, 0),
+            (RestoreChoice::Value(value(3)), 3),
+        ] {
             let mut variables = declared(&[("target", RestorePolicy::AskFirst)]);
             variables.handle_write(vec![write("target", 7)], NOW).unwrap();
             variables.handle_owner_ended(&ObjectName::new("arm").unwrap(), NOW);
 
             let early = variables.handle_write(vec![write("target", 9)], NOW);
-            assert!(matches!(early, Err(Why::Undecided { .. })), "{early:?}");
+            assert!(matches!(early, Err(DeliveryError::Undecided { .. })), "{early:?}");
             variables.handle_choice(&key("target"), choice.clone(), NOW).unwrap();
 
             assert_eq!(now_is(&variables, "target"), Ok((left, ValueState::Current)));
             let again = variables.handle_choice(&key("target"), choice, NOW);
-            assert!(matches!(again, Err(Why::Changed { .. })), "{again:?}");
+            assert!(matches!(again, Err(DeliveryError::Changed { .. })), "{again:?}");
         }
     }
 
@@ -452,10 +464,10 @@ mod tests {
         let before = variables.read(&key("torque"), NOW).unwrap().revision;
 
         let unknown = variables.handle_write(vec![write("speed", 1), write("heat", 1)], NOW);
-        assert!(matches!(unknown, Err(Why::Unknown { .. })));
+        assert!(matches!(unknown, Err(DeliveryError::Unknown { .. })));
         let late = ValueWrite { if_revision: Some(before - 1), ..write("torque", 1) };
         let changed = variables.handle_write(vec![write("speed", 1), late], NOW);
-        assert!(matches!(changed, Err(Why::Changed { .. })));
+        assert!(matches!(changed, Err(DeliveryError::Changed { .. })));
         assert_eq!(now_is(&variables, "speed"), Ok((0, ValueState::Current)));
 
         let right = ValueWrite { if_revision: Some(before), ..write("torque", 1) };
@@ -502,12 +514,15 @@ mod tests {
         for watcher in 0..=WATCHERS_MAX as u64 {
             variables.handle_watch(watcher, key("speed"), after, NOW);
         }
-        assert_eq!(variables.poll_output().unwrap().result, Err(Why::Full));
+        assert_eq!(variables.poll_output().unwrap().result, Err(DeliveryError::Full));
 
         variables.handle_watch(9999, key("speed"), after, NOW + 2 * WATCHER_PATIENCE);
         assert_eq!(variables.outputs.len(), WATCHERS_MAX);
         variables.outputs.clear();
         variables.handle_withdrawn(&ObjectName::new("arm").unwrap());
-        assert!(matches!(variables.poll_output().unwrap().result, Err(Why::Unknown { .. })));
+        assert!(matches!(
+            variables.poll_output().unwrap().result,
+            Err(DeliveryError::Unknown { .. })
+        ));
     }
 }

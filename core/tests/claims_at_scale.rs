@@ -2,7 +2,9 @@
 //! what keeping them costs. Run with `--nocapture` for the figures.
 #![allow(clippy::print_stdout, reason = "the figures are the point")]
 
-use blastema_core::global_name::{ClaimPolicy, Claims, ClaimsConfig, ClaimsOutput, Wanted};
+use blastema_core::global_name::{
+    ClaimPolicy, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput,
+};
 use blastema_core::random::Random;
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
@@ -22,7 +24,7 @@ const OVERHEAD: usize = 60;
 struct Robot {
     now: Instant,
     random: Random,
-    nodes: Vec<Option<Claims>>,
+    nodes: Vec<Option<GlobalNames>>,
     lives: Vec<u64>,
     /// When each node wants to be woken.
     due: Vec<Option<Instant>>,
@@ -68,11 +70,12 @@ impl Robot {
         let incarnation = Incarnation(self.lives[node]);
         let (settle, expected) = (Duration::ZERO, BTreeSet::new());
         let node_name = name(node);
-        let config = ClaimsConfig { node: node_name, incarnation, lease: LEASE, settle, expected };
-        let mut claims = Claims::new(config, self.now);
+        let config =
+            GlobalNamesConfig { node: node_name, incarnation, lease: LEASE, settle, expected };
+        let mut claims = GlobalNames::new(config, self.now);
         for n in 0..NAMES / NODES {
             let own = ObjectName::new(&format!("module{node:02}/object{n}")).unwrap();
-            claims.handle_claim(Wanted::new(own, ClaimPolicy::Refuse), self.now).unwrap();
+            claims.handle_claim(ClaimRequest::new(own, ClaimPolicy::Refuse), self.now).unwrap();
         }
         for other in 0..NODES {
             if let Some(theirs) = self.nodes[other].as_mut().filter(|_| other != node) {
@@ -85,8 +88,8 @@ impl Robot {
     }
 
     fn settle(&mut self, node: usize) {
-        while let Some(output) = self.nodes[node].as_mut().and_then(Claims::poll_output) {
-            let ClaimsOutput::Send { to, message } = output else { continue };
+        while let Some(output) = self.nodes[node].as_mut().and_then(GlobalNames::poll_output) {
+            let GlobalNamesOutput::Send { to, message } = output else { continue };
             let size = (message.len() + OVERHEAD) as u64;
             self.bytes += size;
             self.messages += 1;

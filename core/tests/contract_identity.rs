@@ -1,8 +1,8 @@
 //! When two parties bind, and what they are told when they do not.
 
 use blastema_core::contract::codec::{decode_bounded, encode_bounded};
-use blastema_core::contract::layout::difference::{Half, compare};
-use blastema_core::contract::layout::{Field, Fields, Leaf, Shape};
+use blastema_core::contract::layout::difference::{ContractPart, compare};
+use blastema_core::contract::layout::{Field, Fields, Primitive, Shape};
 use blastema_core::{
     ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, LayoutDescription,
     Lifecycle, ObjectAddress, PeerIdentity, Place,
@@ -378,9 +378,9 @@ fn a_description_that_goes_in_circles_is_compared_nevertheless() {
     let circle = LayoutDescription::try_from(vec![Shape::Sequence(0)]).unwrap();
     let pairs = LayoutDescription::try_from(vec![Shape::Tuple(vec![0; 2000].into())]).unwrap();
 
-    assert_eq!(compare(Half::Message, &circle, &circle), Vec::<String>::new());
-    assert_eq!(compare(Half::Message, &pairs, &pairs), Vec::<String>::new());
-    let lines = compare(Half::Reply, &circle, &pairs);
+    assert_eq!(compare(ContractPart::Message, &circle, &circle), Vec::<String>::new());
+    assert_eq!(compare(ContractPart::Message, &pairs, &pairs), Vec::<String>::new());
+    let lines = compare(ContractPart::Reply, &circle, &pairs);
     assert_eq!(lines.len(), 1);
     assert!(lines[0].starts_with("the reply: sequence of sequence of "), "{lines:?}");
     assert!(lines[0].len() < 250, "{lines:?}");
@@ -406,13 +406,13 @@ fn a_hostile_description_costs_a_bounded_number_of_short_lines() {
         fields.extend((0..5).map(|extra| field(&format!("{tag}{index}_{extra}"), 1)));
         Shape::Struct("Step".into(), Fields::Named(fields.into()))
     };
-    let mut types = vec![step(3, "a"), Shape::Leaf(Leaf::Text), Shape::Optional(3)];
+    let mut types = vec![step(3, "a"), Shape::Leaf(Primitive::Text), Shape::Optional(3)];
     types.extend((3..511).map(|index| step(index + 1, "b")));
     types.push(Shape::Sequence(0));
     let hostile = LayoutDescription::try_from(types).unwrap();
     let ours = LayoutDescription::of(here::Step::layout());
 
-    let lines = compare(Half::Message, &ours, &hostile);
+    let lines = compare(ContractPart::Message, &ours, &hostile);
 
     assert!((2..=25).contains(&lines.len()), "{lines:?}");
     assert!(lines.iter().all(|line| line.len() < 1000), "{lines:?}");

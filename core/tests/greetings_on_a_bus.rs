@@ -5,7 +5,7 @@ use blastema_core::medium::can::{
     Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, bits_on_bus,
 };
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::{Bundle, BundleOutput, Link, LinkNumber};
+use blastema_core::net::{Link, LinkId, LinkSet, LinkSetOutput};
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::BTreeSet;
@@ -18,11 +18,11 @@ const CHECKSUM: &[u8] = &[0; 4];
 const TODAY: u64 = 1_790_000_000_000;
 
 struct Node {
-    bundle: Bundle,
+    bundle: LinkSet,
     isotp: IsoTp,
     /// What its controller has taken and the bus not yet.
     ready: Option<CanFrame>,
-    changes: Vec<(LinkNumber, LinkState)>,
+    changes: Vec<(LinkId, LinkState)>,
 }
 
 struct Bus {
@@ -42,7 +42,7 @@ impl Bus {
     fn new(nodes: usize, format: Format) -> Self {
         let now = Instant::from_millis(5_000);
         let node = |own: usize| {
-            let mut bundle = Bundle::default();
+            let mut bundle = LinkSet::default();
             for other in (0..nodes).filter(|other| *other != own) {
                 let config = LinkConfig {
                     expected: Some(name(other)),
@@ -50,7 +50,7 @@ impl Bus {
                 };
                 // Nobody begins at the same time as another.
                 let start = now + Duration::from_micros(own as u64 * 1_700);
-                bundle.insert(LinkNumber(other as u16), Link::new(config, start));
+                bundle.insert(LinkId(other as u16), Link::new(config, start));
             }
             bundle.handle_bus();
             let part = format.capacity();
@@ -75,19 +75,19 @@ impl Bus {
             while let Some(output) = node.isotp.poll_output() {
                 let IsoTpOutput::Received { from, message } = output else { continue };
                 let frame = message.slice(..message.len() - CHECKSUM.len());
-                let link = node.bundle.get_mut(LinkNumber(from.0.into())).unwrap();
+                let link = node.bundle.get_mut(LinkId(from.0.into())).unwrap();
                 link.handle_frame(frame, now);
             }
             while let Some(output) = node.bundle.poll_output() {
                 match output {
-                    BundleOutput::Greet(frame) => {
+                    LinkSetOutput::Greet(frame) => {
                         let message = Bytes::from([&frame.into_bytes()[..], CHECKSUM].concat());
                         node.isotp.handle_message(BusAddress::ALL, message, now).unwrap();
                     }
-                    BundleOutput::Of(link, LinkOutput::Changed { state, .. }) => {
+                    LinkSetOutput::Of(link, LinkOutput::Changed { state, .. }) => {
                         node.changes.push((link, state));
                     }
-                    BundleOutput::Of(_, LinkOutput::Quality(_)) => {}
+                    LinkSetOutput::Of(_, LinkOutput::Quality(_)) => {}
                     other => panic!("{other:?}"),
                 }
             }
@@ -209,7 +209,7 @@ fn a_node_that_leaves_the_bus_is_noticed_after_three_and_a_half_of_its_hellos() 
     assert!(
         bus.nodes[..3]
             .iter()
-            .all(|node| { node.bundle.get(LinkNumber(3)).unwrap().state() != LinkState::Down })
+            .all(|node| { node.bundle.get(LinkId(3)).unwrap().state() != LinkState::Down })
     );
 
     bus.run_for(Duration::from_millis(200));
@@ -217,6 +217,6 @@ fn a_node_that_leaves_the_bus_is_noticed_after_three_and_a_half_of_its_hellos() 
     // Three and a half intervals of 95 ms, one more since its last hello, and what the hello took.
     assert!(bus.now - cut <= Duration::from_millis(451));
     for node in &bus.nodes[..3] {
-        assert_eq!(node.bundle.get(LinkNumber(3)).unwrap().state(), LinkState::Down);
+        assert_eq!(node.bundle.get(LinkId(3)).unwrap().state(), LinkState::Down);
     }
 }

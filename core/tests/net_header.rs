@@ -2,17 +2,17 @@
 //! state these numbers.
 
 use blastema_core::net::wire::frame::Frame;
-use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
 use blastema_core::net::wire::segment::{Ack, Data, Datagram, Segment, Stream};
-use blastema_core::net::{Class, NodeId};
+use blastema_core::net::{NodeId, PacketPriority};
 use bytes::{BufMut, Bytes, BytesMut};
 
 const PAYLOAD: &[u8] = b"sixty-four bytes of a message, or none at all";
 
 fn frame(segment: &Segment) -> usize {
     let packet = Packet {
-        class: Class::Data,
+        class: PacketPriority::Data,
         hops: 16,
         destination: NodeId(1),
         source: NodeId(2),
@@ -26,7 +26,7 @@ fn frame(segment: &Segment) -> usize {
 fn who_passes_a_packet_on_adds_five_bytes_and_then_four() {
     let length = |relays: u32| {
         let packet = Packet {
-            class: Class::Data,
+            class: PacketPriority::Data,
             hops: 16,
             destination: NodeId(1),
             source: NodeId(2),
@@ -39,7 +39,7 @@ fn who_passes_a_packet_on_adds_five_bytes_and_then_four() {
 }
 
 /// The overhead of one message alone in its part, without and with an acknowledgement on board.
-fn reliable(message: &Message, stream: Stream, sequence: u64) -> [usize; 2] {
+fn reliable(message: &PeerMessage, stream: Stream, sequence: u64) -> [usize; 2] {
     let message = message.encode().into_bytes();
     let mut payload = BytesMut::new();
     payload.put_u8(u8::try_from(message.len()).unwrap());
@@ -66,15 +66,18 @@ const TIMES: [(u64, u64); 2] = [(100, 10_000), (1_000_000, 3_600_000_000)];
 #[test]
 fn a_small_message_has_the_overhead_that_the_documentation_states() {
     let payload = Bytes::from_static(PAYLOAD);
-    let tell = |stamp_us| Message::Tell {
+    let tell = |stamp_us| PeerMessage::Tell {
         binding: 5,
         stamp_us,
         id: None,
         payload: payload.clone().into(),
     };
-    let event =
-        |stamp_us| Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
-    let request = |call, stamp_us: u64| Message::Request {
+    let event = |stamp_us| PeerMessage::Event {
+        subscription: 5,
+        stamp_us,
+        payload: payload.clone().into(),
+    };
+    let request = |call, stamp_us: u64| PeerMessage::Request {
         binding: 5,
         call,
         stamp: stamp_us / 100,
@@ -82,7 +85,7 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
         id: None,
         payload: payload.clone().into(),
     };
-    let reply = |call| Message::Reply { call, result: Ok(payload.clone().into()) };
+    let reply = |call| PeerMessage::Reply { call, result: Ok(payload.clone().into()) };
 
     let [fresh, late] = TIMES.map(|(count, us)| {
         [
@@ -102,7 +105,8 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
 fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() {
     let payload = Bytes::from_static(PAYLOAD);
     let overhead = TIMES.map(|(sequence, stamp_us)| {
-        let message = Message::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
+        let message =
+            PeerMessage::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
         let payload = message.encode().into_bytes();
         frame(&Segment::Datagram(Datagram {
             tag: 7,

@@ -2,16 +2,20 @@
 //! panics, everything is counted, and nothing grows without bound.
 
 use blastema_core::net::link::LinkConfig;
-use blastema_core::net::peer_protocol::ExchangeOutput;
-use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::peer_protocol::PeerProtocolOutput;
+use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::session::VERSION;
-use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
-use blastema_core::net::wire::frame::{Echo, Frame, Hello, Stance};
-use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::advertisement::{
+    Advertisement, AdvertisementId, Edge, RoutingMessage,
+};
+use blastema_core::net::wire::frame::{Echo, Frame, Hello, HelloState};
+use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
-use blastema_core::net::wire::segment::{Ack, Data, Datagram, Open, Piece, Segment, Stream};
+use blastema_core::net::wire::segment::{
+    Ack, Data, Datagram, Fragment, OpenSegment, Segment, Stream,
+};
 use blastema_core::net::{
-    Class, Exchange, Link, LinkNumber, Neighbour, NodeId, Router, RouterConfig, Session,
+    Link, LinkId, Neighbour, NodeId, PacketPriority, PeerProtocol, Router, RouterConfig, Session,
     SessionConfig, SessionOutput,
 };
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
@@ -34,21 +38,24 @@ fn genuine() -> Vec<Bytes> {
         incarnation: Incarnation(1),
         sequence: 7,
         interval_us: 10_000,
-        stance: Stance::Ready,
+        stance: HelloState::Ready,
         loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
     };
-    let stamp =
-        Stamp { origin: NodeId::of(&name("peer")), incarnation: Incarnation(1), sequence: 2 };
+    let stamp = AdvertisementId {
+        origin: NodeId::of(&name("peer")),
+        incarnation: Incarnation(1),
+        sequence: 2,
+    };
     let edges = vec![Edge { to: NodeId::of(&name("own")), life: 1, cost: 1, mtu: 1400 }];
-    let announce = Routing::Announce(vec![Advertisement {
+    let announce = RoutingMessage::Announce(vec![Advertisement {
         stamp,
         node: name("peer"),
         edges,
         withdrawn: false,
     }]);
     let range = Some((NodeId(0), NodeId(u32::MAX)));
-    let have = Routing::Have { range, stamps: vec![stamp] };
+    let have = RoutingMessage::Have { range, stamps: vec![stamp] };
     let ack = Ack { next: 0, window: 100, ranges: vec![(2, 3)] };
     let payload = Bytes::from_static(b"\x05hello");
     let data = Data {
@@ -58,14 +65,15 @@ fn genuine() -> Vec<Bytes> {
         first: true,
         last: true,
         again: false,
-        piece: Some(Piece { index: 0, count: 2 }),
+        piece: Some(Fragment { index: 0, count: 2 }),
         ack: Some(ack.clone()),
         payload: payload.clone().into(),
     };
-    let open = Open { version: VERSION, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let open =
+        OpenSegment { version: VERSION, tag: 9, echo: 0, incarnation: Incarnation(1), number: 1 };
     let segment = Segment::Data(data).encode();
     let packet = Packet {
-        class: Class::Data,
+        class: PacketPriority::Data,
         hops: 3,
         destination: NodeId::of(&name("own")),
         source: NodeId::of(&name("peer")),
@@ -81,7 +89,7 @@ fn genuine() -> Vec<Bytes> {
         },
         ..packet.clone()
     };
-    let names = Message::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
+    let names = PeerMessage::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
         Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone().into() };
     vec![
@@ -98,7 +106,7 @@ fn genuine() -> Vec<Bytes> {
         Segment::Datagram(datagram).encode(),
         Segment::Acknowledge { tag: 1, control: None, data: Some(ack), redundant: None }.encode(),
         Segment::Reset { tag: 1 }.encode(),
-        Message::Request {
+        PeerMessage::Request {
             binding: 1,
             call: 1,
             stamp: 1,
@@ -108,7 +116,7 @@ fn genuine() -> Vec<Bytes> {
         }
         .encode()
         .into_bytes(),
-        Message::Event { subscription: 1, stamp_us: 5, payload: payload.into() }
+        PeerMessage::Event { subscription: 1, stamp_us: 5, payload: payload.into() }
             .encode()
             .into_bytes(),
         names.encode().into_bytes(),
@@ -143,8 +151,8 @@ fn router() -> Router {
     let config = RouterConfig { nodes_max: 8, ..RouterConfig::new(name("own"), Incarnation(1)) };
     let mut router = Router::new(config, Instant::ORIGIN);
     let neighbour = Neighbour { node: name("peer"), incarnation: Incarnation(1) };
-    let status = LinkStatus { neighbour, health: Health::Up, cost: 1, mtu: 1400 };
-    router.handle_link(LinkNumber(0), status, Instant::ORIGIN);
+    let status = LinkStatus { neighbour, health: LinkHealth::Up, cost: 1, mtu: 1400 };
+    router.handle_link(LinkId(0), status, Instant::ORIGIN);
     router
 }
 
@@ -159,11 +167,12 @@ fn session() -> (Session, u32) {
     session.handle_path(1400, Instant::ORIGIN);
     let outputs = drain(&mut session);
     let [SessionOutput::Transmit { segment, .. }] = &outputs[..] else { panic!("{outputs:?}") };
-    let Ok(Segment::Open(Open { tag, .. })) = Segment::decode(segment.clone().into_bytes()) else {
+    let Ok(Segment::Open(OpenSegment { tag, .. })) = Segment::decode(segment.clone().into_bytes())
+    else {
         panic!("it says who it is first");
     };
     let answer =
-        Open { version: VERSION, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
+        OpenSegment { version: VERSION, tag: 9, echo: tag, incarnation: Incarnation(1), number: 1 };
     session.handle_segment(Segment::Open(answer).encode(), Instant::ORIGIN);
     assert_eq!(session.peer(), Some(Incarnation(1)));
     (session, tag)
@@ -178,14 +187,14 @@ proptest! {
         if let Ok(packet) = Packet::decode(bytes.clone()) {
             prop_assert_eq!(Packet::decode(packet.encode()), Ok(packet));
         }
-        if let Ok(routing) = Routing::decode(bytes.clone()) {
-            prop_assert_eq!(Routing::decode(routing.encode()), Ok(routing));
+        if let Ok(routing) = RoutingMessage::decode(bytes.clone()) {
+            prop_assert_eq!(RoutingMessage::decode(routing.encode()), Ok(routing));
         }
         if let Ok(segment) = Segment::decode(bytes.clone()) {
             prop_assert_eq!(Segment::decode(segment.encode()), Ok(segment));
         }
-        if let Ok(message) = Message::decode(bytes) {
-            prop_assert_eq!(Message::decode(message.encode().into_bytes()), Ok(message));
+        if let Ok(message) = PeerMessage::decode(bytes) {
+            prop_assert_eq!(PeerMessage::decode(message.encode().into_bytes()), Ok(message));
         }
     }
 
@@ -205,8 +214,8 @@ proptest! {
         let mut router = router();
         for (n, frame) in frames.into_iter().enumerate() {
             let now = Instant::from_millis(n as u64);
-            router.handle_routing(LinkNumber(0), frame.clone(), now);
-            router.handle_packet(LinkNumber(0), frame, now);
+            router.handle_routing(LinkId(0), frame.clone(), now);
+            router.handle_packet(LinkId(0), frame, now);
             router.handle_timeout(now);
             drain(&mut router);
         }
@@ -235,13 +244,13 @@ proptest! {
 
     #[test]
     fn no_messages_panic_an_exchange(messages in vec(hostile(), 0..30)) {
-        let mut exchange = Exchange::default();
+        let mut exchange = PeerProtocol::default();
         let peer = NodeId(1);
         exchange.handle_opened(peer, Incarnation(1), Instant::ORIGIN);
         for message in messages {
             exchange.handle_message(peer, message, Instant::ORIGIN);
             while let Some(output) = exchange.poll_output() {
-                let answers = matches!(output, ExchangeOutput::Resolve { .. });
+                let answers = matches!(output, PeerProtocolOutput::Resolve { .. });
                 prop_assert!(!answers, "nothing was asked");
             }
         }
@@ -253,11 +262,12 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
     let mut router = router();
     for n in 0..1000 {
         let node = name(&format!("n{n}"));
-        let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
+        let stamp =
+            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
         let edges = vec![Edge { to: NodeId::of(&name("peer")), life: 1, cost: 1, mtu: 1400 }];
         let announce =
-            Routing::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
-        router.handle_routing(LinkNumber(0), announce.encode(), Instant::ORIGIN);
+            RoutingMessage::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
+        router.handle_routing(LinkId(0), announce.encode(), Instant::ORIGIN);
         router.handle_timeout(Instant::ORIGIN);
         drain(&mut router);
     }
@@ -275,7 +285,7 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
             tag,
             channel: 1,
             sequence: n + 1,
-            piece: Some(Piece { index: 0, count: 2 }),
+            piece: Some(Fragment { index: 0, count: 2 }),
             payload: Bytes::from_static(&[0; 100]).into(),
         };
         session.handle_segment(Segment::Datagram(datagram).encode(), Instant::ORIGIN);

@@ -6,8 +6,8 @@
 //! once, and when the world calms down, all that should be at work is.
 
 use blastema_core::recovery::{
-    Cause, ChildRules, ChildState, Restart, Strategy, Supervision, SupervisorAction,
-    SupervisorRules, Ticket, WhenExceeded,
+    CallId, ChildRules, ChildState, ReplacementCause, Restart, Strategy, Supervisor,
+    SupervisorOutput, SupervisorRules, WhenExceeded,
 };
 use blastema_core::{Incarnation, Instant, Machine, ObjectName};
 use proptest::prelude::{Just, ProptestConfig, Strategy as _, prop, prop_assert, prop_assert_eq};
@@ -49,14 +49,14 @@ enum Turn {
 }
 
 struct World {
-    machine: Supervision,
+    machine: Supervisor,
     strategy: Strategy,
     intensity: u32,
     names: Vec<ObjectName>,
     lives: BTreeMap<ObjectName, (Incarnation, Life)>,
     last: BTreeMap<ObjectName, Incarnation>,
     orders: BTreeSet<ObjectName>,
-    open: BTreeSet<Ticket>,
+    open: BTreeSet<CallId>,
     ordered_restarts: Vec<Instant>,
     now: Instant,
     tickets: u64,
@@ -77,7 +77,7 @@ impl World {
     ) -> Self {
         let rules =
             SupervisorRules { strategy, intensity, period: PERIOD, when_exceeded, root: true };
-        let mut machine = Supervision::new(rules);
+        let mut machine = Supervisor::new(rules);
         let mut names = Vec::new();
         let now = Instant::from_millis(1);
         for (at, &restart) in restarts.iter().enumerate() {
@@ -111,7 +111,7 @@ impl World {
     fn look(&mut self) {
         while let Some(action) = self.machine.poll_output() {
             match action {
-                SupervisorAction::Start { child, incarnation } => {
+                SupervisorOutput::Start { child, incarnation } => {
                     assert!(!self.lives.contains_key(&child), "{child} would live twice");
                     let last = self.last.insert(child.clone(), incarnation);
                     assert!(last.is_none_or(|last| last < incarnation), "{child} {incarnation}");
@@ -124,60 +124,60 @@ impl World {
                     }
                     self.lives.insert(child, (incarnation, Life::Starting));
                 }
-                SupervisorAction::Stop { child, .. } => {
+                SupervisorOutput::Stop { child, .. } => {
                     assert!(!self.orders.contains(&child), "{child} stops under a standing order");
                     if let Some((_, life)) = self.lives.get_mut(&child) {
                         *life = Life::Stopping;
                     }
                 }
-                SupervisorAction::Abandon { child } => {
+                SupervisorOutput::Abandon { child } => {
                     self.orders.remove(&child);
                     self.lives.remove(&child);
                 }
-                SupervisorAction::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
                     assert_eq!(self.strategy, Strategy::OneForOne);
                     assert!(order.times > 0 && order.times <= self.intensity);
                     self.orders.insert(child);
                 }
-                SupervisorAction::StandingOrder { child, order: None } => {
+                SupervisorOutput::StandingOrder { child, order: None } => {
                     self.orders.remove(&child);
                 }
-                SupervisorAction::Recovered { ticket, child, incarnation } => {
+                SupervisorOutput::Recovered { ticket, child, incarnation } => {
                     assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
                     if let Some(life) = incarnation {
                         assert_eq!(self.lives.get(&child).map(|&(life, _)| life), Some(life));
                     }
                 }
-                SupervisorAction::GaveUp { ticket, .. } => {
+                SupervisorOutput::GaveUp { ticket, .. } => {
                     assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
                 }
-                SupervisorAction::Escalate { .. } => {
+                SupervisorOutput::Escalate { .. } => {
                     assert!(self.lives.is_empty(), "it escalates over living children");
                     self.escalated = true;
                 }
-                SupervisorAction::AllStopped => assert!(self.lives.is_empty()),
-                SupervisorAction::AllStarted => self.all_started = true,
-                SupervisorAction::GiveUp { .. } => {
+                SupervisorOutput::AllStopped => assert!(self.lives.is_empty()),
+                SupervisorOutput::AllStarted => self.all_started = true,
+                SupervisorOutput::GiveUp { .. } => {
                     assert!(!self.escalated, "it is said before all else");
                 }
-                SupervisorAction::Reset { .. }
-                | SupervisorAction::Refused { .. }
-                | SupervisorAction::Unavailable { .. }
-                | SupervisorAction::Isolate { .. }
-                | SupervisorAction::Overdue { .. }
-                | SupervisorAction::Retire { .. }
-                | SupervisorAction::Left { .. } => {}
+                SupervisorOutput::Reset { .. }
+                | SupervisorOutput::Refused { .. }
+                | SupervisorOutput::Unavailable { .. }
+                | SupervisorOutput::Isolate { .. }
+                | SupervisorOutput::Overdue { .. }
+                | SupervisorOutput::Retire { .. }
+                | SupervisorOutput::Left { .. } => {}
             }
         }
     }
 
-    fn ticket(&mut self) -> Ticket {
+    fn ticket(&mut self) -> CallId {
         self.tickets += 1;
-        self.open.insert(Ticket(self.tickets));
-        Ticket(self.tickets)
+        self.open.insert(CallId(self.tickets));
+        CallId(self.tickets)
     }
 
-    fn restart(&mut self, name: &ObjectName, cause: Cause, struck: Incarnation) {
+    fn restart(&mut self, name: &ObjectName, cause: ReplacementCause, struck: Incarnation) {
         let ticket = self.ticket();
         let before = self.machine.restarts_left(self.now);
         self.machine.handle_restart(name, ticket, cause, Some(struck), self.now);
@@ -187,7 +187,7 @@ impl World {
         self.look();
     }
 
-    fn is_found(&mut self, name: &ObjectName, cause: Cause) {
+    fn is_found(&mut self, name: &ObjectName, cause: ReplacementCause) {
         if let Some(&(life, _)) = self.lives.get(name) {
             self.restart(name, cause, life);
         }
@@ -204,7 +204,7 @@ impl World {
                     self.lives.remove(&name);
                     self.machine.handle_start_failed(&name, life, "no".into(), self.now);
                     self.look();
-                    self.restart(&name, Cause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, life);
                 }
             }
             Turn::Waits(at) => {
@@ -223,18 +223,18 @@ impl World {
                     self.orders.remove(&name);
                     self.machine.handle_died(&name, life, false, None, self.now);
                     self.look();
-                    self.restart(&name, Cause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, life);
                 }
             }
             Turn::DiesUnheard(at) => {
                 let name = name(at);
                 if let Some((life, _)) = self.lives.remove(&name) {
                     self.orders.remove(&name);
-                    self.restart(&name, Cause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, life);
                 }
             }
-            Turn::Hangs(at) => self.is_found(&name(at), Cause::Stuck),
-            Turn::IsFaulty(at) => self.is_found(&name(at), Cause::Faulty),
+            Turn::Hangs(at) => self.is_found(&name(at), ReplacementCause::Stuck),
+            Turn::IsFaulty(at) => self.is_found(&name(at), ReplacementCause::Faulty),
             Turn::DiesOnTheSpot(at) => {
                 let name = name(at);
                 if self.orders.contains(&name)
@@ -249,11 +249,17 @@ impl World {
             }
             Turn::Rest(at) => {
                 let (name, ticket) = (name(at), self.ticket());
-                self.machine.handle_rest(&name, ticket, Cause::Faulty, self.now);
+                self.machine.handle_rest(&name, ticket, ReplacementCause::Faulty, self.now);
             }
             Turn::ByHand(at) => {
                 let (name, ticket) = (name(at), self.ticket());
-                self.machine.handle_restart(&name, ticket, Cause::Faulty, None, self.now);
+                self.machine.handle_restart(
+                    &name,
+                    ticket,
+                    ReplacementCause::Faulty,
+                    None,
+                    self.now,
+                );
             }
             Turn::Time(millis) => {
                 self.now = self.now + Duration::from_millis(u64::from(millis));
@@ -302,11 +308,16 @@ impl World {
             for child in self.machine.children().collect::<Vec<_>>() {
                 if child.state == ChildState::Failed && round >= 40 {
                     let ticket = self.ticket();
-                    self.machine.handle_rest(&child.name, ticket, Cause::Faulty, self.now);
+                    self.machine.handle_rest(
+                        &child.name,
+                        ticket,
+                        ReplacementCause::Faulty,
+                        self.now,
+                    );
                     self.look();
                 } else if child.state == ChildState::Failed {
                     self.take(Turn::Time(10_001));
-                    self.restart(&child.name, Cause::Died, child.incarnation);
+                    self.restart(&child.name, ReplacementCause::Died, child.incarnation);
                 }
             }
         }
@@ -416,15 +427,15 @@ proptest! {
         let name = world.names[failed].clone();
         let ticket = world.ticket();
         let struck = Some(Incarnation::FIRST);
-        world.machine.handle_restart(&name, ticket, Cause::Died, struck, world.now);
+        world.machine.handle_restart(&name, ticket, ReplacementCause::Died, struck, world.now);
         let (mut stops, mut starts) = (Vec::new(), Vec::new());
         while let Some(action) = world.machine.poll_output() {
             match action {
-                SupervisorAction::Stop { child, .. } => {
+                SupervisorOutput::Stop { child, .. } => {
                     stops.push(world.place(&child));
                     world.machine.handle_stopped(&child, Incarnation::FIRST, world.now);
                 }
-                SupervisorAction::Start { child, incarnation } => {
+                SupervisorOutput::Start { child, incarnation } => {
                     starts.push(world.place(&child));
                     world.machine.handle_started(&child, incarnation, world.now);
                 }

@@ -50,7 +50,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     planner.claim().await?;
     planner.command(Drive(1.0)).await?;
     let console = base.commander::<Drive>("wheels", "console")?;
-    if let Err(Why::Held { .. }) = console.claim().await {
+    if let Err(DeliveryError::Held { .. }) = console.claim().await {
         println!("the console is refused");
     }
 

@@ -3,7 +3,7 @@
 //! it, move there too, with what waits in their queues.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::Turn;
+use blastema::FaultTransition;
 use blastema::prelude::*;
 use std::time::Duration;
 
@@ -72,7 +72,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("count {}", counter.ask(Count).await?);
     map.tell(Search { exists: false })?; // it will not come back from there
     while let Some(event) = faults.next().await {
-        if event.turn == Turn::Found {
+        if event.turn == FaultTransition::Found {
             println!("{} of {}", event.fault.kind, event.fault.place);
             break;
         }

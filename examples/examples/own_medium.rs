@@ -2,7 +2,7 @@
 //! over any other medium: links, routes, sessions, faults.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::medium::{Arrival, Bytes, FrameMedium, MediumAddress, Opening, Sending};
+use blastema::medium::{Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
 use blastema::prelude::*;
 use blastema::{Link, Network};
 use std::io;
@@ -48,12 +48,12 @@ impl FrameMedium for Fifos {
         format!("fifo {}", self.own.display())
     }
 
-    fn open(&mut self) -> io::Result<Opening> {
+    fn open(&mut self) -> io::Result<OpenedMedium> {
         // For reading and writing, so that neither end must be there first, nor notices the other go.
         let mut options = pipe::OpenOptions::new();
         options.read_write(true);
         self.open = Some((options.open_receiver(&self.own)?, options.open_sender(&self.far)?));
-        Ok(Opening { local: MediumAddress::Line, mtu: ONE_PIECE - HEADER })
+        Ok(OpenedMedium { local: MediumAddress::Line, mtu: ONE_PIECE - HEADER })
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -65,18 +65,18 @@ impl FrameMedium for Fifos {
         task: &mut task::Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
-        let Some((_, sender)) = &mut self.open else { return Poll::Ready(Ok(Sending::Dropped)) };
+    ) -> Poll<io::Result<SendResult>> {
+        let Some((_, sender)) = &mut self.open else { return Poll::Ready(Ok(SendResult::Dropped)) };
         let length = (frame.len() as u16).to_be_bytes(); // it is within the mtu
         let piece = [&length, &frame[..]].concat();
         ready!(Pin::new(sender).poll_write(task, &piece))?;
-        Poll::Ready(Ok(Sending::Sent))
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
-    fn poll_receive(&mut self, task: &mut task::Context<'_>) -> Poll<io::Result<Arrival>> {
+    fn poll_receive(&mut self, task: &mut task::Context<'_>) -> Poll<io::Result<MediumEvent>> {
         loop {
             if let Some(frame) = self.frame() {
-                return Poll::Ready(Ok(Arrival::Frame { from: MediumAddress::Line, frame }));
+                return Poll::Ready(Ok(MediumEvent::Frame { from: MediumAddress::Line, frame }));
             }
             let Some((receiver, _)) = &mut self.open else { return Poll::Pending };
             let mut chunk = [0; ONE_PIECE];

@@ -3,8 +3,8 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::recovery::{Done, Failed, Order};
-use blastema::{RecoveryStrategy, Tools, Turn};
+use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
+use blastema::{FaultTransition, RecoveryStrategy, StrategyContext};
 
 /// The application's own kind of fault.
 const SLIP: &str = "GRIPPER-SLIP";
@@ -47,11 +47,15 @@ impl Handle<Slip> for Gripper {
 struct Regrasp;
 
 impl RecoveryStrategy for Regrasp {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         println!("attempt {} at {}", order.attempt, order.measure);
         let gripper = tools.sender::<Grasp>("gripper").map_err(|why| why.to_string())?;
         match gripper.ask(Grasp).await {
-            Ok(true) => Ok(Done::default()),
+            Ok(true) => Ok(RecoveryDone::default()),
             Ok(false) => Err("it holds nothing".into()),
             Err(error) => Err(error.to_string().into()),
         }
@@ -60,12 +64,15 @@ impl RecoveryStrategy for Regrasp {
 
 #[blastema::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let regrasp = Ladder::first(Measure::Custom("regrasp".into())).times(3);
+    let regrasp = Ladder::first(RecoveryAction::Custom("regrasp".into())).times(3);
     let node = Node::builder("module1")
         .child(ChildSpec::new("gripper", || Gripper { attempts: 0 }))
         .fault_kind(SLIP)
         .recovery("regrasp", || Regrasp)
-        .plan(Plan::default().on(FaultKind::Custom(SLIP.into()), regrasp.then(Measure::Restart)))
+        .plan(
+            Plan::default()
+                .on(FaultKind::Custom(SLIP.into()), regrasp.then(RecoveryAction::Restart)),
+        )
         .start()
         .await?;
     let mut faults = node.fault_events();
@@ -74,7 +81,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     while let Some(event) = faults.next().await {
         println!("{} of {}: {:?}", event.fault.kind, event.fault.place, event.turn);
-        if event.turn == Turn::Recovered {
+        if event.turn == FaultTransition::Recovered {
             break;
         }
     }

@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use actix::prelude::{Actor, Handler, Recipient};
-use blastema::plain::{self, Deliver, Serve};
+use blastema::plain::{self, Deliver, ServeRequest};
 use blastema::prelude::*;
 
 /// Something touches the robot.
@@ -39,17 +39,17 @@ impl Handle<Touch> for Bumper {
     }
 }
 
-/// A plain actix actor: it takes a contract as the actix message `Serve`.
+/// A plain actix actor: it takes a contract as the actix message `ServeRequest`.
 struct Speaker;
 
 impl Actor for Speaker {
     type Context = actix::Context<Self>;
 }
 
-impl Handler<Serve<Say>> for Speaker {
+impl Handler<ServeRequest<Say>> for Speaker {
     type Result = ();
 
-    fn handle(&mut self, Serve(say): Serve<Say>, _: &mut Self::Context) {
+    fn handle(&mut self, ServeRequest(say): ServeRequest<Say>, _: &mut Self::Context) {
         println!("{}", say.text);
     }
 }

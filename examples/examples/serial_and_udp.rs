@@ -96,7 +96,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Waits for the next link that fails, and says which.
 async fn link_down(faults: &mut FaultEvents) -> String {
     while let Some(event) = faults.next().await {
-        if event.fault.kind == FaultKind::LinkDown && event.turn == blastema::Turn::Found {
+        if event.fault.kind == FaultKind::LinkDown && event.turn == blastema::FaultTransition::Found
+        {
             return format!("{}: {}", event.fault.kind, event.fault.place);
         }
     }

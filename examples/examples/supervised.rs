@@ -1,6 +1,6 @@
 //! A chain in which each depends on the one before: when the laser dies, the planner and the motors are
 //! stopped and started again behind it, and nobody drives on old data meanwhile. When that happens more
-//! often than the supervisor allows, and the robot cannot do without its drive, the node comes to safe rest
+//! often than the supervisor allows, and the robot cannot do without its drive, the node enters the safe state
 //! with its brakes on.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
@@ -72,7 +72,7 @@ async fn main() -> Result<(), StartError> {
         .start()
         .await?;
 
-    if let NodeState::AtRest { reason } = node.ended().await {
+    if let NodeState::InSafeState { reason } = node.ended().await {
         println!("at rest: {reason}");
     }
     Ok(())

@@ -4,7 +4,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{DeadReason, Range, Turn};
+use blastema::{DeadReason, FaultTransition, Range};
 use std::time::Duration;
 
 /// How fast to go. Nobody should act upon one that has waited for long.
@@ -73,7 +73,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     speed.tell(Speed { forward: 9.0 })?;
     while let Some(event) = faults.next().await {
-        if event.turn == Turn::Found {
+        if event.turn == FaultTransition::Found {
             println!("{}: {}", event.fault.kind, event.fault.detail);
             break;
         }

@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Decision, Link, Network, RestorePolicy, Transaction};
+use blastema::{Link, Network, RestoreDecision, RestorePolicy, Transaction};
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
@@ -87,7 +87,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Err(why) = target.read().await {
         println!("{why}");
     }
-    target.decide(Decision::Default).await?;
+    target.decide(RestoreDecision::Default).await?;
     println!("target: {}", watch.next().await?.value.0);
     println!("the load is still {} kg", load.read().await?.value.0);
     Ok(())

@@ -1,8 +1,8 @@
 //! Code of the application that the fault chain calls and that blocks or fails, on real threads.
 
-use blastema::core::recovery::{Done, Failed, Order};
+use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, NodeBuilder, RecoveryStrategy, Tools, Turn};
+use blastema::{ActuatorSpec, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext};
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::{Receiver, Sender as Hold, channel};
@@ -131,7 +131,11 @@ impl Block {
 struct Oil(Block);
 
 impl RecoveryStrategy for Oil {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         if order.fault.place.to_string().ends_with("joint1") {
             self.0.block();
         }
@@ -143,7 +147,8 @@ impl RecoveryStrategy for Oil {
 fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
     blastema::run(async {
         let (hold, block) = Block::new();
-        let ladder = Ladder::first(Measure::Custom("oil".into())).then(Measure::Restart);
+        let ladder =
+            Ladder::first(RecoveryAction::Custom("oil".into())).then(RecoveryAction::Restart);
         let builder = robot(ladder).recovery("oil", move || Oil(block.clone()));
         let node = builder.start().await.unwrap();
 
@@ -173,7 +178,11 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
 struct Useless(AtomicUsize);
 
 impl RecoveryStrategy for Useless {
-    async fn carry_out(&self, _: &Order, _: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        _: &RecoveryOrder,
+        _: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         match self.0.fetch_add(1, SeqCst) {
             0 => panic!("the can explodes"),
             1 => std::future::pending().await,
@@ -187,10 +196,13 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
     blastema::run(async {
         let (hold, block) = Block::new();
         let grease = FaultKind::Custom("GREASE".into());
-        let useless = Measure::Custom("useless".into());
-        let ladder = Ladder::first(useless).times(3).within(LIMIT).then(Measure::Restart);
+        let useless = RecoveryAction::Custom("useless".into());
+        let ladder = Ladder::first(useless).times(3).within(LIMIT).then(RecoveryAction::Restart);
         let plan = Plan::default()
-            .on(oil(), Ladder::first(Measure::Custom("oil".into())).then(Measure::SafeStop))
+            .on(
+                oil(),
+                Ladder::first(RecoveryAction::Custom("oil".into())).then(RecoveryAction::SafeStop),
+            )
             .on(grease, ladder);
         let builder = Node::builder("module1")
             .callback_limit(Duration::from_secs(60))
@@ -212,7 +224,7 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         let mut decided = Vec::new();
         while decided.len() < 5 {
             let event = events.next().await.expect("it runs");
-            if let Turn::Decided { measure } = event.turn {
+            if let FaultTransition::Decided { measure } = event.turn {
                 decided.push(measure);
             }
         }
@@ -230,7 +242,8 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
 fn a_node_is_shut_down_while_its_strategies_and_safe_outputs_block() {
     blastema::run(async {
         let ((hold, block), (hold_outputs, outputs)) = (Block::new(), Block::new());
-        let ladder = Ladder::first(Measure::Custom("oil".into())).then(Measure::SafeStop);
+        let ladder =
+            Ladder::first(RecoveryAction::Custom("oil".into())).then(RecoveryAction::SafeStop);
         let builder = robot(ladder)
             .safe_outputs(move |_| outputs.block())
             .recovery("oil", move || Oil(block.clone()));
@@ -256,7 +269,7 @@ fn a_node_comes_to_rest_although_its_safe_outputs_block() {
         let builder = Node::builder("module1").child(joint("joint1")).callback_limit(LIMIT);
         let builder = builder
             .fault_kind("OIL")
-            .plan(Plan::default().on(oil(), Ladder::first(Measure::Restart)))
+            .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Restart)))
             .intensity(0, Duration::from_secs(60))
             .safe_outputs(move |_| outputs.block());
         let node = builder.start().await.unwrap();
@@ -264,7 +277,7 @@ fn a_node_comes_to_rest_although_its_safe_outputs_block() {
         leak(&node, "joint1").await;
 
         let state = tokio::time::timeout(PATIENCE, node.ended()).await.expect("it comes to rest");
-        assert!(matches!(state, NodeState::AtRest { .. }), "{state:?}");
+        assert!(matches!(state, NodeState::InSafeState { .. }), "{state:?}");
         until(async || fault_of(&node, "safe-outputs").await).await;
         drop(hold);
         node.shutdown().await;

@@ -57,8 +57,8 @@ async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     drop(there);
     here.advance(5000 * MS).await;
 
-    let why = sum.ask(Add(1)).await.unwrap_err().why;
-    assert_eq!(why, Why::Left { node: "there".into() });
+    let why = sum.ask(Add(1)).await.unwrap_err().kind;
+    assert_eq!(why, DeliveryError::Left { node: "there".into() });
     here.expect_no_faults().await;
     assert_eq!(here.row("there").await.opinion, Opinion::AtRest);
 
@@ -98,11 +98,11 @@ async fn whoever_sends_from_a_node_that_has_ended_is_told_so_at_once() {
     here.shutdown().await;
 
     for sum in [near, far] {
-        assert_eq!(sum.tell(Add(2)).unwrap_err().why, Why::Stopped);
+        assert_eq!(sum.tell(Add(2)).unwrap_err().kind, DeliveryError::Stopped);
         let asked = sum.ask(Add(2)).await.unwrap_err();
-        assert_eq!((asked.why, asked.message.is_some()), (Why::Stopped, true));
+        assert_eq!((asked.kind, asked.message.is_some()), (DeliveryError::Stopped, true));
         let delivered = tokio::time::timeout(PATIENCE, sum.deliver(Add(2))).await;
-        assert_eq!(delivered.expect("it does not wait").unwrap_err().why, Why::Stopped);
+        assert_eq!(delivered.expect("it does not wait").unwrap_err().kind, DeliveryError::Stopped);
     }
 }
 
@@ -117,7 +117,7 @@ async fn what_a_node_that_ends_still_accepts_arrives() {
         loop {
             match sum.deliver(Add(1)).await {
                 Ok(()) => accepted += 1,
-                Err(refused) => return (accepted, refused.why),
+                Err(refused) => return (accepted, refused.kind),
             }
             tokio::time::sleep(MS).await;
         }
@@ -126,7 +126,7 @@ async fn what_a_node_that_ends_still_accepts_arrives() {
     let (sent, ()) = tokio::join!(sending, here.shutdown());
 
     let (accepted, why) = sent.expect("it does not wait");
-    assert_eq!(why, Why::Stopped);
+    assert_eq!(why, DeliveryError::Stopped);
     let sum: Sender<Add> = there.sender("sum").unwrap();
     assert_eq!(sum.ask(Add(0)).await.unwrap(), accepted);
 }
@@ -144,7 +144,10 @@ async fn whoever_waits_for_room_elsewhere_is_told_when_its_own_node_ends() {
     let waiting = tokio::time::timeout(PATIENCE, stuck.deliver(Add(2)));
     let (waited, ()) = tokio::join!(waiting, here.shutdown());
 
-    assert_eq!(waited.expect("it does not wait for ever").unwrap_err().why, Why::Stopped);
+    assert_eq!(
+        waited.expect("it does not wait for ever").unwrap_err().kind,
+        DeliveryError::Stopped
+    );
 }
 
 #[blastema_testkit::test]
@@ -193,8 +196,8 @@ fn a_real_node_that_leaves_in_order_is_no_fault_to_another() {
         };
         tokio::time::timeout(PATIENCE, unreachable).await.expect("its silence is noticed");
 
-        let why = sum.ask(Add(1)).await.unwrap_err().why;
-        assert_eq!(why, Why::Left { node: "there".into() });
+        let why = sum.ask(Add(1)).await.unwrap_err().kind;
+        assert_eq!(why, DeliveryError::Left { node: "there".into() });
         let there = real("there", far, "here", near).await;
         assert!(here.connected("there", PATIENCE).await);
         assert_eq!(sum.ask_within(Add(5), PATIENCE).await.unwrap(), 5);

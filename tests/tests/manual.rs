@@ -5,7 +5,7 @@ use blastema::core::delivery::dead_letters::DeadLetterLimits;
 use blastema::core::delivery::quarantine::QuarantineConfig;
 use blastema::core::detection::{DetectorLimits, MonitorLimits, NotifierLimits};
 use blastema::core::net::{RouterConfig, SessionConfig};
-use blastema::core::recovery::{RecovererLimits, Step, SupervisorRules};
+use blastema::core::recovery::{LadderStep, RecovererLimits, SupervisorRules};
 use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;
 use blastema::{DEFAULT_DEADLINE, Incarnation, NodeName, Place};
@@ -34,7 +34,7 @@ fn node() -> NodeName {
 #[test]
 fn the_list_of_faults_is_that_of_the_code_with_the_measures_of_the_default_plan() {
     let (page, plan) = (page("faults.md"), Plan::default());
-    let rung = |step: &Step| match step.attempts {
+    let rung = |step: &LadderStep| match step.attempts {
         1 => step.measure.to_string(),
         attempts => format!("{} ×{attempts}", step.measure),
     };
@@ -118,7 +118,7 @@ async fn a_child_whose_end_was_final_takes_no_messages() {
         survey.ask(End).await.unwrap();
         node.advance(Duration::from_secs(1)).await;
 
-        assert_eq!(survey.tell(End).unwrap_err().why, Why::Stopped, "{restart:?}");
+        assert_eq!(survey.tell(End).unwrap_err().kind, DeliveryError::Stopped, "{restart:?}");
         assert_eq!(node.state(), NodeState::Running);
         node.expect_no_faults().await;
     }

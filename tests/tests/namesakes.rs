@@ -107,7 +107,7 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
 
         // Whoever asks there is told why nobody answers.
         let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");
-        let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").why;
+        let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").kind;
         let said = why.to_string();
         assert!(
             said.contains("the name arm of this node is taken") && said.contains("life"),
@@ -161,6 +161,6 @@ fn a_node_that_begins_anew_is_the_same_node_and_no_dispute() {
     });
 }
 
-fn entry_kind(entry: &blastema::core::detection::Entry) -> FaultKind {
+fn entry_kind(entry: &blastema::core::detection::FaultEntry) -> FaultKind {
     entry.fault.kind.clone()
 }

@@ -47,8 +47,9 @@ fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
             Node::builder("m").child(endless).start().await,
             Err(StartError::Spec(_))
         ));
-        let unseen =
-            Node::builder("m").child(ChildSpec::new("lamp", || Lamp)).shown_at("/no/m.window");
+        let unseen = Node::builder("m")
+            .child(ChildSpec::new("lamp", || Lamp))
+            .inspection_socket("/no/m.window");
         assert!(matches!(unseen.start().await, Err(StartError::Shown(_))));
         assert!(settled(before).await <= before);
 

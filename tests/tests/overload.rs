@@ -1,8 +1,8 @@
 //! Components that keep their thread by real work, on real threads. Everything is judged by counts and
 //! order: a busy machine makes these tests slower, and changes nothing else.
 
-use blastema::core::detection::{Entry, Record};
-use blastema::core::recovery::{Ladder, Measure, Plan};
+use blastema::core::detection::{FaultEntry, FaultRecord};
+use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder};
 use blastema_testkit::TestNode;
@@ -76,7 +76,7 @@ impl Counts {
         Node::builder("m")
             .work_threads(1)
             .child(self.planner())
-            .child(safety.watch(Watch::push(20 * MS, 5)))
+            .child(safety.liveness(Liveness::push(20 * MS, 5)))
     }
 
     /// Feeds the planner until it is told to end.
@@ -97,7 +97,7 @@ async fn start(builder: NodeBuilder) -> TestNode {
     TestNode::of(builder.start().await.expect("the node starts")).await
 }
 
-async fn until(what: &str, node: &Node, mut holds: impl FnMut(&Record) -> bool) {
+async fn until(what: &str, node: &Node, mut holds: impl FnMut(&FaultRecord) -> bool) {
     let begun = Instant::now();
     loop {
         let record = node.faults().await;
@@ -109,13 +109,13 @@ async fn until(what: &str, node: &Node, mut holds: impl FnMut(&Record) -> bool) 
     }
 }
 
-fn is_of(entry: &Entry, kind: &FaultKind, place: &str) -> bool {
+fn is_of(entry: &FaultEntry, kind: &FaultKind, place: &str) -> bool {
     entry.fault.kind == *kind && entry.fault.place.to_string() == place
 }
 
 /// Everything that was found is the planner's overload, or its symptom.
-fn has_one_root(record: &Record) -> bool {
-    let planner = |entry: &&Entry| is_of(entry, &FaultKind::Overload, "m:planner");
+fn has_one_root(record: &FaultRecord) -> bool {
+    let planner = |entry: &&FaultEntry| is_of(entry, &FaultKind::Overload, "m:planner");
     let roots: Vec<_> = record.entries.iter().filter(planner).map(|e| e.fault.id).collect();
     record.entries.iter().all(|entry| match entry.fault.symptom_of {
         Some(root) => roots.contains(&root) && entry.decided.is_none(),
@@ -138,7 +138,7 @@ fn who_keeps_a_thread_is_the_root_of_an_overload_and_its_neighbour_is_not_restar
         assert!(fault.detail.contains("it keeps its thread for"), "{}", fault.detail);
         assert!(node.row("safety").await.missed_rounds > 0);
         counts.load.store(false, SeqCst);
-        let none_stands = |record: &Record| record.entries.iter().all(|e| !e.stands());
+        let none_stands = |record: &FaultRecord| record.entries.iter().all(|e| !e.stands());
         until("the load is gone, and so are the faults", &node, none_stands).await;
         assert!(has_one_root(&node.faults().await));
         for name in ["planner", "safety"] {
@@ -152,7 +152,7 @@ fn who_keeps_a_thread_is_the_root_of_an_overload_and_its_neighbour_is_not_restar
 fn a_planner_that_was_moved_to_its_own_thread_lets_its_neighbour_keep_its_rounds() {
     blastema::run(async {
         let counts = Counts::default();
-        let ladder = Ladder::first(Measure::MoveToOwnThread).then(Measure::Observe);
+        let ladder = Ladder::first(RecoveryAction::MoveToOwnThread).then(RecoveryAction::Observe);
         let plan = Plan::default().on(FaultKind::Overload, ladder);
         let mut node = start(counts.robot().plan(plan)).await;
 
@@ -194,8 +194,8 @@ fn rounds_that_overrun_their_period_are_counted_and_a_fault() {
 fn a_flooded_component_that_is_asked_is_alive() {
     blastema::run(async {
         let counts = Counts::default();
-        let watch = Watch::pull(100 * MS, 100 * MS);
-        let planner = counts.planner().queue(100, WhenFull::Refuse).watch(watch);
+        let watch = Liveness::pull(100 * MS, 100 * MS);
+        let planner = counts.planner().queue(100, WhenFull::Refuse).liveness(watch);
         let node = start(Node::builder("m").work_threads(1).child(planner)).await;
 
         let sender = node.sender::<Plan30>("planner").expect("a planner");
@@ -203,7 +203,7 @@ fn a_flooded_component_that_is_asked_is_alive() {
         until("all are served", &node, |_| counts.planned.load(SeqCst) == 100).await;
 
         let record = node.faults().await;
-        let overload = |entry: &Entry| is_of(entry, &FaultKind::Overload, "m:planner");
+        let overload = |entry: &FaultEntry| is_of(entry, &FaultKind::Overload, "m:planner");
         assert!(record.entries.iter().all(overload), "{record:#?}");
         assert_eq!(record.entries.len(), 1, "its messages waited for three seconds");
         assert_eq!(node.row("planner").await.incarnation, Incarnation(1));

@@ -5,8 +5,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Decision, Link, Network, RestorePolicy, Role, ServiceSpec, StandbyKind, Stateful,
-    Transaction,
+    ActuatorSpec, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec, StandbyKind,
+    Stateful, Transaction,
 };
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
@@ -423,8 +423,8 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
             assert!(left == acknowledged || left == acknowledged + 1, "round {round}: {left}");
             if round > 0 {
                 let undecided = plan.read().await;
-                assert!(matches!(undecided, Err(Why::Undecided { .. })), "{undecided:?}");
-                plan.decide(Decision::Restore).await.unwrap();
+                assert!(matches!(undecided, Err(DeliveryError::Undecided { .. })), "{undecided:?}");
+                plan.decide(RestoreDecision::Restore).await.unwrap();
                 assert_eq!(plan.read().await.unwrap().value, Intention(7));
             }
             plan.write(Intention(7)).await.unwrap();

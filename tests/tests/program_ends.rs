@@ -205,7 +205,7 @@ fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
 fn watched() -> NodeBuilder {
     Node::builder("module1")
         .fault_kind("OIL")
-        .plan(Plan::default().on(oil(), Ladder::first(Measure::Observe)))
+        .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Observe)))
         .child(ChildSpec::new("joint", || Joint))
         .notify_systemd()
         .safe_outputs(|_| println!("safe outputs"))

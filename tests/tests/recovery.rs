@@ -1,10 +1,10 @@
 //! Every way to recover, in whole nodes: a component fails, and what comes of it is read from the
 //! record of faults, the tree, and what the components themselves went through.
 
-use blastema::core::detection::Entry;
-use blastema::core::recovery::{ChildState, Done, Failed, Order};
+use blastema::core::detection::FaultEntry;
+use blastema::core::recovery::{ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{Fault, NodeBuilder, RecoveryStrategy, Tools};
+use blastema::{Fault, NodeBuilder, RecoveryStrategy, StrategyContext};
 use blastema_doubles::{advance, paused};
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
@@ -130,7 +130,7 @@ async fn answers(node: &Node, part: &str) -> bool {
 
 /// The record in words: `panic of laser: recovered`.
 async fn record(node: &Node) -> Vec<String> {
-    let told = |entry: Entry| {
+    let told = |entry: FaultEntry| {
         let end = match (entry.recovered_at, entry.repaired_at, entry.given_up) {
             (Some(_), ..) => "recovered".into(),
             (None, Some(_), _) => "cleared".into(),
@@ -336,7 +336,7 @@ fn a_storm_that_reaches_the_root_puts_the_node_to_rest() {
         diary.take();
         provoke(&node, "arm", Provoke::Panic).await;
 
-        assert!(matches!(node.ended().await, NodeState::AtRest { .. }), "{:?}", node.state());
+        assert!(matches!(node.ended().await, NodeState::InSafeState { .. }), "{:?}", node.state());
         assert_eq!(diary.take(), ["laser ends"]);
     });
 }
@@ -364,7 +364,11 @@ fn a_temporary_child_that_dies_is_let_go() {
 struct Homing(Arc<AtomicUsize>);
 
 impl RecoveryStrategy for Homing {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         self.0.fetch_add(1, SeqCst);
         tools.restart(&order.fault).await
     }
@@ -376,7 +380,7 @@ fn a_strategy_of_the_application_takes_the_place_of_the_built_in_one() {
         let diary = Diary::default();
         let called = Arc::new(AtomicUsize::new(0));
         let counter = called.clone();
-        let homing = Ladder::first(Measure::Custom("homing".into()));
+        let homing = Ladder::first(RecoveryAction::Custom("homing".into()));
         let arm = "arm".parse().expect("a good name");
         let builder = node()
             .child(part("arm", &diary))
@@ -397,7 +401,7 @@ fn a_strategy_of_the_application_takes_the_place_of_the_built_in_one() {
 fn a_plan_that_names_no_strategy_is_refused_before_anything_starts() {
     paused(async {
         let diary = Diary::default();
-        let homing = Ladder::first(Measure::Custom("homign".into()));
+        let homing = Ladder::first(RecoveryAction::Custom("homign".into()));
         let builder = node()
             .child(part("arm", &diary))
             .plan(Plan::default().on(FaultKind::Panic, homing))

@@ -1,11 +1,11 @@
 //! What a description says that cannot be meant is refused at start, with the wrong part and what to write.
 
 use blastema::core::detection::Push;
-use blastema::core::recovery::{Backoff, Done, Failed, Order};
+use blastema::core::recovery::{Backoff, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ClaimPolicy, IsolateError, Link, MemoryMedium, Network, NodeBuilder,
-    RecoveryStrategy, SpecError, Tools,
+    RecoveryStrategy, SpecError, StrategyContext,
 };
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -74,17 +74,18 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().ready_within(Duration::ZERO), &["ready_within of lamp"]).await;
 
         let interval = &["the watch's interval of lamp is", "Watch::Guard"];
-        refused(lamp().watch(Watch::push(Duration::ZERO, 3)), interval).await;
-        refused(lamp().watch(Watch::push(Duration::MAX, 3)), interval).await;
-        refused(lamp().watch(Watch::pull(Duration::ZERO, MS)), interval).await;
-        refused(lamp().watch(Watch::push(MS, 0)), &["the watch's tolerance of lamp is 0"]).await;
-        refused(lamp().watch(Watch::push(MS, u32::MAX)), &["1 to 1000"]).await;
-        refused(lamp().watch(Watch::pull(MS, Duration::ZERO)), &["within of lamp"]).await;
+        refused(lamp().liveness(Liveness::push(Duration::ZERO, 3)), interval).await;
+        refused(lamp().liveness(Liveness::push(Duration::MAX, 3)), interval).await;
+        refused(lamp().liveness(Liveness::pull(Duration::ZERO, MS)), interval).await;
+        refused(lamp().liveness(Liveness::push(MS, 0)), &["the watch's tolerance of lamp is 0"])
+            .await;
+        refused(lamp().liveness(Liveness::push(MS, u32::MAX)), &["1 to 1000"]).await;
+        refused(lamp().liveness(Liveness::pull(MS, Duration::ZERO)), &["within of lamp"]).await;
         refused(lamp().max_delay(Duration::ZERO), &["max_delay of lamp"]).await;
         refused(lamp().max_missed_rounds(0), &["max_missed_rounds of lamp"]).await;
         refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
-        refused(lamp().watch(Watch::Push(start_up)), &["start_up of lamp"]).await;
+        refused(lamp().liveness(Liveness::Push(start_up)), &["start_up of lamp"]).await;
 
         let max = Duration::MAX;
         let for_ever = lamp().max_block(max).max_wait(max).ready_within(max).shutdown_within(max);
@@ -279,7 +280,11 @@ fn links_of_which_one_would_be_taken_for_another_or_cost_nothing_are_refused() {
 fn strategies_plans_and_codes_that_cannot_be_meant_are_refused() {
     struct Homing;
     impl RecoveryStrategy for Homing {
-        async fn carry_out(&self, _: &Order, _: &Tools) -> Result<Done, Failed> {
+        async fn carry_out(
+            &self,
+            _: &RecoveryOrder,
+            _: &StrategyContext,
+        ) -> Result<RecoveryDone, RecoveryFailed> {
             Err("it is at home".into())
         }
     }
@@ -288,10 +293,10 @@ fn strategies_plans_and_codes_that_cannot_be_meant_are_refused() {
         refused(twice, &["recovery of the node is \"homing\" twice"]).await;
         refused(node().fault_kind("B01"), &["\"B01\"", "a built-in kind has it"]).await;
         refused(node().fault_kind(""), &["give it one"]).await;
-        let rung = Ladder::first(Measure::Restart).within(Duration::ZERO);
+        let rung = Ladder::first(RecoveryAction::Restart).within(Duration::ZERO);
         refused(node().plan(Plan::default().on(FaultKind::Panic, rung)), &["give it some"]).await;
         let still = Backoff { factor: 0, ..Backoff::default() };
-        let rung = Ladder::first(Measure::Restart).backoff(still);
+        let rung = Ladder::first(RecoveryAction::Restart).backoff(still);
         refused(node().plan(Plan::default().on(FaultKind::Panic, rung)), &["equal ones"]).await;
     });
 }

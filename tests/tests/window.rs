@@ -34,7 +34,7 @@ fn fragile(window: &Path) -> blastema::NodeBuilder {
     Node::builder("module1")
         .child(ChildSpec::new("lamp", || Lamp).essential())
         .intensity(0, Duration::from_secs(10))
-        .shown_at(window)
+        .inspection_socket(window)
 }
 
 async fn look(window: &Path) -> String {
@@ -82,7 +82,7 @@ fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
 
         let strike: Sender<Strike> = node.sender("lamp").unwrap();
         strike.ask_within(Strike, LONG).await.unwrap_err();
-        assert!(matches!(node.ended().await, NodeState::AtRest { .. }));
+        assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
         let seen = look(&window).await;
         assert!(seen.contains(r#""state":"at rest""#) && seen.contains("struck"), "{seen}");
 
@@ -105,7 +105,7 @@ fn those_who_look_and_do_not_read_do_not_keep_others_from_looking() {
         }
 
         assert!(look(&window).await.ends_with("}\n"));
-        assert_eq!(node.picture().await.node.as_str(), "module1");
+        assert_eq!(node.snapshot().await.node.as_str(), "module1");
         node.shutdown().await;
     });
 }
@@ -177,7 +177,7 @@ fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
 }
 
 async fn refused(window: &Path) -> String {
-    let refused = Node::builder("module2").shown_at(window).start().await.unwrap_err();
+    let refused = Node::builder("module2").inspection_socket(window).start().await.unwrap_err();
     assert!(matches!(refused, StartError::Shown(_)), "{refused}");
     refused.to_string()
 }

@@ -10,15 +10,15 @@ const LOYALTY: u32 = 8;
 const NO_SUCH_DEVICE: i32 = 19;
 
 /// The address as configured, and the one that was really taken.
-pub(crate) struct Binding {
+pub(crate) struct BoundAddress {
     configured: SocketAddr,
     last: Option<SocketAddr>,
     attempts: u32,
 }
 
-impl Binding {
+impl BoundAddress {
     pub(crate) fn new(configured: SocketAddr) -> Self {
-        Binding { configured, last: None, attempts: 0 }
+        BoundAddress { configured, last: None, attempts: 0 }
     }
 
     /// The address for the next attempt.
@@ -103,7 +103,7 @@ mod tests {
     #[test]
     fn where_any_port_would_do_the_last_is_wanted_back_for_a_while() {
         let (any, last) = (address("127.0.0.1:0"), address("127.0.0.1:7400"));
-        let mut binding = Binding::new(any);
+        let mut binding = BoundAddress::new(any);
 
         assert_eq!(binding.next_attempt(), any);
         binding.taken(last);
@@ -114,7 +114,7 @@ mod tests {
     #[test]
     fn a_configured_port_is_insisted_on() {
         let fixed = address("127.0.0.1:80");
-        let mut binding = Binding::new(fixed);
+        let mut binding = BoundAddress::new(fixed);
 
         assert!((0..100).all(|_| binding.next_attempt() == fixed));
     }

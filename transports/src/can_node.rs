@@ -14,12 +14,12 @@
 //! messages to all whose checksum is inverted, so that nobody takes them for frames.
 
 use crate::endpoint::CanNodeConfig;
-use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_contract::transport::MediumAddress;
-use blastema_core::medium::can::isotp::{IsoTpRefusals, Separation, TakeError};
+use blastema_core::medium::can::isotp::{EnqueueError, IsoTpErrorCounts, SeparationTime};
 use blastema_core::medium::can::{
-    AddressClaim, Addressing, BusAddress, CanFrame, Claim, ClaimOutput, Format, IsoTp, IsoTpConfig,
-    IsoTpOutput, bits_on_bus,
+    AddressClaim, AddressClaimOutput, AddressClaimed, Addressing, BusAddress, CanFrame, Format,
+    IsoTp, IsoTpConfig, IsoTpOutput, bits_on_bus,
 };
 use blastema_core::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -104,10 +104,10 @@ pub struct CanNode<P> {
     claim: Option<AddressClaim>,
     standing: Standing,
     /// What the machine had refused when it was last looked at.
-    refusals: IsoTpRefusals,
+    refusals: IsoTpErrorCounts,
     /// A frame that the bus has not taken yet.
     ready: Option<CanFrame>,
-    arrivals: VecDeque<Arrival>,
+    arrivals: VecDeque<MediumEvent>,
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
@@ -116,7 +116,7 @@ enum Standing {
     Claiming,
     Held,
     /// Another has it.
-    Lost(Claim),
+    Lost(AddressClaimed),
 }
 
 impl<P: CanPort> CanNode<P> {
@@ -134,7 +134,7 @@ impl<P: CanPort> CanNode<P> {
             machine: None,
             claim: None,
             standing: Standing::Claiming,
-            refusals: IsoTpRefusals::default(),
+            refusals: IsoTpErrorCounts::default(),
             ready: None,
             arrivals: VecDeque::new(),
             timer: None,
@@ -148,7 +148,7 @@ impl<P: CanPort> CanNode<P> {
         config.message_max = mtu + CHECK_LENGTH;
         config.queue_messages = queue_frames;
         config.block_size = block_size;
-        config.separation = Separation::at_least(separation);
+        config.separation = SeparationTime::at_least(separation);
         let addressing = addressing(&self.config);
         IsoTp::new(BusAddress(self.config.address), addressing, config).ok_or_else(|| {
             let last = (0..=u8::MAX).rev().find(|last| addressing.names(BusAddress(*last)));
@@ -167,24 +167,24 @@ impl<P: CanPort> CanNode<P> {
             let arrival = match output {
                 IsoTpOutput::Received { from, message } => match unseal(message) {
                     Ok(_) if from == own => continue,
-                    Ok(frame) => Arrival::Frame { from: MediumAddress::Can(from.0), frame },
+                    Ok(frame) => MediumEvent::Frame { from: MediumAddress::Can(from.0), frame },
                     Err(message) => match unseal_claim(&message) {
                         Some(found) if from == own => {
                             claim.handle_claim(found, now);
                             continue;
                         }
                         Some(_) => continue,
-                        None => Arrival::Refused,
+                        None => MediumEvent::Refused,
                     },
                 },
                 IsoTpOutput::Sent { .. } => continue,
                 IsoTpOutput::NotSent { to, error, with_it } => {
                     tracing::debug!(%to, %error, "a frame was not sent over CAN");
-                    Arrival::Lost { frames: 1 + with_it }
+                    MediumEvent::Lost { frames: 1 + with_it }
                 }
                 IsoTpOutput::NotReceived { from, error } => {
                     tracing::debug!(%from, %error, "a frame did not come in over CAN");
-                    Arrival::Refused
+                    MediumEvent::Refused
                 }
                 IsoTpOutput::AddressTaken => {
                     claim.handle_intruder(now);
@@ -193,10 +193,10 @@ impl<P: CanPort> CanNode<P> {
             };
             self.arrivals.push_back(arrival);
         }
-        let IsoTpRefusals { malformed, unasked, forged, .. } = machine.refusals();
+        let IsoTpErrorCounts { malformed, unasked, forged, .. } = machine.refusals();
         let before = std::mem::replace(&mut self.refusals, machine.refusals());
         let more = malformed + unasked + forged - before.malformed - before.unasked - before.forged;
-        self.arrivals.extend((0..more).map(|_| Arrival::Refused));
+        self.arrivals.extend((0..more).map(|_| MediumEvent::Refused));
         self.follow_claim(now);
     }
 
@@ -205,20 +205,20 @@ impl<P: CanPort> CanNode<P> {
         let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else { return };
         while let Some(output) = claim.poll_output() {
             match output {
-                ClaimOutput::Say(claim) => {
+                AddressClaimOutput::Say(claim) => {
                     // Where the queue to all is full, whoever is there is heard anyway.
                     let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
                 }
-                ClaimOutput::Held => self.standing = Standing::Held,
-                ClaimOutput::Kept { from } => {
+                AddressClaimOutput::Held => self.standing = Standing::Held,
+                AddressClaimOutput::Kept { from } => {
                     let (address, own) = (self.config.address, own(&self.config));
                     let text = format!(
                         "{from} claims the address {address}, which {own} has and keeps: give one \
                          of the two another, and let its neighbours know"
                     );
-                    self.arrivals.push_back(Arrival::Clash { text });
+                    self.arrivals.push_back(MediumEvent::Clash { text });
                 }
-                ClaimOutput::Lost { to } => self.standing = Standing::Lost(to),
+                AddressClaimOutput::Lost { to } => self.standing = Standing::Lost(to),
             }
         }
     }
@@ -246,20 +246,20 @@ impl<P: CanPort> CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-        take: impl FnOnce(&mut IsoTp, BusAddress, Bytes, Instant) -> Result<(), TakeError>,
-    ) -> io::Result<Sending> {
+        take: impl FnOnce(&mut IsoTp, BusAddress, Bytes, Instant) -> Result<(), EnqueueError>,
+    ) -> io::Result<SendResult> {
         let (MediumAddress::Can(to), Some(machine)) = (to, &mut self.machine) else {
-            return Ok(Sending::Dropped);
+            return Ok(SendResult::Dropped);
         };
         if let Err(error) = take(machine, BusAddress(*to), seal(frame), (self.now)()) {
             tracing::trace!(%error, "a frame was not taken for CAN");
-            return Ok(Sending::Dropped);
+            return Ok(SendResult::Dropped);
         }
         if self.write(task)? {
             task.waker().wake_by_ref();
         }
         self.settle();
-        Ok(Sending::Sent)
+        Ok(SendResult::Sent)
     }
 
     /// Moves what can be moved, within a turn. Says whether there may be more.
@@ -269,7 +269,7 @@ impl<P: CanPort> CanNode<P> {
         let more = self.read(task)? | more;
         let more = self.keep_time(task) | more;
         let trouble = self.port.poll_trouble();
-        self.arrivals.extend(trouble.map(|reason| Arrival::NoCarrier { reason }));
+        self.arrivals.extend(trouble.map(|reason| MediumEvent::NoCarrier { reason }));
         self.may_speak()?;
         Ok(more)
     }
@@ -309,7 +309,7 @@ impl<P: CanPort> CanNode<P> {
                         self.write(task)?;
                         self.settle();
                     }
-                    _ => self.arrivals.push_back(Arrival::Refused),
+                    _ => self.arrivals.push_back(MediumEvent::Refused),
                 },
             }
         }
@@ -369,13 +369,13 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         Some(MediumAddress::Can(BusAddress::ALL.0))
     }
 
-    fn open(&mut self) -> io::Result<Opening> {
+    fn open(&mut self) -> io::Result<OpenedMedium> {
         self.close();
         let machine = self.build()?;
         self.port.open((self.now)())?;
         self.machine = Some(machine);
         let local = MediumAddress::Can(self.config.address);
-        Ok(Opening { local, mtu: self.config.mtu })
+        Ok(OpenedMedium { local, mtu: self.config.mtu })
     }
 
     fn poll_ready(&mut self, task: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -389,7 +389,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         for _ in 0..TURN {
             let more = self.carry_on(task)?;
             // What others say before the address is ours is not for us.
-            self.arrivals.retain(|arrival| matches!(arrival, Arrival::Clash { .. }));
+            self.arrivals.retain(|arrival| matches!(arrival, MediumEvent::Clash { .. }));
             if self.may_speak()? {
                 return Poll::Ready(Ok(()));
             }
@@ -410,7 +410,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         Poll::Ready(self.send(task, to, frame, IsoTp::handle_message))
     }
 
@@ -419,11 +419,11 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         Poll::Ready(self.send(task, to, frame, IsoTp::handle_urgent))
     }
 
-    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
         // What the bus took just now may end a message, and a timer may let the next frame go.
         for _ in 0..TURN {
             if let Some(arrival) = self.arrivals.pop_front() {
@@ -441,7 +441,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
         self.port.close();
         (self.machine, self.claim) = (None, None);
         self.standing = Standing::Claiming;
-        self.refusals = IsoTpRefusals::default();
+        self.refusals = IsoTpErrorCounts::default();
         self.ready = None;
         self.arrivals.clear();
         self.timer = None;
@@ -471,7 +471,7 @@ fn unseal(message: Bytes) -> Result<Bytes, Bytes> {
     }
 }
 
-fn seal_claim(claim: &Claim) -> Bytes {
+fn seal_claim(claim: &AddressClaimed) -> Bytes {
     let claim = claim.encode();
     let mut message = BytesMut::with_capacity(claim.len() + CHECK_LENGTH);
     message.put_slice(&claim);
@@ -479,10 +479,10 @@ fn seal_claim(claim: &Claim) -> Bytes {
     message.freeze()
 }
 
-fn unseal_claim(message: &[u8]) -> Option<Claim> {
+fn unseal_claim(message: &[u8]) -> Option<AddressClaimed> {
     let (claim, check) = message.split_last_chunk::<CHECK_LENGTH>()?;
     let whole = (!CHECK.checksum(claim)).to_le_bytes() == *check;
-    Claim::decode(claim).filter(|_| whole)
+    AddressClaimed::decode(claim).filter(|_| whole)
 }
 
 /// How errors call us.
@@ -510,7 +510,7 @@ mod tests {
 
     #[test]
     fn a_claim_is_no_frame_and_a_frame_no_claim() {
-        let claim = Claim { held: true, number: 7, name: "module1".into() };
+        let claim = AddressClaimed { held: true, number: 7, name: "module1".into() };
         let message = seal_claim(&claim);
 
         assert_eq!(unseal_claim(&message), Some(claim.clone()));

@@ -1,23 +1,23 @@
 //! A bad cable between a link and any transport, for tests and demonstrations.
 
-use crate::medium::{BUDGET, Medium, transport};
-use crate::upstream::Outlet;
+use crate::medium::{BUDGET, MediumActor, transport};
+use crate::upstream::Upstream;
 use actix::{AsyncContext, Context, Handler, MessageResult, ResponseFuture};
 use blastema_contract::transport::{
     Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
     Received, Restore, Transmit, Transport, TransportReport,
 };
-use blastema_core::medium::impairment::Impairer;
+use blastema_core::medium::impairment::ImpairedDirection;
 use blastema_core::{Instant, Machine};
 use std::future::Future;
 use std::pin::Pin;
 use std::task;
 use tokio::time::Sleep;
 
-/// What a [`Faulty`] begins with.
+/// What a [`FaultInjector`] begins with.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
-pub struct FaultyConfig {
+pub struct FaultInjectorConfig {
     /// All that is left to chance follows from it.
     pub seed: u64,
     /// How many frames are held back in each direction at most; beyond, they are lost and counted.
@@ -27,10 +27,10 @@ pub struct FaultyConfig {
     pub now: fn() -> Instant,
 }
 
-impl FaultyConfig {
+impl FaultInjectorConfig {
     /// The clock must be the one on which this arbiter's timers run.
     pub fn new(seed: u64, now: fn() -> Instant) -> Self {
-        FaultyConfig { seed, limit: 4096, now }
+        FaultInjectorConfig { seed, limit: 4096, now }
     }
 }
 
@@ -39,17 +39,17 @@ impl FaultyConfig {
 /// from some peers ([`Partition`]), and the mending ([`Restore`]).
 ///
 /// ```text
-/// link ──Transmit──► Faulty ──Transmit──► transport
+/// link ──Transmit──► FaultInjector ──Transmit──► transport
 ///      ◄─Received──         ◄─Received──
 /// ```
 ///
 /// At first it does nothing to them. Its counters are those of the transport.
-pub struct Faulty {
-    config: FaultyConfig,
+pub struct FaultInjector {
+    config: FaultInjectorConfig,
     inner: Transport,
-    outlet: Outlet,
-    outgoing: Impairer<Transmit>,
-    incoming: Impairer<Received>,
+    outlet: Upstream,
+    outgoing: ImpairedDirection<Transmit>,
+    incoming: ImpairedDirection<Received>,
     /// Where the transport stands, however the cable is.
     state: Option<TransportReport>,
     /// The cut is one that a medium notices.
@@ -57,16 +57,16 @@ pub struct Faulty {
     timer: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
-impl Faulty {
+impl FaultInjector {
     /// A cable before `inner`; it attaches itself there when it is started.
-    pub fn new(inner: Transport, config: FaultyConfig) -> Self {
+    pub fn new(inner: Transport, config: FaultInjectorConfig) -> Self {
         // Two directions, two sequences: traffic one way does not change the other's fate.
         let (outgoing, incoming) = (config.seed, !config.seed);
-        Faulty {
+        FaultInjector {
             inner,
-            outlet: Outlet::default(),
-            outgoing: Impairer::new(outgoing, config.limit),
-            incoming: Impairer::new(incoming, config.limit),
+            outlet: Upstream::default(),
+            outgoing: ImpairedDirection::new(outgoing, config.limit),
+            incoming: ImpairedDirection::new(incoming, config.limit),
             state: None,
             cut_is_reported: false,
             timer: None,
@@ -83,8 +83,8 @@ impl Faulty {
     }
 }
 
-impl Medium for Faulty {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for FaultInjector {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.outlet
     }
 
@@ -140,9 +140,9 @@ impl Medium for Faulty {
     }
 }
 
-transport!(Faulty, counted elsewhere);
+transport!(FaultInjector, counted elsewhere);
 
-impl Handler<ReadCounters> for Faulty {
+impl Handler<ReadCounters> for FaultInjector {
     type Result = ResponseFuture<blastema_contract::transport::TransportCounters>;
 
     fn handle(&mut self, message: ReadCounters, _: &mut Context<Self>) -> Self::Result {
@@ -152,7 +152,7 @@ impl Handler<ReadCounters> for Faulty {
     }
 }
 
-impl Handler<Received> for Faulty {
+impl Handler<Received> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, message: Received, _: &mut Context<Self>) {
@@ -160,7 +160,7 @@ impl Handler<Received> for Faulty {
     }
 }
 
-impl Handler<TransportReport> for Faulty {
+impl Handler<TransportReport> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, message: TransportReport, _: &mut Context<Self>) {
@@ -182,7 +182,7 @@ impl Handler<TransportReport> for Faulty {
     }
 }
 
-impl Handler<Impair> for Faulty {
+impl Handler<Impair> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, message: Impair, _: &mut Context<Self>) {
@@ -196,7 +196,7 @@ impl Handler<Impair> for Faulty {
     }
 }
 
-impl Handler<Cut> for Faulty {
+impl Handler<Cut> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, message: Cut, _: &mut Context<Self>) {
@@ -212,7 +212,7 @@ impl Handler<Cut> for Faulty {
     }
 }
 
-impl Handler<Partition> for Faulty {
+impl Handler<Partition> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, message: Partition, _: &mut Context<Self>) {
@@ -226,7 +226,7 @@ impl Handler<Partition> for Faulty {
     }
 }
 
-impl Handler<Restore> for Faulty {
+impl Handler<Restore> for FaultInjector {
     type Result = ();
 
     fn handle(&mut self, _: Restore, _: &mut Context<Self>) {
@@ -237,7 +237,7 @@ impl Handler<Restore> for Faulty {
     }
 }
 
-impl Handler<ReadInjectedFaults> for Faulty {
+impl Handler<ReadInjectedFaults> for FaultInjector {
     type Result = MessageResult<ReadInjectedFaults>;
 
     fn handle(&mut self, _: ReadInjectedFaults, _: &mut Context<Self>) -> Self::Result {

@@ -36,7 +36,7 @@ pub trait FrameMedium: Send + 'static {
     /// # Errors
     /// It cannot be opened at present; the text says what the user may do. It is tried again, 20 ms later
     /// at first and at last every second.
-    fn open(&mut self) -> io::Result<Opening>;
+    fn open(&mut self) -> io::Result<OpenedMedium>;
 
     /// Ready when what was opened can be used. Until then it is not said to be open, and nothing is sent
     /// or taken.
@@ -66,7 +66,7 @@ pub trait FrameMedium: Send + 'static {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>>;
+    ) -> Poll<io::Result<SendResult>>;
 
     /// The same for an urgent frame. For a medium that holds frames back itself; others see no difference.
     ///
@@ -77,7 +77,7 @@ pub trait FrameMedium: Send + 'static {
         task: &mut Context<'_>,
         to: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         self.poll_send(task, to, frame)
     }
 
@@ -85,7 +85,7 @@ pub trait FrameMedium: Send + 'static {
     ///
     /// # Errors
     /// The medium is lost: it is closed, and opened again.
-    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>>;
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>>;
 
     /// Lets go of it. It may be opened again, and begins from nothing then.
     fn close(&mut self);
@@ -93,7 +93,7 @@ pub trait FrameMedium: Send + 'static {
 
 /// A medium has been opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Opening {
+pub struct OpenedMedium {
     /// Our own address on it.
     pub local: MediumAddress,
     /// The largest frame, in bytes.
@@ -102,7 +102,7 @@ pub struct Opening {
 
 /// What became of a frame that was to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sending {
+pub enum SendResult {
     /// The medium has it.
     Sent,
     /// It is lost, for nobody can be reached at its address at present.
@@ -111,7 +111,7 @@ pub enum Sending {
 
 /// What a medium has to tell.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Arrival {
+pub enum MediumEvent {
     /// A frame.
     Frame {
         /// From whom.

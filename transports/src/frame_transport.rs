@@ -1,12 +1,12 @@
 //! The body around any [`FrameMedium`].
 
-use crate::frame_medium::{Arrival, FrameMedium, Opening, Sending};
-use crate::medium::{BUDGET, Medium, transport};
-use crate::reopen_backoff::Reopening;
-use crate::transmit_queues::Lanes;
-use crate::upstream::Outlet;
+use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, SendResult};
+use crate::medium::{BUDGET, MediumActor, transport};
+use crate::reopen_backoff::ReopenBackoff;
+use crate::transmit_queues::TransmitQueues;
+use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{Lane, MediumAddress, Transmit, TransportReport};
+use blastema_contract::transport::{MediumAddress, TrafficClass, Transmit, TransportReport};
 use bytes::Bytes;
 use std::io;
 use std::task::{self, Poll};
@@ -16,18 +16,18 @@ use std::task::{self, Poll};
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct FrameTransport {
     medium: Box<dyn FrameMedium>,
-    outlet: Outlet,
-    reopening: Reopening,
+    outlet: Upstream,
+    reopening: ReopenBackoff,
     /// Being opened.
-    opening: Option<Opening>,
-    open: Option<Opening>,
-    queue: Lanes<(MediumAddress, Bytes)>,
+    opening: Option<OpenedMedium>,
+    open: Option<OpenedMedium>,
+    queue: TransmitQueues<(MediumAddress, Bytes)>,
     /// The frame that the medium has begun with.
     going: Option<Going>,
 }
 
 struct Going {
-    lane: Lane,
+    lane: TrafficClass,
     to: MediumAddress,
     frame: Bytes,
 }
@@ -37,11 +37,11 @@ impl FrameTransport {
     pub fn new(medium: impl FrameMedium) -> Self {
         FrameTransport {
             medium: Box::new(medium),
-            outlet: Outlet::default(),
-            reopening: Reopening::default(),
+            outlet: Upstream::default(),
+            reopening: ReopenBackoff::default(),
             opening: None,
             open: None,
-            queue: Lanes::default(),
+            queue: TransmitQueues::default(),
             going: None,
         }
     }
@@ -56,7 +56,7 @@ impl FrameTransport {
     /// Opens it, with a pause after each failure; ready when it is open.
     fn poll_open(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
         while self.open.is_none() {
-            let Some(Opening { local, mtu }) = self.opening.clone() else {
+            let Some(OpenedMedium { local, mtu }) = self.opening.clone() else {
                 task::ready!(self.reopening.poll_due(task));
                 self.try_open();
                 continue;
@@ -99,15 +99,17 @@ impl FrameTransport {
             }
             let Some(Going { lane, to, frame }) = &self.going else { return true };
             let sent = match lane {
-                Lane::Hello | Lane::Urgent => self.medium.poll_send_urgent(task, to, frame),
-                Lane::Usual => self.medium.poll_send(task, to, frame),
+                TrafficClass::Hello | TrafficClass::Urgent => {
+                    self.medium.poll_send_urgent(task, to, frame)
+                }
+                TrafficClass::Usual => self.medium.poll_send(task, to, frame),
             };
             match sent {
                 Poll::Pending => return true,
                 Poll::Ready(Ok(sending)) => {
                     match sending {
-                        Sending::Sent => self.outlet.counters.sent += 1,
-                        Sending::Dropped => self.outlet.counters.dropped += 1,
+                        SendResult::Sent => self.outlet.counters.sent += 1,
+                        SendResult::Dropped => self.outlet.counters.dropped += 1,
                     }
                     self.going = None;
                 }
@@ -130,20 +132,22 @@ impl FrameTransport {
             }
             match self.medium.poll_receive(task) {
                 Poll::Pending => return true,
-                Poll::Ready(Ok(Arrival::Frame { from, frame })) => self.outlet.deliver(from, frame),
-                Poll::Ready(Ok(Arrival::Refused)) => self.outlet.counters.refused += 1,
-                Poll::Ready(Ok(Arrival::Lost { frames })) => {
+                Poll::Ready(Ok(MediumEvent::Frame { from, frame })) => {
+                    self.outlet.deliver(from, frame)
+                }
+                Poll::Ready(Ok(MediumEvent::Refused)) => self.outlet.counters.refused += 1,
+                Poll::Ready(Ok(MediumEvent::Lost { frames })) => {
                     self.outlet.counters.dropped += frames;
                     self.outlet.counters.errors += 1;
                 }
-                Poll::Ready(Ok(Arrival::NoCarrier { reason })) => {
+                Poll::Ready(Ok(MediumEvent::NoCarrier { reason })) => {
                     self.outlet.report(TransportReport::NoCarrier { reason });
                 }
-                Poll::Ready(Ok(Arrival::Clash { text })) => {
+                Poll::Ready(Ok(MediumEvent::Clash { text })) => {
                     let reason = format!("{}: {text}", self.medium.name());
                     self.outlet.report(TransportReport::Clash { reason });
                 }
-                Poll::Ready(Ok(Arrival::PeerLost { peer })) => {
+                Poll::Ready(Ok(MediumEvent::PeerLost { peer })) => {
                     self.outlet.report(TransportReport::PeerLost { peer });
                 }
                 Poll::Ready(Err(error)) => {
@@ -158,8 +162,8 @@ impl FrameTransport {
     }
 }
 
-impl Medium for FrameTransport {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for FrameTransport {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.outlet
     }
 
@@ -174,7 +178,7 @@ impl Medium for FrameTransport {
             self.outlet.counters.refused += 1;
             return;
         }
-        let Some(Opening { mtu, .. }) = self.open else {
+        let Some(OpenedMedium { mtu, .. }) = self.open else {
             self.outlet.counters.dropped += 1;
             return;
         };

@@ -57,15 +57,15 @@ pub use can::CanBus;
 pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfig};
 
 #[cfg(feature = "fault")]
-pub use crate::fault_injector::Faulty;
+pub use crate::fault_injector::FaultInjector;
 #[cfg(feature = "fault")]
-pub use crate::fault_injector::FaultyConfig;
+pub use crate::fault_injector::FaultInjectorConfig;
 pub use frame_medium::FrameMedium;
 pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]
 pub use memory::{Memory, MemoryConfig, MemoryMedium};
 #[cfg(feature = "serial")]
-pub use serial::{Rs485, SerialConfig, SerialLine, Turning};
+pub use serial::{DirectionControl, Rs485, SerialConfig, SerialLine};
 #[cfg(feature = "slcan")]
 pub use slcan::SlcanBus;
 #[cfg(feature = "tcp")]

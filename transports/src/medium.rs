@@ -1,6 +1,6 @@
 //! What every transport does in the same way: live, take orders, poll its medium.
 
-use crate::upstream::Outlet;
+use crate::upstream::Upstream;
 use actix::fut::ActorFuture;
 use actix::{Actor, AsyncContext, Context, Supervised};
 use blastema_contract::transport::Transmit;
@@ -16,20 +16,20 @@ const BUDGET_BYTES: usize = 128 * 1024;
 
 /// What is left of one turn.
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
-pub(crate) struct Budget {
+pub(crate) struct PollBudget {
     frames: usize,
     bytes: usize,
 }
 
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
-impl Default for Budget {
+impl Default for PollBudget {
     fn default() -> Self {
-        Budget { frames: BUDGET, bytes: BUDGET_BYTES }
+        PollBudget { frames: BUDGET, bytes: BUDGET_BYTES }
     }
 }
 
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
-impl Budget {
+impl PollBudget {
     /// Whether another frame may be tried; the first always may.
     pub(crate) fn next(&mut self) -> bool {
         let left = self.frames > 0 && self.bytes > 0;
@@ -44,9 +44,9 @@ impl Budget {
 }
 
 /// An actor that owns a medium. [`transport!`] makes it one that speaks the contract.
-pub(crate) trait Medium: Actor<Context = Context<Self>> + Supervised {
+pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     /// Where its frames and reports go, and where it counts.
-    fn outlet(&mut self) -> &mut Outlet;
+    fn outlet(&mut self) -> &mut Upstream;
 
     /// Tries once to open the medium, and announces what came of it.
     fn open(&mut self, context: &mut Context<Self>);
@@ -69,15 +69,15 @@ pub(crate) trait Medium: Actor<Context = Context<Self>> + Supervised {
 }
 
 /// Polls the medium for as long as the actor lives.
-pub(crate) struct Pump;
+pub(crate) struct MediumPoller;
 
-impl Pump {
-    pub(crate) fn start<A: Medium>(context: &mut Context<A>) {
-        context.spawn(Pump);
+impl MediumPoller {
+    pub(crate) fn start<A: MediumActor>(context: &mut Context<A>) {
+        context.spawn(MediumPoller);
     }
 }
 
-impl<A: Medium> ActorFuture<A> for Pump {
+impl<A: MediumActor> ActorFuture<A> for MediumPoller {
     type Output = ();
 
     fn poll(
@@ -91,7 +91,7 @@ impl<A: Medium> ActorFuture<A> for Pump {
     }
 }
 
-/// Makes an actor of a [`Medium`]: its beginning, its next life after a panic, and its orders.
+/// Makes an actor of a [`MediumActor`]: its beginning, its next life after a panic, and its orders.
 macro_rules! transport {
     ($medium:ty) => {
         crate::medium::transport!($medium, counted elsewhere);
@@ -104,7 +104,7 @@ macro_rules! transport {
                 _: blastema_contract::transport::ReadCounters,
                 _: &mut actix::Context<Self>,
             ) -> Self::Result {
-                actix::MessageResult(crate::medium::Medium::outlet(self).counters)
+                actix::MessageResult(crate::medium::MediumActor::outlet(self).counters)
             }
         }
     };
@@ -113,16 +113,16 @@ macro_rules! transport {
             type Context = actix::Context<Self>;
 
             fn started(&mut self, context: &mut actix::Context<Self>) {
-                crate::medium::Medium::open(self, context);
-                crate::medium::Pump::start(context);
+                crate::medium::MediumActor::open(self, context);
+                crate::medium::MediumPoller::start(context);
             }
         }
 
         /// The next life opens at the same address and serves whoever was attached.
         impl actix::Supervised for $medium {
             fn restarting(&mut self, context: &mut actix::Context<Self>) {
-                crate::medium::Medium::shut(self);
-                crate::medium::Medium::outlet(self).begin_next_life();
+                crate::medium::MediumActor::shut(self);
+                crate::medium::MediumActor::outlet(self).begin_next_life();
                 actix::Actor::started(self, context);
             }
         }
@@ -135,7 +135,7 @@ macro_rules! transport {
                 message: blastema_contract::transport::Transmit,
                 _: &mut actix::Context<Self>,
             ) {
-                crate::medium::Medium::transmit(self, message);
+                crate::medium::MediumActor::transmit(self, message);
             }
         }
 
@@ -147,7 +147,7 @@ macro_rules! transport {
                 message: blastema_contract::transport::Attach,
                 _: &mut actix::Context<Self>,
             ) {
-                crate::medium::Medium::outlet(self).attach(message);
+                crate::medium::MediumActor::outlet(self).attach(message);
             }
         }
 
@@ -159,8 +159,8 @@ macro_rules! transport {
                 _: blastema_contract::transport::Close,
                 context: &mut actix::Context<Self>,
             ) {
-                crate::medium::Medium::close(self);
-                crate::medium::Medium::outlet(self).announce_closed("closed as asked".into());
+                crate::medium::MediumActor::close(self);
+                crate::medium::MediumActor::outlet(self).announce_closed("closed as asked".into());
                 actix::ActorContext::stop(context);
             }
         }

@@ -1,8 +1,8 @@
 //! Frames between actors of one process: for tests, and for nodes that share a process.
 
-use crate::medium::{Budget, Medium, transport};
-use crate::reopen_backoff::Reopening;
-use crate::upstream::Outlet;
+use crate::medium::{MediumActor, PollBudget, transport};
+use crate::reopen_backoff::ReopenBackoff;
+use crate::upstream::Upstream;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::Bytes;
@@ -58,15 +58,20 @@ impl MemoryConfig {
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Memory {
     config: MemoryConfig,
-    outlet: Outlet,
-    reopening: Reopening,
+    outlet: Upstream,
+    reopening: ReopenBackoff,
     inbox: Option<Arc<Inbox>>,
 }
 
 impl Memory {
     /// A transport that opens when it is started.
     pub fn new(config: MemoryConfig) -> Self {
-        Memory { config, outlet: Outlet::default(), reopening: Reopening::default(), inbox: None }
+        Memory {
+            config,
+            outlet: Upstream::default(),
+            reopening: ReopenBackoff::default(),
+            inbox: None,
+        }
     }
 
     fn try_open(&mut self) {
@@ -187,8 +192,8 @@ impl Inbox {
     }
 }
 
-impl Medium for Memory {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for Memory {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.outlet
     }
 
@@ -224,7 +229,7 @@ impl Medium for Memory {
             self.try_open();
         }
         let Some(inbox) = self.inbox.clone() else { return };
-        let mut budget = Budget::default();
+        let mut budget = PollBudget::default();
         while budget.next() {
             if self.outlet.poll_room(task).is_pending() {
                 return;

@@ -18,12 +18,12 @@ const BACKOFF: Backoff = Backoff {
 
 /// Counts failed attempts and waits between them.
 #[derive(Default)]
-pub(crate) struct Reopening {
+pub(crate) struct ReopenBackoff {
     failures: u32,
     pause: Option<Pin<Box<Sleep>>>,
 }
 
-impl Reopening {
+impl ReopenBackoff {
     /// Begins the pause after a failed attempt.
     pub(crate) fn failed(&mut self) {
         self.failures = self.failures.saturating_add(1);
@@ -33,7 +33,7 @@ impl Reopening {
 
     /// Forgets the failures: it is open now, or a new life begins.
     pub(crate) fn reset(&mut self) {
-        *self = Reopening::default();
+        *self = ReopenBackoff::default();
     }
 
     /// Ready when the next attempt is due.

@@ -1,7 +1,7 @@
 //! What waits for a medium, hellos first and the usual last.
 
 use crate::frame_medium::QueueLimits;
-use blastema_contract::transport::Lane;
+use blastema_contract::transport::TrafficClass;
 use std::collections::VecDeque;
 
 /// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep it for
@@ -11,7 +11,7 @@ const IN_A_ROW: usize = 8;
 /// A queue for each lane before one medium, each bounded by itself, so that the usual fills no place of
 /// the urgent, nor the urgent one of the hellos.
 #[derive(Debug)]
-pub(crate) struct Lanes<T> {
+pub(crate) struct TransmitQueues<T> {
     hellos: Queue<T>,
     urgent: Queue<T>,
     usual: Queue<T>,
@@ -30,21 +30,27 @@ impl<T> Default for Queue<T> {
     }
 }
 
-impl<T> Default for Lanes<T> {
+impl<T> Default for TransmitQueues<T> {
     fn default() -> Self {
         let (hellos, urgent, usual) = (Queue::default(), Queue::default(), Queue::default());
-        Lanes { hellos, urgent, usual, in_a_row: 0 }
+        TransmitQueues { hellos, urgent, usual, in_a_row: 0 }
     }
 }
 
-impl<T> Lanes<T> {
+impl<T> TransmitQueues<T> {
     /// Takes one of so many bytes; says whether there was room in its lane.
     #[must_use = "what is not taken is to be counted"]
-    pub(crate) fn push(&mut self, lane: Lane, one: T, bytes: usize, limits: QueueLimits) -> bool {
+    pub(crate) fn push(
+        &mut self,
+        lane: TrafficClass,
+        one: T,
+        bytes: usize,
+        limits: QueueLimits,
+    ) -> bool {
         let queue = match lane {
-            Lane::Hello => &mut self.hellos,
-            Lane::Urgent => &mut self.urgent,
-            Lane::Usual => &mut self.usual,
+            TrafficClass::Hello => &mut self.hellos,
+            TrafficClass::Urgent => &mut self.urgent,
+            TrafficClass::Usual => &mut self.usual,
         };
         if queue.waiting.len() >= limits.frames || queue.bytes + bytes > limits.bytes {
             return false;
@@ -55,17 +61,17 @@ impl<T> Lanes<T> {
     }
 
     /// Takes out the one that is to go next.
-    pub(crate) fn pop(&mut self) -> Option<(Lane, T)> {
+    pub(crate) fn pop(&mut self) -> Option<(TrafficClass, T)> {
         if let Some(one) = self.hellos.pop() {
-            return Some((Lane::Hello, one));
+            return Some((TrafficClass::Hello, one));
         }
         let has_turn = self.in_a_row >= IN_A_ROW && !self.usual.waiting.is_empty();
         if !has_turn && let Some(one) = self.urgent.pop() {
             self.in_a_row += 1;
-            return Some((Lane::Urgent, one));
+            return Some((TrafficClass::Urgent, one));
         }
         self.in_a_row = 0;
-        Some((Lane::Usual, self.usual.pop()?))
+        Some((TrafficClass::Usual, self.usual.pop()?))
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -76,7 +82,7 @@ impl<T> Lanes<T> {
     pub(crate) fn clear(&mut self) -> u64 {
         let queues = [&self.hellos, &self.urgent, &self.usual];
         let waiting: usize = queues.iter().map(|queue| queue.waiting.len()).sum();
-        *self = Lanes::default();
+        *self = TransmitQueues::default();
         waiting as u64
     }
 }
@@ -95,15 +101,16 @@ mod tests {
 
     const LIMITS: QueueLimits = QueueLimits { frames: 20, bytes: 1_000 };
 
-    fn drain(lanes: &mut Lanes<u32>) -> Vec<u32> {
+    fn drain(lanes: &mut TransmitQueues<u32>) -> Vec<u32> {
         std::iter::from_fn(|| lanes.pop().map(|(_, one)| one)).collect()
     }
 
     #[test]
     fn hellos_go_before_the_urgent_and_the_urgent_before_the_usual_each_in_its_order() {
-        let mut lanes = Lanes::default();
+        let mut lanes = TransmitQueues::default();
         for one in 1..=6 {
-            let lane = [Lane::Usual, Lane::Urgent, Lane::Hello][one as usize % 3];
+            let lane =
+                [TrafficClass::Usual, TrafficClass::Urgent, TrafficClass::Hello][one as usize % 3];
             assert!(lanes.push(lane, one, 10, LIMITS));
         }
 
@@ -113,22 +120,23 @@ mod tests {
 
     #[test]
     fn each_lane_is_bounded_by_itself_in_frames_and_in_bytes() {
-        let mut lanes = Lanes::default();
+        let mut lanes = TransmitQueues::default();
 
-        let usual = (0..30).filter(|one| lanes.push(Lane::Usual, *one, 0, LIMITS)).count();
-        let urgent = (0..30).filter(|one| lanes.push(Lane::Urgent, *one, 400, LIMITS)).count();
+        let usual = (0..30).filter(|one| lanes.push(TrafficClass::Usual, *one, 0, LIMITS)).count();
+        let urgent =
+            (0..30).filter(|one| lanes.push(TrafficClass::Urgent, *one, 400, LIMITS)).count();
 
         assert_eq!((usual, urgent), (20, 2));
-        assert!(lanes.push(Lane::Hello, 0, 1_000, LIMITS));
+        assert!(lanes.push(TrafficClass::Hello, 0, 1_000, LIMITS));
         assert_eq!(lanes.clear(), 23);
-        assert!(lanes.is_empty() && lanes.push(Lane::Urgent, 1, 1_000, LIMITS));
+        assert!(lanes.is_empty() && lanes.push(TrafficClass::Urgent, 1, 1_000, LIMITS));
     }
 
     #[test]
     fn a_flood_of_the_urgent_leaves_the_usual_one_place_in_nine() {
-        let mut lanes = Lanes::default();
-        (0..18).for_each(|one| assert!(lanes.push(Lane::Urgent, one, 1, LIMITS)));
-        (100..103).for_each(|one| assert!(lanes.push(Lane::Usual, one, 1, LIMITS)));
+        let mut lanes = TransmitQueues::default();
+        (0..18).for_each(|one| assert!(lanes.push(TrafficClass::Urgent, one, 1, LIMITS)));
+        (100..103).for_each(|one| assert!(lanes.push(TrafficClass::Usual, one, 1, LIMITS)));
 
         let order = drain(&mut lanes);
 

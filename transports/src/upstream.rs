@@ -22,7 +22,7 @@ const BATCHES: usize = 4;
 /// actix mailboxes have no bound. So the last frame of each batch is sent as a request, and no more
 /// than `BATCHES` of them are left unanswered: a receiver that is slow or hangs is not buried.
 #[derive(Default)]
-pub(crate) struct Outlet {
+pub(crate) struct Upstream {
     pub(crate) counters: TransportCounters,
     attach: Option<Attach>,
     state: Option<TransportReport>,
@@ -34,7 +34,7 @@ pub(crate) struct Outlet {
     in_batch: usize,
 }
 
-impl Outlet {
+impl Upstream {
     /// Puts somebody else in the receiver's place, and tells them where the medium stands.
     pub(crate) fn attach(&mut self, attach: Attach) {
         self.attach = Some(attach);

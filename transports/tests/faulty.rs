@@ -7,7 +7,7 @@ use blastema_contract::transport::{
 };
 use blastema_core::medium::impairment::Impairment;
 use blastema_doubles::{MockTransport, Probe, advance, now, paused};
-use blastema_transports::{Faulty, FaultyConfig};
+use blastema_transports::{FaultInjector, FaultInjectorConfig};
 use std::time::Duration;
 
 const MS: fn(u64) -> Duration = Duration::from_millis;
@@ -15,7 +15,7 @@ const MS: fn(u64) -> Duration = Duration::from_millis;
 /// A cable with a mock behind it and probes before it.
 struct Bench {
     medium: MockTransport,
-    cable: Addr<Faulty>,
+    cable: Addr<FaultInjector>,
     frames: Probe<Received>,
     reports: Probe<TransportReport>,
 }
@@ -23,7 +23,8 @@ struct Bench {
 impl Bench {
     async fn new(seed: u64) -> Self {
         let medium = MockTransport::start("here");
-        let cable = Faulty::new(medium.transport(), FaultyConfig::new(seed, now)).start();
+        let cable =
+            FaultInjector::new(medium.transport(), FaultInjectorConfig::new(seed, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
         cable.do_send(Attach { frames: to_frames, reports: to_reports });

@@ -6,7 +6,9 @@ use blastema_contract::transport::{
 };
 use blastema_doubles::{Probe, advance, paused};
 use blastema_transports::FrameTransport;
-use blastema_transports::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use blastema_transports::frame_medium::{
+    FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult,
+};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::io;
@@ -28,7 +30,7 @@ struct Play {
     /// The next frame breaks it.
     breaks: bool,
     sent: Vec<Bytes>,
-    arrivals: VecDeque<Arrival>,
+    arrivals: VecDeque<MediumEvent>,
     wakers: Vec<Waker>,
 }
 
@@ -55,14 +57,14 @@ impl FrameMedium for Puppet {
         QueueLimits { frames: 3, bytes: 100 }
     }
 
-    fn open(&mut self) -> io::Result<Opening> {
+    fn open(&mut self) -> io::Result<OpenedMedium> {
         let mut play = self.play();
         if play.absent > 0 {
             play.absent -= 1;
             return Err(io::Error::other("pull the strings"));
         }
         play.opened += 1;
-        Ok(Opening { local: MediumAddress::Line, mtu: 60 })
+        Ok(OpenedMedium { local: MediumAddress::Line, mtu: 60 })
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -74,7 +76,7 @@ impl FrameMedium for Puppet {
         task: &mut Task<'_>,
         _: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         let mut play = self.play();
         if std::mem::take(&mut play.breaks) {
             return Poll::Ready(Err(io::Error::other("a string tore")));
@@ -84,10 +86,10 @@ impl FrameMedium for Puppet {
             return Poll::Pending;
         }
         play.sent.push(frame.clone());
-        Poll::Ready(Ok(Sending::Sent))
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
-    fn poll_receive(&mut self, task: &mut Task<'_>) -> Poll<io::Result<Arrival>> {
+    fn poll_receive(&mut self, task: &mut Task<'_>) -> Poll<io::Result<MediumEvent>> {
         let mut play = self.play();
         match play.arrivals.pop_front() {
             Some(arrival) => Poll::Ready(Ok(arrival)),
@@ -218,10 +220,10 @@ fn what_arrives_is_handed_on_and_what_is_no_frame_is_counted() {
         let from = MediumAddress::Line;
 
         bench.puppet.play().arrivals = [
-            Arrival::Refused,
-            Arrival::Frame { from: from.clone(), frame: "hello".into() },
-            Arrival::PeerLost { peer: from.clone() },
-            Arrival::Refused,
+            MediumEvent::Refused,
+            MediumEvent::Frame { from: from.clone(), frame: "hello".into() },
+            MediumEvent::PeerLost { peer: from.clone() },
+            MediumEvent::Refused,
         ]
         .into();
         bench.puppet.wake();

@@ -9,15 +9,18 @@ use actix::Actor;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
-use blastema_core::medium::can::isotp::Separation;
-use blastema_core::medium::can::slcan::{BitRate, Command as Line, Lines, Reply};
+use blastema_core::medium::can::isotp::SeparationTime;
+use blastema_core::medium::can::slcan::{
+    AdapterCommand as Line, AdapterReply, BitRate, LineSplitter,
+};
 use blastema_core::medium::can::{
     Addressing, BusAddress, CanFrame, CanId, Format, IsoTp, IsoTpConfig, IsoTpOutput, slcan,
 };
 use blastema_core::{Instant, Machine};
 use blastema_doubles::{Probe, now};
 use blastema_transports::{
-    CanBus, CanConfig, FrameMedium, FrameTransport, Rs485, SerialConfig, SerialLine, Turning,
+    CanBus, CanConfig, DirectionControl, FrameMedium, FrameTransport, Rs485, SerialConfig,
+    SerialLine,
 };
 use bytes::Bytes;
 use socketcan::id::FdFlags;

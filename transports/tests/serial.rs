@@ -2,13 +2,13 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Lane, MediumAddress, ReadCounters, Received, Transmit, TransportCounters,
+    Attach, MediumAddress, ReadCounters, Received, TrafficClass, Transmit, TransportCounters,
     TransportReport,
 };
 use blastema_doubles::{PATIENCE, Probe, advance, now, paused};
 use blastema_ptys::Cable;
 use blastema_transports::serial::framing::encode;
-use blastema_transports::{FrameTransport, Rs485, SerialConfig, SerialLine, Turning};
+use blastema_transports::{DirectionControl, FrameTransport, Rs485, SerialConfig, SerialLine};
 use std::future::Future;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -134,7 +134,7 @@ fn a_driver_that_cannot_turn_the_line_is_named_with_what_helps() {
     run(async {
         let cable = Cable::new();
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = Turning::Driver(Rs485::default());
+        config.rs485 = DirectionControl::Driver(Rs485::default());
 
         let reason = Node::with(config).closed().await;
 
@@ -151,12 +151,12 @@ fn a_driver_is_told_no_part_of_a_millisecond_and_one_that_turns_no_line_need_not
         let mut how = Rs485::default();
         how.before = Duration::from_micros(1_500);
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = Turning::Driver(how);
+        config.rs485 = DirectionControl::Driver(how);
         let reason = Node::with(config).closed().await;
         assert!(reason.contains("in whole milliseconds"), "{reason}");
 
         let mut config = SerialConfig::new(cable.left());
-        config.rs485 = Turning::Off;
+        config.rs485 = DirectionControl::Off;
         Node::with(config).opened().await;
     });
 }
@@ -307,7 +307,9 @@ fn what_is_urgent_waits_for_one_frame_of_a_full_line_and_no_more() {
         (0..20).for_each(|number| left.transport.do_send(bulk(number)));
         let TransportCounters { dropped, .. } = left.counters().await;
         assert!(dropped >= 11, "{dropped} dropped");
-        for (lane, frame) in [(Lane::Urgent, "acknowledged"), (Lane::Hello, "hello")] {
+        for (lane, frame) in
+            [(TrafficClass::Urgent, "acknowledged"), (TrafficClass::Hello, "hello")]
+        {
             let to = MediumAddress::Line;
             left.transport.do_send(Transmit { to, frame: frame.into(), lane });
         }

@@ -2,17 +2,17 @@
 
 use actix::Actor;
 use blastema_contract::transport::{
-    Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
+    Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
 };
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::wire::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::wire::packet::{PACKET_HEADER, Packet, Payload};
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{Bundle, BundleOutput, Class, Link, LinkNumber, NodeId};
-use blastema_core::{Incarnation, Machine, NodeName, Parcel};
+use blastema_core::net::{Link, LinkId, LinkSet, LinkSetOutput, NodeId, PacketPriority};
+use blastema_core::{GatherBuffer, Incarnation, Machine, NodeName};
 use blastema_doubles::{Probe, advance, now, paused};
-use blastema_transports::frame_medium::{Arrival, Opening, QueueLimits, Sending};
+use blastema_transports::frame_medium::{MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use blastema_transports::serial::framing::encoded_length;
 use blastema_transports::{FrameMedium, FrameTransport, SerialConfig, SerialLine};
 use bytes::Bytes;
@@ -26,7 +26,7 @@ use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 use tokio::time::Sleep;
 
-const LINK: LinkNumber = LinkNumber(0);
+const LINK: LinkId = LinkId(0);
 
 /// What is on its way to one end, and who waits for it there.
 type Wire = Arc<Mutex<(VecDeque<Bytes>, Option<Waker>)>>;
@@ -53,8 +53,8 @@ impl FrameMedium for SlowLine {
         SerialLine::new(self.config.clone(), now).bytes_per_second()
     }
 
-    fn open(&mut self) -> io::Result<Opening> {
-        Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
+    fn open(&mut self) -> io::Result<OpenedMedium> {
+        Ok(OpenedMedium { local: MediumAddress::Line, mtu: self.config.mtu() })
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -66,7 +66,7 @@ impl FrameMedium for SlowLine {
         task: &mut Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         let span = self.config.time_of(encoded_length(frame.len()));
         let busy = self.busy.get_or_insert_with(|| Box::pin(tokio::time::sleep(span)));
         ready!(busy.as_mut().poll(task));
@@ -74,13 +74,13 @@ impl FrameMedium for SlowLine {
         let mut wire = self.out.lock().unwrap();
         wire.0.push_back(frame.clone());
         wire.1.take().into_iter().for_each(Waker::wake);
-        Poll::Ready(Ok(Sending::Sent))
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
-    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
         let mut wire = self.back.lock().unwrap();
         match wire.0.pop_front() {
-            Some(frame) => Poll::Ready(Ok(Arrival::Frame { from: MediumAddress::Line, frame })),
+            Some(frame) => Poll::Ready(Ok(MediumEvent::Frame { from: MediumAddress::Line, frame })),
             None => {
                 wire.1 = Some(task.waker().clone());
                 Poll::Pending
@@ -94,7 +94,7 @@ impl FrameMedium for SlowLine {
 }
 
 struct End {
-    bundle: RefCell<Bundle>,
+    bundle: RefCell<LinkSet>,
     session: RefCell<Session>,
     transport: Transport,
     frames: Probe<Received>,
@@ -116,7 +116,7 @@ impl End {
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
         transport.attach.do_send(Attach { frames: to_frames, reports: to_reports });
-        let mut bundle = Bundle::default();
+        let mut bundle = LinkSet::default();
         let [name, other] = [name, other].map(|name| NodeName::new(name).unwrap());
         let config = LinkConfig::new(name.clone(), Incarnation(1));
         bundle.insert(LINK, Link::new(config, now()));
@@ -135,11 +135,11 @@ impl End {
         }
     }
 
-    fn send(&self, frame: Parcel) {
+    fn send(&self, frame: GatherBuffer) {
         let lane = match &frame {
-            frame if is_hello(frame) => Lane::Hello,
-            frame if is_urgent(frame) => Lane::Urgent,
-            _ => Lane::Usual,
+            frame if is_hello(frame) => TrafficClass::Hello,
+            frame if is_urgent(frame) => TrafficClass::Urgent,
+            _ => TrafficClass::Usual,
         };
         self.transport.transmit.do_send(Transmit { to: MediumAddress::Line, frame, lane });
     }
@@ -170,13 +170,13 @@ impl End {
         loop {
             if let Some(output) = bundle.poll_output() {
                 match output {
-                    BundleOutput::Of(_, LinkOutput::Transmit(frame)) => self.send(frame),
-                    BundleOutput::Of(_, LinkOutput::Changed { state, .. }) => {
+                    LinkSetOutput::Of(_, LinkOutput::Transmit(frame)) => self.send(frame),
+                    LinkSetOutput::Of(_, LinkOutput::Changed { state, .. }) => {
                         self.states.borrow_mut().push(state);
                         session.handle_incarnation(Incarnation(1), now());
                         session.handle_path(self.mtu - FRAME_HEADER - PACKET_HEADER, now());
                     }
-                    BundleOutput::Of(_, LinkOutput::Packet(bytes)) => {
+                    LinkSetOutput::Of(_, LinkOutput::Packet(bytes)) => {
                         if let Ok(Packet { payload: Payload::Segment(segment), .. }) =
                             Packet::decode(bytes)
                         {
@@ -203,7 +203,7 @@ impl End {
     }
 }
 
-fn packet(class: Class, segment: Parcel) -> Packet {
+fn packet(class: PacketPriority, segment: GatherBuffer) -> Packet {
     let payload = Payload::Segment(segment);
     Packet { class, hops: 1, destination: NodeId(1), source: NodeId(2), passed: vec![], payload }
 }
@@ -222,12 +222,12 @@ fn flood(size: usize) {
         let ends = ends(9_600);
         let bulk =
             |class| Frame::Data(packet(class, vec![7; size - 11].into()).encode().into()).encode();
-        assert_eq!(bulk(Class::Data).len(), size);
+        assert_eq!(bulk(PacketPriority::Data).len(), size);
 
         for _ in 0..2_500 {
             for end in &ends {
-                end.send(bulk(Class::Data).into());
-                end.send(bulk(Class::Control).into());
+                end.send(bulk(PacketPriority::Data).into());
+                end.send(bulk(PacketPriority::Control).into());
                 end.carry_on();
             }
             advance(Duration::from_millis(10)).await;

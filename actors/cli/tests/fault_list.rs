@@ -34,7 +34,7 @@ fn robot(name: &str) -> blastema::NodeBuilder {
     Node::builder(name)
         .work_threads(1)
         .fault_kind(WORN)
-        .plan(Plan::default().on(worn, Ladder::first(Measure::Observe)))
+        .plan(Plan::default().on(worn, Ladder::first(RecoveryAction::Observe)))
         .child(ChildSpec::new("gripper", || Gripper))
 }
 
@@ -53,7 +53,9 @@ fn a_process_keeps_a_journal() {
         tracing::subscriber::set_global_default(kept_by_nobody).expect("it is the first");
     }
     blastema::run(async {
-        let node = robot("module1").journal(folder.join("faults")).shown_at(folder.join("window"));
+        let node = robot("module1")
+            .journal(folder.join("faults"))
+            .inspection_socket(folder.join("window"));
         let node = node.start().await.expect("it starts");
         node.ended().await;
     });

@@ -47,7 +47,7 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
             .work_threads(1)
             .child(ChildSpec::new("lamp", || Lamp))
             .service(ServiceSpec::new("light/room", ["module1", "module2"], || Lamp))
-            .shown_at(&window);
+            .inspection_socket(&window);
         let node = builder.start().await.expect("the node starts");
         let _claim = node.claim_for("light", "lamp", blastema::ClaimPolicy::Refuse).await;
 
@@ -180,7 +180,8 @@ fn a_process_shows_its_node() {
     let Some(window) = std::env::var_os(WINDOW) else { return };
     blastema::platform::end_with_parent(std::os::unix::process::parent_id()).expect("it has one");
     blastema::run(async {
-        let node = Node::builder("module1").shown_at(window).start().await.expect("it starts");
+        let node =
+            Node::builder("module1").inspection_socket(window).start().await.expect("it starts");
         node.ended().await;
     });
 }
@@ -249,8 +250,11 @@ fn a_window_that_cannot_be_opened_is_refused_at_start_with_what_to_do() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let window = folder.path().join("nowhere/module1.window");
-        let error =
-            Node::builder("module1").shown_at(&window).start().await.expect_err("no folder");
+        let error = Node::builder("module1")
+            .inspection_socket(&window)
+            .start()
+            .await
+            .expect_err("no folder");
         assert!(error.to_string().contains("create it"), "{error}");
     });
 }

@@ -11,8 +11,8 @@
 //! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
 //! are asked for.
 
-use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
-use crate::host::environment::Reports;
+use crate::host::arbiters::{ABANDONED_LIMIT, ArbiterPool};
+use crate::host::environment::FaultReports;
 use crate::{panics, platform};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -50,10 +50,10 @@ pub(crate) struct Callbacks(Option<Arc<Threads>>);
 struct Threads {
     limit: Duration,
     /// Counts the threads that are abandoned, with those of components.
-    arbiters: Arbiters,
+    arbiters: ArbiterPool,
     running: Mutex<Running>,
     queue: Mutex<Queue>,
-    reports: OnceLock<Reports>,
+    reports: OnceLock<FaultReports>,
 }
 
 /// At most one call a thread.
@@ -107,7 +107,7 @@ impl RunningCall {
 
 impl Callbacks {
     /// Calls on threads of their own, each of which may take so long.
-    pub(crate) fn on_threads(limit: Duration, arbiters: Arbiters) -> Self {
+    pub(crate) fn on_threads(limit: Duration, arbiters: ArbiterPool) -> Self {
         Callbacks(Some(Arc::new(Threads {
             limit,
             arbiters,
@@ -118,7 +118,7 @@ impl Callbacks {
     }
 
     /// Reports calls that block from now on.
-    pub(crate) fn report_to(&self, reports: Reports) {
+    pub(crate) fn report_to(&self, reports: FaultReports) {
         if let Some(threads) = &self.0 {
             // A node's chain is made once.
             let _ = threads.reports.set(reports);
@@ -208,7 +208,7 @@ impl Callbacks {
 
 /// Calls a function; a panic in it is caught.
 fn guarded(run: impl FnOnce()) -> CallOutcome {
-    let _guarded = panics::Guarded::enter();
+    let _guarded = panics::PanicGuard::enter();
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(()) => CallOutcome::Done,
         Err(payload) => CallOutcome::Panicked(panics::text_of(payload)),
@@ -297,7 +297,7 @@ mod tests {
 
     impl Rig {
         fn new() -> Self {
-            let callbacks = Callbacks::on_threads(LIMIT, Arbiters::here());
+            let callbacks = Callbacks::on_threads(LIMIT, ArbiterPool::here());
             Rig { callbacks, told: channel() }
         }
 

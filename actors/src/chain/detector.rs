@@ -1,6 +1,6 @@
 //! The detector's body.
 
-use crate::drive::{Body, Wake};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::{fault_log, platform};
 use actix::fut::wrap_future;
@@ -9,23 +9,23 @@ use blastema_contract::Confirmed;
 use blastema_contract::detector::{FaultEvent, FaultOutcome, Observed, ReadRecord, Subscribe};
 use blastema_contract::notifier::{FaultCleared, FaultFound};
 use blastema_core::NodeName;
-use blastema_core::detection::{self, DetectorLimits, DetectorOutput, Notice};
+use blastema_core::detection::{self, DetectorLimits, DetectorOutput, FaultNotice};
 use tracing::{error, warn};
 
 /// Consoles, dashboards, journals and recordings of one node, and as many again.
 const LISTENERS: usize = 64;
 
 /// Judges what the monitor saw, and keeps the record.
-pub(crate) struct Detector {
+pub(crate) struct DetectorActor {
     node: NodeName,
     machine: detection::Detector,
-    wake: Wake,
+    wake: WakeTimer,
     found: Recipient<FaultFound>,
     cleared: Recipient<FaultCleared>,
     listeners: Vec<Recipient<FaultEvent>>,
 }
 
-impl Detector {
+impl DetectorActor {
     /// A detector of `node` that hands over to the notifier behind these recipients.
     pub(crate) fn new(
         node: NodeName,
@@ -34,15 +34,22 @@ impl Detector {
         cleared: Recipient<FaultCleared>,
     ) -> Self {
         let machine = detection::Detector::new(node.clone(), limits, platform::now());
-        Detector { node, machine, wake: Wake::default(), found, cleared, listeners: Vec::new() }
+        DetectorActor {
+            node,
+            machine,
+            wake: WakeTimer::default(),
+            found,
+            cleared,
+            listeners: Vec::new(),
+        }
     }
 
-    fn hand_over(&mut self, number: u64, notice: Notice, context: &mut Context<Self>) {
+    fn hand_over(&mut self, number: u64, notice: FaultNotice, context: &mut Context<Self>) {
         match notice {
-            Notice::Found(fault) => {
+            FaultNotice::Found(fault) => {
                 self.await_confirmation(number, self.found.send(FaultFound { fault }), context)
             }
-            Notice::Cleared { id, place } => {
+            FaultNotice::Cleared { id, place } => {
                 self.await_confirmation(
                     number,
                     self.cleared.send(FaultCleared { id, place }),
@@ -79,14 +86,14 @@ impl Detector {
     }
 }
 
-impl Body for Detector {
+impl MachineActor for DetectorActor {
     type Machine = detection::Detector;
 
     fn machine(&mut self) -> &mut detection::Detector {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -101,7 +108,7 @@ impl Body for Detector {
     }
 }
 
-impl Actor for Detector {
+impl Actor for DetectorActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -109,14 +116,14 @@ impl Actor for Detector {
     }
 }
 
-impl Supervised for Detector {
+impl Supervised for DetectorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
     }
 }
 
-impl Handler<Observed> for Detector {
+impl Handler<Observed> for DetectorActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: Observed, context: &mut Context<Self>) -> Confirmed {
@@ -127,7 +134,7 @@ impl Handler<Observed> for Detector {
     }
 }
 
-impl Handler<FaultOutcome> for Detector {
+impl Handler<FaultOutcome> for DetectorActor {
     type Result = ();
 
     fn handle(&mut self, message: FaultOutcome, context: &mut Context<Self>) {
@@ -137,7 +144,7 @@ impl Handler<FaultOutcome> for Detector {
     }
 }
 
-impl Handler<ReadRecord> for Detector {
+impl Handler<ReadRecord> for DetectorActor {
     type Result = MessageResult<ReadRecord>;
 
     fn handle(&mut self, _: ReadRecord, _: &mut Context<Self>) -> Self::Result {
@@ -145,7 +152,7 @@ impl Handler<ReadRecord> for Detector {
     }
 }
 
-impl Handler<Subscribe> for Detector {
+impl Handler<Subscribe> for DetectorActor {
     type Result = ();
 
     fn handle(&mut self, message: Subscribe, _: &mut Context<Self>) {
@@ -159,4 +166,4 @@ impl Handler<Subscribe> for Detector {
     }
 }
 
-answers_the_monitor!(Detector);
+answers_the_monitor!(DetectorActor);

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// What a strategy may ask of a supervisor.
 #[derive(Clone)]
-pub(crate) struct SupervisorPorts {
+pub(crate) struct SupervisorRecipients {
     pub(crate) restart: Recipient<RestartChild>,
     pub(crate) move_away: Recipient<MoveChild>,
     pub(crate) reset: Recipient<ResetChild>,
@@ -22,20 +22,20 @@ pub(crate) struct SupervisorPorts {
 /// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node has
 /// supervised objects.
 #[derive(Clone, Default)]
-pub(crate) struct Directory(Arc<Mutex<Entries>>);
+pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
 #[derive(Default)]
 struct Entries {
-    keepers: BTreeMap<ObjectName, Arc<SupervisorPorts>>,
-    supervisors: BTreeMap<ObjectName, Arc<SupervisorPorts>>,
+    keepers: BTreeMap<ObjectName, Arc<SupervisorRecipients>>,
+    supervisors: BTreeMap<ObjectName, Arc<SupervisorRecipients>>,
 }
 
-impl Directory {
+impl SupervisorDirectory {
     /// The supervisor `name` has come up and keeps `children`.
     pub(crate) fn enter<'a>(
         &self,
         name: &ObjectName,
-        ports: SupervisorPorts,
+        ports: SupervisorRecipients,
         children: impl Iterator<Item = &'a ObjectName>,
     ) {
         let ports = Arc::new(ports);
@@ -58,12 +58,12 @@ impl Directory {
     }
 
     /// Who keeps this object.
-    pub(crate) fn keeper_of(&self, object: &ObjectName) -> Option<Arc<SupervisorPorts>> {
+    pub(crate) fn keeper_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
         self.entries().keepers.get(object).cloned()
     }
 
     /// The supervisor of this name.
-    pub(crate) fn supervisor(&self, name: &ObjectName) -> Option<Arc<SupervisorPorts>> {
+    pub(crate) fn supervisor(&self, name: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
         self.entries().supervisors.get(name).cloned()
     }
 

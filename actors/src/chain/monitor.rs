@@ -1,6 +1,6 @@
 //! The monitor's body.
 
-use crate::drive::{Body, Wake};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
@@ -8,26 +8,29 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::Observed;
 use blastema_contract::monitor::{
-    Dismiss, Enrol, IsolationReported, LinkReported, NodeReported, ReadTable,
+    IsolationReported, LinkReported, NodeReported, ReadTable, Register, Unregister,
 };
 use blastema_contract::reports::{
-    Alive, AreYouAlive, Exited, FaultDeclared, FaultMended, Sighted, StateReported,
+    Alive, AreYouAlive, DeclaredFaultCleared, Exited, FaultDeclared, LivenessReported,
+    StateReported,
 };
-use blastema_core::detection::{self, EnrolError, MonitorLimits, MonitorOutput, Progress, Watch};
+use blastema_core::detection::{
+    self, Liveness, MonitorLimits, MonitorOutput, RegistrationError, WorkProgress,
+};
 use blastema_core::{NodeName, ObjectName};
 use std::collections::BTreeMap;
 use tracing::error;
 
 /// Watches everything in its node, and what its node sees of others.
-pub(crate) struct Monitor {
+pub(crate) struct MonitorActor {
     machine: detection::Monitor,
-    wake: Wake,
+    wake: WakeTimer,
     detector: Recipient<Observed>,
     /// Where objects answer; no more than the machine's table has rows.
     inquiries: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
 }
 
-impl Monitor {
+impl MonitorActor {
     /// A monitor of `node` that hands over to `detector`.
     pub(crate) fn new(
         node: NodeName,
@@ -35,7 +38,7 @@ impl Monitor {
         detector: Recipient<Observed>,
     ) -> Self {
         let machine = detection::Monitor::new(node, limits, platform::now());
-        Monitor { machine, wake: Wake::default(), detector, inquiries: BTreeMap::new() }
+        MonitorActor { machine, wake: WakeTimer::default(), detector, inquiries: BTreeMap::new() }
     }
 
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
@@ -54,19 +57,19 @@ impl Monitor {
     }
 }
 
-fn progress(alive: Alive) -> Progress {
+fn progress(alive: Alive) -> WorkProgress {
     let Alive { incarnation, state } = alive;
-    Progress { incarnation, state }
+    WorkProgress { incarnation, state }
 }
 
-impl Body for Monitor {
+impl MachineActor for MonitorActor {
     type Machine = detection::Monitor;
 
     fn machine(&mut self) -> &mut detection::Monitor {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -91,7 +94,7 @@ impl Body for Monitor {
     }
 }
 
-impl Actor for Monitor {
+impl Actor for MonitorActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -99,21 +102,21 @@ impl Actor for Monitor {
     }
 }
 
-impl Supervised for Monitor {
+impl Supervised for MonitorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
     }
 }
 
-impl Handler<Enrol> for Monitor {
-    type Result = Result<Confirmed, EnrolError>;
+impl Handler<Register> for MonitorActor {
+    type Result = Result<Confirmed, RegistrationError>;
 
-    fn handle(&mut self, message: Enrol, context: &mut Context<Self>) -> Self::Result {
-        let Enrol { enrolment, inquiries } = message;
+    fn handle(&mut self, message: Register, context: &mut Context<Self>) -> Self::Result {
+        let Register { enrolment, inquiries } = message;
         let object = enrolment.object.clone();
-        if matches!(enrolment.watch, Watch::Pull(_)) && inquiries.is_none() {
-            return Err(EnrolError::NowhereToAsk { object });
+        if matches!(enrolment.watch, Liveness::Pull(_)) && inquiries.is_none() {
+            return Err(RegistrationError::NowhereToAsk { object });
         }
         self.machine.enrol(enrolment, platform::now())?;
         if let Some(inquiries) = inquiries {
@@ -124,18 +127,18 @@ impl Handler<Enrol> for Monitor {
     }
 }
 
-impl Handler<Dismiss> for Monitor {
+impl Handler<Unregister> for MonitorActor {
     type Result = ();
 
-    fn handle(&mut self, message: Dismiss, context: &mut Context<Self>) {
-        let Dismiss { object } = message;
+    fn handle(&mut self, message: Unregister, context: &mut Context<Self>) {
+        let Unregister { object } = message;
         self.inquiries.remove(&object);
         self.machine.dismiss(&object, platform::now());
         self.drive(context);
     }
 }
 
-impl Handler<Exited> for Monitor {
+impl Handler<Exited> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
@@ -145,7 +148,7 @@ impl Handler<Exited> for Monitor {
     }
 }
 
-impl Handler<StateReported> for Monitor {
+impl Handler<StateReported> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: StateReported, context: &mut Context<Self>) {
@@ -155,7 +158,7 @@ impl Handler<StateReported> for Monitor {
     }
 }
 
-impl Handler<FaultDeclared> for Monitor {
+impl Handler<FaultDeclared> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: FaultDeclared, context: &mut Context<Self>) {
@@ -165,52 +168,54 @@ impl Handler<FaultDeclared> for Monitor {
     }
 }
 
-impl Handler<FaultMended> for Monitor {
+impl Handler<DeclaredFaultCleared> for MonitorActor {
     type Result = ();
 
-    fn handle(&mut self, message: FaultMended, context: &mut Context<Self>) {
-        let FaultMended { object, incarnation, kind } = message;
+    fn handle(&mut self, message: DeclaredFaultCleared, context: &mut Context<Self>) {
+        let DeclaredFaultCleared { object, incarnation, kind } = message;
         self.machine.handle_mended(&object, incarnation, kind, platform::now());
         self.drive(context);
     }
 }
 
-impl Handler<Sighted> for Monitor {
+impl Handler<LivenessReported> for MonitorActor {
     type Result = ();
 
-    fn handle(&mut self, message: Sighted, context: &mut Context<Self>) {
+    fn handle(&mut self, message: LivenessReported, context: &mut Context<Self>) {
         let (machine, now) = (&mut self.machine, platform::now());
         match message {
-            Sighted::Hangs { object, incarnation, during, age, victims } => {
+            LivenessReported::Hangs { object, incarnation, during, age, victims } => {
                 machine.handle_hangs(&object, incarnation, during, age, victims, now);
             }
-            Sighted::Waits { object, incarnation, during, age } => {
+            LivenessReported::Waits { object, incarnation, during, age } => {
                 machine.handle_waits(&object, incarnation, during, age, now);
             }
-            Sighted::Overloaded { object, incarnation, figures, victims } => {
+            LivenessReported::Overloaded { object, incarnation, figures, victims } => {
                 machine.handle_overloaded(&object, incarnation, figures, victims, now);
             }
-            Sighted::Stuck { object, incarnation, queue } => {
+            LivenessReported::Stuck { object, incarnation, queue } => {
                 machine.handle_stuck(&object, incarnation, queue, now);
             }
-            Sighted::Flows { object, incarnation } => {
+            LivenessReported::Flows { object, incarnation } => {
                 machine.handle_flows(&object, incarnation, now);
             }
-            Sighted::Resumed { objects } => machine.handle_resumed(&objects, now),
-            Sighted::Lost { culprit, victims } => machine.handle_lost(&culprit, &victims, now),
-            Sighted::Silent { object, incarnation, silent_for } => {
+            LivenessReported::Resumed { objects } => machine.handle_resumed(&objects, now),
+            LivenessReported::Lost { culprit, victims } => {
+                machine.handle_lost(&culprit, &victims, now)
+            }
+            LivenessReported::Silent { object, incarnation, silent_for } => {
                 machine.handle_silent(&object, incarnation, silent_for, now);
             }
-            Sighted::Spoke { object, incarnation } => {
+            LivenessReported::Spoke { object, incarnation } => {
                 machine.handle_spoke(&object, incarnation, now);
             }
-            Sighted::Stalled { gap } => machine.handle_stall(gap, now),
+            LivenessReported::Stalled { gap } => machine.handle_stall(gap, now),
         }
         self.drive(context);
     }
 }
 
-impl Handler<LinkReported> for Monitor {
+impl Handler<LinkReported> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: LinkReported, context: &mut Context<Self>) {
@@ -220,7 +225,7 @@ impl Handler<LinkReported> for Monitor {
     }
 }
 
-impl Handler<NodeReported> for Monitor {
+impl Handler<NodeReported> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: NodeReported, context: &mut Context<Self>) {
@@ -230,7 +235,7 @@ impl Handler<NodeReported> for Monitor {
     }
 }
 
-impl Handler<IsolationReported> for Monitor {
+impl Handler<IsolationReported> for MonitorActor {
     type Result = ();
 
     fn handle(&mut self, message: IsolationReported, _: &mut Context<Self>) {
@@ -239,7 +244,7 @@ impl Handler<IsolationReported> for Monitor {
     }
 }
 
-impl Handler<ReadTable> for Monitor {
+impl Handler<ReadTable> for MonitorActor {
     type Result = MessageResult<ReadTable>;
 
     fn handle(&mut self, _: ReadTable, _: &mut Context<Self>) -> Self::Result {
@@ -247,4 +252,4 @@ impl Handler<ReadTable> for Monitor {
     }
 }
 
-answers_the_monitor!(Monitor);
+answers_the_monitor!(MonitorActor);

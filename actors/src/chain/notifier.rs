@@ -1,49 +1,55 @@
 //! The notifier's body.
 
-use crate::drive::{Body, Wake};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::notifier::{AddPort, FaultCleared, FaultFound, ReadPorts, RemovePort};
-use blastema_contract::recoverer::{Recover, StandDown};
-use blastema_core::detection::{self, Notice, NotifierLimits, NotifierOutput, Port};
+use blastema_contract::recoverer::{CancelRecovery, Recover};
+use blastema_core::detection::{self, FaultNotice, NotifierLimits, NotifierOutput, RecovererPort};
 use std::collections::BTreeMap;
 use tracing::error;
 
 /// Tells the recoverers, here and on other nodes.
-pub(crate) struct Notifier {
+pub(crate) struct NotifierActor {
     machine: detection::Notifier,
-    wake: Wake,
+    wake: WakeTimer,
     /// Where the machine's ports lead.
-    doors: BTreeMap<Port, Door>,
+    doors: BTreeMap<RecovererPort, Door>,
 }
 
 struct Door {
     recover: Recipient<Recover>,
-    stand_down: Option<Recipient<StandDown>>,
+    stand_down: Option<Recipient<CancelRecovery>>,
 }
 
-impl Notifier {
+impl NotifierActor {
     /// A notifier without ports.
     pub(crate) fn new(limits: NotifierLimits) -> Self {
         let machine = detection::Notifier::new(limits);
-        Notifier { machine, wake: Wake::default(), doors: BTreeMap::new() }
+        NotifierActor { machine, wake: WakeTimer::default(), doors: BTreeMap::new() }
     }
 
-    fn hand_over(&mut self, port: Port, number: u64, notice: Notice, context: &mut Context<Self>) {
+    fn hand_over(
+        &mut self,
+        port: RecovererPort,
+        number: u64,
+        notice: FaultNotice,
+        context: &mut Context<Self>,
+    ) {
         // A port that was removed in the meantime has nothing under way any more.
         let Some(door) = self.doors.get(&port) else { return };
         match (notice, &door.stand_down) {
-            (Notice::Found(fault), _) => {
+            (FaultNotice::Found(fault), _) => {
                 await_confirmation(port, number, door.recover.send(Recover { fault }), context);
             }
-            (Notice::Cleared { id, place }, Some(stand_down)) => {
-                let sent = stand_down.send(StandDown { id, place });
+            (FaultNotice::Cleared { id, place }, Some(stand_down)) => {
+                let sent = stand_down.send(CancelRecovery { id, place });
                 await_confirmation(port, number, sent, context);
             }
-            (Notice::Cleared { .. }, None) => {
+            (FaultNotice::Cleared { .. }, None) => {
                 self.machine.handle_confirmed(&port, number, platform::now());
             }
         }
@@ -51,12 +57,12 @@ impl Notifier {
 }
 
 fn await_confirmation(
-    port: Port,
+    port: RecovererPort,
     number: u64,
     sent: impl Future<Output = Result<Confirmed, MailboxError>> + 'static,
-    context: &mut Context<Notifier>,
+    context: &mut Context<NotifierActor>,
 ) {
-    context.spawn(wrap_future::<_, Notifier>(sent).map(move |answer, notifier, context| {
+    context.spawn(wrap_future::<_, NotifierActor>(sent).map(move |answer, notifier, context| {
         let now = platform::now();
         match answer {
             Ok(Confirmed) => notifier.machine.handle_confirmed(&port, number, now),
@@ -66,14 +72,14 @@ fn await_confirmation(
     }));
 }
 
-impl Body for Notifier {
+impl MachineActor for NotifierActor {
     type Machine = detection::Notifier;
 
     fn machine(&mut self) -> &mut detection::Notifier {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -89,7 +95,7 @@ impl Body for Notifier {
     }
 }
 
-impl Actor for Notifier {
+impl Actor for NotifierActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -97,36 +103,36 @@ impl Actor for Notifier {
     }
 }
 
-impl Supervised for Notifier {
+impl Supervised for NotifierActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.machine = self.machine.clone().reborn(platform::now());
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
     }
 }
 
-impl Handler<FaultFound> for Notifier {
+impl Handler<FaultFound> for NotifierActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: FaultFound, context: &mut Context<Self>) -> Confirmed {
         let FaultFound { fault } = message;
-        self.machine.handle_notice(Notice::Found(fault), platform::now());
+        self.machine.handle_notice(FaultNotice::Found(fault), platform::now());
         self.drive(context);
         Confirmed
     }
 }
 
-impl Handler<FaultCleared> for Notifier {
+impl Handler<FaultCleared> for NotifierActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: FaultCleared, context: &mut Context<Self>) -> Confirmed {
         let FaultCleared { id, place } = message;
-        self.machine.handle_notice(Notice::Cleared { id, place }, platform::now());
+        self.machine.handle_notice(FaultNotice::Cleared { id, place }, platform::now());
         self.drive(context);
         Confirmed
     }
 }
 
-impl Handler<AddPort> for Notifier {
+impl Handler<AddPort> for NotifierActor {
     type Result = ();
 
     fn handle(&mut self, message: AddPort, context: &mut Context<Self>) {
@@ -140,7 +146,7 @@ impl Handler<AddPort> for Notifier {
     }
 }
 
-impl Handler<RemovePort> for Notifier {
+impl Handler<RemovePort> for NotifierActor {
     type Result = ();
 
     fn handle(&mut self, message: RemovePort, context: &mut Context<Self>) {
@@ -151,7 +157,7 @@ impl Handler<RemovePort> for Notifier {
     }
 }
 
-impl Handler<ReadPorts> for Notifier {
+impl Handler<ReadPorts> for NotifierActor {
     type Result = MessageResult<ReadPorts>;
 
     fn handle(&mut self, _: ReadPorts, _: &mut Context<Self>) -> Self::Result {
@@ -159,4 +165,4 @@ impl Handler<ReadPorts> for Notifier {
     }
 }
 
-answers_the_monitor!(Notifier);
+answers_the_monitor!(NotifierActor);

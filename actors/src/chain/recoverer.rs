@@ -1,19 +1,22 @@
 //! The recoverer's body: it has its machine's orders carried out by strategies.
 
 use super::callbacks::Callbacks;
-use super::strategy::{EngagedStrategy, StrategyTable, Tools};
-use crate::drive::{Body, Wake};
+use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::FaultOutcome;
-use blastema_contract::recoverer::{NodeRests, Recover, StandDown};
-use blastema_contract::strategy::CarryOut;
+use blastema_contract::recoverer::{CancelRecovery, Recover, SafeStateChanged};
+use blastema_contract::strategy::ExecuteAction;
 use blastema_core::Instant;
-use blastema_core::detection::Outcome;
-use blastema_core::recovery::{self, Done, Failed, Measure, Order, RecovererAction, Settled};
+use blastema_core::detection::RecoveryOutcome;
+use blastema_core::recovery::{
+    self, FaultResolution, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed,
+    RecoveryOrder,
+};
 use std::collections::BTreeMap;
 use tokio::sync::watch;
 use tracing::info;
@@ -25,7 +28,7 @@ pub(crate) struct RecovererSetup {
     /// How to make strategies.
     pub(crate) strategies: StrategyTable,
     /// What strategies are given.
-    pub(crate) tools: Tools,
+    pub(crate) tools: StrategyContext,
     /// Is told what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
     /// Keeps the strategies alive.
@@ -35,34 +38,34 @@ pub(crate) struct RecovererSetup {
 }
 
 /// Decides what is done about a fault.
-pub(crate) struct Recoverer {
+pub(crate) struct RecovererActor {
     machine: recovery::Recoverer,
-    wake: Wake,
+    wake: WakeTimer,
     strategies: StrategyTable,
-    tools: Tools,
+    tools: StrategyContext,
     detector: Recipient<FaultOutcome>,
     guardian: Guardian,
     /// The strategies that live at present.
-    engaged: BTreeMap<Measure, EngagedStrategy>,
+    engaged: BTreeMap<RecoveryAction, EngagedStrategy>,
     callbacks: Callbacks,
 }
 
 /// What came back for one order.
 enum Answer {
-    Outcome(Result<Done, Failed>),
+    Outcome(Result<RecoveryDone, RecoveryFailed>),
     /// The thread of the strategy is blocked, by this order.
     Blocked(u64),
 }
 
-impl Recoverer {
+impl RecovererActor {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
         let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
         let engaged = BTreeMap::new();
-        let wake = Wake::default();
-        Recoverer { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
+        let wake = WakeTimer::default();
+        RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
     }
 
-    fn strategy(&mut self, measure: &Measure) -> Result<&EngagedStrategy, Failed> {
+    fn strategy(&mut self, measure: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
         if !self.engaged.get(measure).is_some_and(EngagedStrategy::is_usable) {
             let (guardian, tools) = (&self.guardian, self.tools.clone());
             let strategy = self.strategies.make(measure, guardian, tools, &self.callbacks)?;
@@ -71,7 +74,7 @@ impl Recoverer {
         Ok(self.engaged.get(measure).expect("it was just put in"))
     }
 
-    fn have_carried_out(&mut self, order: Order, context: &mut Context<Self>) {
+    fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
         let due = platform::now() + order.within;
         info!(place = %order.fault.place, measure = %order.measure, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.measure);
@@ -85,7 +88,7 @@ impl Recoverer {
             tokio::select! {
                 biased;
                 order = blocked(blocked_by) => Answer::Blocked(order),
-                answer = orders.send(CarryOut(given)) => Answer::Outcome(
+                answer = orders.send(ExecuteAction(given)) => Answer::Outcome(
                     answer.unwrap_or_else(|_| Err("the strategy ended without an answer".into())),
                 ),
             }
@@ -98,7 +101,7 @@ impl Recoverer {
 
     fn handle_answer(
         &mut self,
-        mut order: Order,
+        mut order: RecoveryOrder,
         due: Instant,
         answer: Answer,
         context: &mut Context<Self>,
@@ -137,47 +140,49 @@ async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
 }
 
 /// What the detector's record says about a fault; `None` where the detector has to find out itself.
-fn outcome_of(settled: Settled) -> Option<Outcome> {
+fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
     Some(match settled {
-        Settled::Decided { measure, attempt: 1 } => {
-            Outcome::Decided { measure: measure.to_string() }
+        FaultResolution::Decided { measure, attempt: 1 } => {
+            RecoveryOutcome::Decided { measure: measure.to_string() }
         }
-        Settled::Decided { measure, attempt } => {
-            Outcome::Decided { measure: format!("{measure}, attempt {attempt}") }
+        FaultResolution::Decided { measure, attempt } => {
+            RecoveryOutcome::Decided { measure: format!("{measure}, attempt {attempt}") }
         }
-        Settled::Observed => Outcome::Decided { measure: Measure::Observe.to_string() },
-        Settled::Recovered { .. } => Outcome::Recovered,
-        Settled::GaveUp { reason } => Outcome::GaveUp { reason },
-        Settled::Contained { measure } => {
-            Outcome::GaveUp { reason: format!("contained by {measure}; service is not restored") }
+        FaultResolution::Observed => {
+            RecoveryOutcome::Decided { measure: RecoveryAction::Observe.to_string() }
         }
+        FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
+        FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
+        FaultResolution::Contained { measure } => RecoveryOutcome::GaveUp {
+            reason: format!("contained by {measure}; service is not restored"),
+        },
         _ => return None,
     })
 }
 
-impl Body for Recoverer {
+impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
     fn machine(&mut self) -> &mut recovery::Recoverer {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
-    fn carry_out(&mut self, action: RecovererAction, context: &mut Context<Self>) {
+    fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
         match action {
-            RecovererAction::CarryOut(order) => self.have_carried_out(order, context),
-            RecovererAction::Settle { fault, settled, .. } => {
+            RecovererOutput::CarryOut(order) => self.have_carried_out(order, context),
+            RecovererOutput::Settle { fault, settled, .. } => {
                 if let Some(what) = outcome_of(settled) {
                     self.detector.do_send(FaultOutcome { id: fault, at: platform::now(), what });
                 }
             }
-            RecovererAction::Release { measure } => {
+            RecovererOutput::Release { measure } => {
                 self.engaged.remove(&measure);
             }
-            RecovererAction::LastResort { fault, reason } => {
+            RecovererOutput::LastResort { fault, reason } => {
                 info!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
                 self.tools.rest_node(&fault, &reason);
             }
@@ -185,9 +190,9 @@ impl Body for Recoverer {
     }
 }
 
-answers_the_monitor!(Recoverer);
+answers_the_monitor!(RecovererActor);
 
-impl Actor for Recoverer {
+impl Actor for RecovererActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -195,15 +200,15 @@ impl Actor for Recoverer {
     }
 }
 
-impl Supervised for Recoverer {
+impl Supervised for RecovererActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.engaged.clear();
         self.machine = self.machine.begun_anew(platform::now());
     }
 }
 
-impl Handler<Recover> for Recoverer {
+impl Handler<Recover> for RecovererActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: Recover, context: &mut Context<Self>) -> Confirmed {
@@ -214,21 +219,21 @@ impl Handler<Recover> for Recoverer {
     }
 }
 
-impl Handler<StandDown> for Recoverer {
+impl Handler<CancelRecovery> for RecovererActor {
     type Result = Confirmed;
 
-    fn handle(&mut self, message: StandDown, context: &mut Context<Self>) -> Confirmed {
-        let StandDown { id, place } = message;
+    fn handle(&mut self, message: CancelRecovery, context: &mut Context<Self>) -> Confirmed {
+        let CancelRecovery { id, place } = message;
         self.machine.handle_stand_down(id, &place, platform::now());
         self.drive(context);
         Confirmed
     }
 }
 
-impl Handler<NodeRests> for Recoverer {
+impl Handler<SafeStateChanged> for RecovererActor {
     type Result = ();
 
-    fn handle(&mut self, message: NodeRests, context: &mut Context<Self>) {
+    fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
         match message.reason {
             Some(_) => self.machine.handle_rest(platform::now()),
             None => self.machine.handle_work(),

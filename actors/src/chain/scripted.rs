@@ -1,10 +1,10 @@
 //! Children that do as a test tells them, and the neighbours of a supervisor.
 
-use super::directory::Directory;
-use super::supervisor::{Supervisor, SupervisorChild, SupervisorSetup};
+use super::directory::SupervisorDirectory;
+use super::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::guardian::Guardian;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::recovery::{ChildRules, SupervisorRules};
@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 /// How a child answers one call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Answer {
+pub(crate) enum ScriptedReply {
     Works,
     Fails,
     Hangs,
@@ -30,13 +30,13 @@ pub(crate) struct Script(Arc<Mutex<Pages>>);
 struct Pages {
     done: Vec<String>,
     /// By call, as `start laser`. An answer other than `Works` is used up by its first use.
-    answers: BTreeMap<String, Vec<Answer>>,
+    answers: BTreeMap<String, Vec<ScriptedReply>>,
     alive: BTreeMap<ObjectName, Incarnation>,
 }
 
 impl Script {
     /// The next calls of this kind are answered so, then all work again.
-    pub(crate) fn answer(&self, call: &str, answers: &[Answer]) {
+    pub(crate) fn answer(&self, call: &str, answers: &[ScriptedReply]) {
         self.pages().answers.insert(call.into(), answers.iter().rev().copied().collect());
     }
 
@@ -68,14 +68,14 @@ struct Scripted {
 }
 
 impl Scripted {
-    fn call(&self, call: &str) -> Answer {
+    fn call(&self, call: &str) -> ScriptedReply {
         let call = format!("{call} {}", self.name);
         let answer = {
             let mut pages = self.script.pages();
             pages.done.push(call.clone());
-            pages.answers.get_mut(&call).and_then(Vec::pop).unwrap_or(Answer::Works)
+            pages.answers.get_mut(&call).and_then(Vec::pop).unwrap_or(ScriptedReply::Works)
         };
-        assert!(answer != Answer::Panics, "{call} panics, as it was told");
+        assert!(answer != ScriptedReply::Panics, "{call} panics, as it was told");
         answer
     }
 
@@ -96,19 +96,21 @@ impl Child for Scripted {
         self.report = Some(report);
         self.life = incarnation;
         match self.call("start") {
-            Answer::Works => {
+            ScriptedReply::Works => {
                 let earlier = self.script.pages().alive.insert(self.name.clone(), incarnation);
                 assert_eq!(earlier, None, "{} lives twice", self.name);
                 self.tell(ChildEvent::Started);
             }
-            Answer::Fails => self.tell(ChildEvent::StartFailed { reason: "no device".into() }),
-            Answer::Hangs | Answer::Panics => {}
+            ScriptedReply::Fails => {
+                self.tell(ChildEvent::StartFailed { reason: "no device".into() })
+            }
+            ScriptedReply::Hangs | ScriptedReply::Panics => {}
         }
         incarnation
     }
 
     fn stop(&mut self) {
-        if self.call("stop") == Answer::Works {
+        if self.call("stop") == ScriptedReply::Works {
             self.script.pages().alive.remove(&self.name);
             self.tell(ChildEvent::Stopped);
         }
@@ -121,9 +123,9 @@ impl Child for Scripted {
 
     fn reset(&mut self) {
         match self.call("reset") {
-            Answer::Works => self.tell(ChildEvent::Reset),
-            Answer::Fails => self.tell(ChildEvent::ResetFailed { reason: "jammed".into() }),
-            Answer::Hangs | Answer::Panics => {}
+            ScriptedReply::Works => self.tell(ChildEvent::Reset),
+            ScriptedReply::Fails => self.tell(ChildEvent::ResetFailed { reason: "jammed".into() }),
+            ScriptedReply::Hangs | ScriptedReply::Panics => {}
         }
     }
 
@@ -131,7 +133,7 @@ impl Child for Scripted {
         self.call(if isolated { "isolate" } else { "admit" });
     }
 
-    fn standing_order(&mut self, order: Option<StandingOrder>) {
+    fn standing_order(&mut self, order: Option<RestartGrant>) {
         self.call(if order.is_some() { "order" } else { "withdraw" });
     }
 }
@@ -139,7 +141,7 @@ impl Child for Scripted {
 /// The neighbours of the supervisors in a test.
 pub(crate) struct Bench {
     pub(crate) script: Script,
-    pub(crate) directory: Directory,
+    pub(crate) directory: SupervisorDirectory,
     pub(crate) guardian: Guardian,
     pub(crate) deaths: Probe<Exited>,
     pub(crate) faults: Probe<FaultDeclared>,
@@ -154,7 +156,7 @@ impl Bench {
         let deaths = Probe::start();
         Bench {
             script: Script::default(),
-            directory: Directory::default(),
+            directory: SupervisorDirectory::default(),
             guardian: Guardian::reporting_to(deaths.recipient()),
             deaths,
             faults: Probe::start(),
@@ -179,7 +181,7 @@ impl Bench {
             isolation: self.isolation.recipient(),
             directory: self.directory.clone(),
         };
-        Supervisor::start(&self.guardian, None, setup)
+        SupervisorActor::start(&self.guardian, None, setup)
     }
 
     /// A supervisor at work over children of these names.

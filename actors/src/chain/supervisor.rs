@@ -3,21 +3,24 @@
 mod moving;
 mod tree;
 
-use super::directory::{Directory, SupervisorPorts};
+use super::directory::{SupervisorDirectory, SupervisorRecipients};
 use crate::death_watch::{Deaths, Ending};
-use crate::drive::{Body, Wake};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::{self, Guardian};
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::monitor::IsolationReported;
-use blastema_contract::reports::{Alive, AreYouAlive, Exit, Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{
+    Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
+};
 use blastema_contract::supervisor::{
-    AddChild, Begin, End, Forsake, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered,
-    RemoveChild, ResetChild, RestartChild, SafeStop,
+    AbandonChildren, AddChild, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered, RemoveChild,
+    ResetChild, RestartChild, SafeStop, StartSupervisor, StopSupervisor,
 };
 use blastema_core::recovery::{
-    Cause, ChildRules, GiveUpReason, Supervision, SupervisorAction, SupervisorRules, Ticket,
+    CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
+    SupervisorRules,
 };
 use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
 use std::collections::BTreeMap;
@@ -41,30 +44,30 @@ pub(crate) struct SupervisorSetup {
     /// Is told who may not send and receive.
     pub(crate) isolation: Recipient<IsolationReported>,
     /// Where strategies find who keeps an object.
-    pub(crate) directory: Directory,
+    pub(crate) directory: SupervisorDirectory,
 }
 
 /// One node of the supervision tree.
-pub(crate) struct Supervisor {
+pub(crate) struct SupervisorActor {
     name: ObjectName,
-    machine: Supervision,
-    wake: Wake,
+    machine: Supervisor,
+    wake: WakeTimer,
     children: BTreeMap<ObjectName, Box<dyn Child>>,
     /// Who waits for the outcome of a request; bounded by the machine.
-    waiting: BTreeMap<Ticket, oneshot::Sender<Outcome>>,
+    waiting: BTreeMap<CallId, oneshot::Sender<Outcome>>,
     tickets: u64,
     parent: Option<Recipient<ChildReport>>,
     monitor: Recipient<FaultDeclared>,
     states: Recipient<StateReported>,
     isolation: Recipient<IsolationReported>,
-    directory: Directory,
+    directory: SupervisorDirectory,
     /// Where its lives can be watched.
     watched: Deaths,
     /// It was told to end because it is to begin anew.
     again: bool,
 }
 
-impl Supervisor {
+impl SupervisorActor {
     /// Starts a supervisor under the guardian. It does nothing until it is told to begin, by its
     /// parent, or by the node if it is the root.
     pub(crate) fn start(
@@ -86,10 +89,10 @@ impl Supervisor {
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, .. } = setup;
         let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
-        let mut supervisor = Supervisor {
+        let mut supervisor = SupervisorActor {
             name,
-            machine: Supervision::new(rules),
-            wake: Wake::default(),
+            machine: Supervisor::new(rules),
+            wake: WakeTimer::default(),
             children: BTreeMap::new(),
             waiting: BTreeMap::new(),
             tickets: 0,
@@ -122,10 +125,10 @@ impl Supervisor {
         &mut self,
         context: &mut Context<Self>,
         object: ObjectName,
-        input: impl FnOnce(&mut Supervision, &ObjectName, Ticket, Instant),
+        input: impl FnOnce(&mut Supervisor, &ObjectName, CallId, Instant),
     ) -> ResponseFuture<Outcome> {
         self.tickets += 1;
-        let ticket = Ticket(self.tickets);
+        let ticket = CallId(self.tickets);
         let (answer, outcome) = oneshot::channel();
         self.waiting.insert(ticket, answer);
         input(&mut self.machine, &object, ticket, platform::now());
@@ -135,7 +138,7 @@ impl Supervisor {
         })
     }
 
-    fn answer(&mut self, ticket: Ticket, outcome: Outcome) {
+    fn answer(&mut self, ticket: CallId, outcome: Outcome) {
         if let Some(waiting) = self.waiting.remove(&ticket) {
             // Whoever asked may have stopped waiting; the deed is done all the same.
             let _ = waiting.send(outcome);
@@ -183,27 +186,27 @@ impl Supervisor {
     }
 }
 
-impl Body for Supervisor {
-    type Machine = Supervision;
+impl MachineActor for SupervisorActor {
+    type Machine = Supervisor;
 
-    fn machine(&mut self) -> &mut Supervision {
+    fn machine(&mut self) -> &mut Supervisor {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
-    fn carry_out(&mut self, action: SupervisorAction, context: &mut Context<Self>) {
+    fn carry_out(&mut self, action: SupervisorOutput, context: &mut Context<Self>) {
         match action {
-            SupervisorAction::Start { child, incarnation } => {
+            SupervisorOutput::Start { child, incarnation } => {
                 let report = context.address().recipient();
                 if let Some(started) = self.child(&child) {
                     let begun = started.start(incarnation, report);
                     self.machine.handle_begun(&child, begun);
                 }
             }
-            SupervisorAction::Stop { child, again } => {
+            SupervisorOutput::Stop { child, again } => {
                 let again = again || self.again;
                 match self.child(&child) {
                     Some(child) if again => child.make_way(),
@@ -211,63 +214,63 @@ impl Body for Supervisor {
                     None => {}
                 }
             }
-            SupervisorAction::Abandon { child } => {
+            SupervisorOutput::Abandon { child } => {
                 if let Some(child) = self.child(&child) {
                     child.abandon();
                 }
             }
-            SupervisorAction::Reset { child } => {
+            SupervisorOutput::Reset { child } => {
                 if let Some(child) = self.child(&child) {
                     child.reset();
                 }
             }
-            SupervisorAction::Isolate { child, isolated } => {
+            SupervisorOutput::Isolate { child, isolated } => {
                 if let Some(child) = self.child(&child) {
                     let object = child.name().clone();
                     child.isolate(isolated);
                     self.isolation.do_send(IsolationReported { object, isolated });
                 }
             }
-            SupervisorAction::StandingOrder { child, order } => {
+            SupervisorOutput::StandingOrder { child, order } => {
                 if let Some(child) = self.child(&child) {
                     child.standing_order(order);
                 }
             }
-            SupervisorAction::Recovered { ticket, child, incarnation } => {
+            SupervisorOutput::Recovered { ticket, child, incarnation } => {
                 self.answer(ticket, Ok(Recovered { object: child, incarnation }));
             }
-            SupervisorAction::GaveUp { ticket, child, why } => {
+            SupervisorOutput::GaveUp { ticket, child, why } => {
                 self.answer(ticket, Err(GaveUp { object: child, why }));
             }
-            SupervisorAction::Refused { child, incarnation, reason } => {
+            SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
                 // What waits below for its next life waits in vain.
                 if let Some(child) = self.child(&child) {
                     child.retire();
                 }
             }
-            SupervisorAction::Unavailable { reason } => {
+            SupervisorOutput::Unavailable { reason } => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
-            SupervisorAction::Overdue { child, incarnation, limit } => {
+            SupervisorOutput::Overdue { child, incarnation, limit } => {
                 let detail = format!("it was not at work within {limit:?}");
                 self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
             }
-            SupervisorAction::Retire { child } => {
+            SupervisorOutput::Retire { child } => {
                 if let Some(child) = self.child(&child) {
                     child.retire();
                 }
             }
-            SupervisorAction::Left { child } => {
+            SupervisorOutput::Left { child } => {
                 self.children.remove(&child);
                 self.directory.remove(&child);
             }
-            SupervisorAction::GiveUp { reason } => {
+            SupervisorOutput::GiveUp { reason } => {
                 self.declare_storm(&reason);
                 self.tell_parent(ChildEvent::GivesUp { reason });
             }
-            SupervisorAction::Escalate { reason } => {
+            SupervisorOutput::Escalate { reason } => {
                 if self.machine.rules().root {
                     self.retire_all();
                 } else {
@@ -276,13 +279,13 @@ impl Body for Supervisor {
                 self.watched.end(&self.name, Ending::Fatal);
                 self.tell_parent(ChildEvent::Escalated { reason });
             }
-            SupervisorAction::AllStarted => {
+            SupervisorOutput::AllStarted => {
                 info!(supervisor = %self.name, "all children are at work");
                 self.report_state(Lifecycle::Initialized);
                 self.report_state(Lifecycle::Active);
                 self.tell_parent(ChildEvent::Started);
             }
-            SupervisorAction::AllStopped => {
+            SupervisorOutput::AllStopped => {
                 if !self.again {
                     self.retire_all();
                     self.machine.handle_retired();
@@ -295,7 +298,7 @@ impl Body for Supervisor {
 }
 
 /// It answers for the supervisor that it plays, whose lives its parent counts.
-impl Handler<AreYouAlive> for Supervisor {
+impl Handler<AreYouAlive> for SupervisorActor {
     type Result = Alive;
 
     fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
@@ -304,12 +307,12 @@ impl Handler<AreYouAlive> for Supervisor {
     }
 }
 
-impl Actor for Supervisor {
+impl Actor for SupervisorActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
         let address = context.address();
-        let ports = SupervisorPorts {
+        let ports = SupervisorRecipients {
             restart: address.clone().recipient(),
             move_away: address.clone().recipient(),
             reset: address.clone().recipient(),
@@ -322,20 +325,20 @@ impl Actor for Supervisor {
     }
 }
 
-impl Supervised for Supervisor {
+impl Supervised for SupervisorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         warn!(supervisor = %self.name, "begins anew: children in between two lives are started again");
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.waiting.clear();
         self.machine.handle_own_restart(platform::now());
     }
 }
 
-impl Handler<Begin> for Supervisor {
+impl Handler<StartSupervisor> for SupervisorActor {
     type Result = ();
 
-    fn handle(&mut self, message: Begin, context: &mut Context<Self>) {
-        let Begin { incarnation, report } = message;
+    fn handle(&mut self, message: StartSupervisor, context: &mut Context<Self>) {
+        let StartSupervisor { incarnation, report } = message;
         self.parent = Some(report);
         self.again = false;
         self.machine.handle_begin(incarnation, platform::now());
@@ -343,28 +346,28 @@ impl Handler<Begin> for Supervisor {
     }
 }
 
-impl Handler<End> for Supervisor {
+impl Handler<StopSupervisor> for SupervisorActor {
     type Result = ();
 
-    fn handle(&mut self, message: End, context: &mut Context<Self>) {
-        let End { again } = message;
+    fn handle(&mut self, message: StopSupervisor, context: &mut Context<Self>) {
+        let StopSupervisor { again } = message;
         self.again = again;
         self.machine.handle_end(platform::now());
         self.drive(context);
     }
 }
 
-impl Handler<Forsake> for Supervisor {
+impl Handler<AbandonChildren> for SupervisorActor {
     type Result = ();
 
-    fn handle(&mut self, _: Forsake, context: &mut Context<Self>) {
+    fn handle(&mut self, _: AbandonChildren, context: &mut Context<Self>) {
         self.watched.end(&self.name, Ending::Abandoned);
         self.machine.handle_forsake(platform::now());
         self.drive(context);
     }
 }
 
-impl Handler<IsolateAll> for Supervisor {
+impl Handler<IsolateAll> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, message: IsolateAll, context: &mut Context<Self>) {
@@ -374,7 +377,7 @@ impl Handler<IsolateAll> for Supervisor {
     }
 }
 
-impl Handler<ChildReport> for Supervisor {
+impl Handler<ChildReport> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, message: ChildReport, context: &mut Context<Self>) {
@@ -408,7 +411,7 @@ impl Handler<ChildReport> for Supervisor {
 }
 
 /// What a guard told the monitor may be told to the supervisor too; it counts a death only once.
-impl Handler<Exited> for Supervisor {
+impl Handler<Exited> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
@@ -419,16 +422,16 @@ impl Handler<Exited> for Supervisor {
     }
 }
 
-fn in_order(exit: &Exit) -> bool {
-    matches!(exit, Exit::Returned | Exit::Stopped)
+fn in_order(exit: &ExitReason) -> bool {
+    matches!(exit, ExitReason::Returned | ExitReason::Stopped)
 }
 
-impl Handler<RestartChild> for Supervisor {
+impl Handler<RestartChild> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
-        let cause = fault.as_ref().map_or(Cause::Asked, Cause::of);
+        let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
         let struck = fault.map(|fault| fault.incarnation);
         self.ask(context, object, |machine, object, ticket, now| {
             machine.handle_restart(object, ticket, cause, struck, now);
@@ -436,16 +439,16 @@ impl Handler<RestartChild> for Supervisor {
     }
 }
 
-impl Handler<ResetChild> for Supervisor {
+impl Handler<ResetChild> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
         let ResetChild { object } = message;
-        self.ask(context, object, Supervision::handle_reset)
+        self.ask(context, object, Supervisor::handle_reset)
     }
 }
 
-impl Handler<IsolateChild> for Supervisor {
+impl Handler<IsolateChild> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
@@ -456,12 +459,12 @@ impl Handler<IsolateChild> for Supervisor {
     }
 }
 
-impl Handler<SafeStop> for Supervisor {
+impl Handler<SafeStop> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;
-        let cause = fault.as_ref().map_or(Cause::Asked, cause_of_rest);
+        let cause = fault.as_ref().map_or(ReplacementCause::Asked, cause_of_rest);
         self.ask(context, object, |machine, object, ticket, now| {
             machine.handle_rest(object, ticket, cause, now);
         })
@@ -470,23 +473,25 @@ impl Handler<SafeStop> for Supervisor {
 
 /// Several measures may have been tried since a panic: whether the present life, if there is one, ends
 /// is found out by asking it. Only one that does not answer is not asked.
-fn cause_of_rest(fault: &Fault) -> Cause {
-    match Cause::of(fault) {
-        stuck @ (Cause::Stuck | Cause::Behind) => stuck,
-        Cause::Died | Cause::Faulty | Cause::Asked => Cause::Faulty,
+fn cause_of_rest(fault: &Fault) -> ReplacementCause {
+    match ReplacementCause::of(fault) {
+        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind) => stuck,
+        ReplacementCause::Died | ReplacementCause::Faulty | ReplacementCause::Asked => {
+            ReplacementCause::Faulty
+        }
     }
 }
 
-impl Handler<RemoveChild> for Supervisor {
+impl Handler<RemoveChild> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
         let RemoveChild { object } = message;
-        self.ask(context, object, Supervision::handle_remove)
+        self.ask(context, object, Supervisor::handle_remove)
     }
 }
 
-impl Handler<AddChild> for Supervisor {
+impl Handler<AddChild> for SupervisorActor {
     type Result = Result<(), GaveUp>;
 
     fn handle(&mut self, message: AddChild, context: &mut Context<Self>) -> Self::Result {
@@ -504,7 +509,7 @@ impl Handler<AddChild> for Supervisor {
 /// A supervisor as its parent, or the node, sees it.
 pub(crate) struct SupervisorChild {
     name: ObjectName,
-    address: Addr<Supervisor>,
+    address: Addr<SupervisorActor>,
     report: Option<(Incarnation, Recipient<ChildReport>)>,
 }
 
@@ -537,24 +542,24 @@ impl Child for SupervisorChild {
 
     fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
         self.report = Some((incarnation, report.clone()));
-        self.address.do_send(Begin { incarnation, report });
+        self.address.do_send(StartSupervisor { incarnation, report });
         incarnation
     }
 
     fn stop(&mut self) {
-        self.address.do_send(End { again: false });
+        self.address.do_send(StopSupervisor { again: false });
     }
 
     fn make_way(&mut self) {
-        self.address.do_send(End { again: true });
+        self.address.do_send(StopSupervisor { again: true });
     }
 
     fn retire(&mut self) {
-        self.address.do_send(End { again: false });
+        self.address.do_send(StopSupervisor { again: false });
     }
 
     fn abandon(&mut self) {
-        self.address.do_send(Forsake);
+        self.address.do_send(AbandonChildren);
     }
 
     fn reset(&mut self) {
@@ -570,7 +575,7 @@ impl Child for SupervisorChild {
         self.address.do_send(IsolateAll { isolated });
     }
 
-    fn standing_order(&mut self, _: Option<StandingOrder>) {
+    fn standing_order(&mut self, _: Option<RestartGrant>) {
         // The guardian restarts it by reflex; it needs no permission.
     }
 }

@@ -1,20 +1,22 @@
 //! Monitor, detector and notifier together, with probes where their half of the chain ends.
 
-use super::detector::Detector;
-use super::monitor::Monitor;
-use super::notifier::Notifier;
+use super::detector::DetectorActor;
+use super::monitor::MonitorActor;
+use super::notifier::NotifierActor;
 use crate::guardian::Guardian;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::{FaultEvent, FaultOutcome, Observed, ReadRecord, Subscribe};
-use blastema_contract::monitor::{Enrol, LinkReported, NodeReported, ReadTable};
+use blastema_contract::monitor::{LinkReported, NodeReported, ReadTable, Register};
 use blastema_contract::notifier::{AddPort, ReadPorts};
-use blastema_contract::recoverer::{Recover, StandDown};
-use blastema_contract::reports::{Alive, AreYouAlive, Exit, Exited, Sighted, StateReported};
+use blastema_contract::recoverer::{CancelRecovery, Recover};
+use blastema_contract::reports::{
+    Alive, AreYouAlive, ExitReason, Exited, LivenessReported, StateReported,
+};
 use blastema_core::detection::{
-    EnrolError, Enrolment, LinkCondition, MonitorLimits, NodeCondition, Opinion, Outcome, Port,
-    Turn, Watch,
+    FaultTransition, LinkCondition, Liveness, MonitorLimits, NodeCondition, Opinion, RecovererPort,
+    RecoveryOutcome, Registration, RegistrationError,
 };
 use blastema_core::{FaultKind, Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_doubles::{Probe, advance, paused, settle};
@@ -48,15 +50,15 @@ macro_rules! may_be_struck {
         }
     )*};
 }
-may_be_struck!(Monitor, Detector, Notifier);
+may_be_struck!(MonitorActor, DetectorActor, NotifierActor);
 
 /// The observing half of the chain, with probes where it ends.
 struct Chain {
-    monitor: Addr<Monitor>,
-    detector: Addr<Detector>,
-    notifier: Addr<Notifier>,
+    monitor: Addr<MonitorActor>,
+    detector: Addr<DetectorActor>,
+    notifier: Addr<NotifierActor>,
     recoverer: Probe<Recover>,
-    stand_downs: Probe<StandDown>,
+    stand_downs: Probe<CancelRecovery>,
     deaths: Probe<Exited>,
     events: Probe<FaultEvent>,
 }
@@ -66,40 +68,41 @@ impl Chain {
         let deaths = Probe::start();
         let guardian = Guardian::reporting_to(deaths.recipient());
         let notifier =
-            guardian.start(object("notifier"), None, |_| Notifier::new(Default::default()));
+            guardian.start(object("notifier"), None, |_| NotifierActor::new(Default::default()));
         let (found, cleared) = (notifier.clone().recipient(), notifier.clone().recipient());
         let detector = guardian.start(object("detector"), None, |_| {
-            Detector::new(node("m"), Default::default(), found, cleared)
+            DetectorActor::new(node("m"), Default::default(), found, cleared)
         });
         let observed = detector.clone().recipient();
         let monitor = guardian.start(object("monitor"), None, |_| {
-            Monitor::new(node("m"), MonitorLimits::default(), observed)
+            MonitorActor::new(node("m"), MonitorLimits::default(), observed)
         });
         let recoverer = Probe::replying(|_: &Recover| Confirmed);
-        let stand_downs = Probe::replying(|_: &StandDown| Confirmed);
+        let stand_downs = Probe::replying(|_: &CancelRecovery| Confirmed);
         let stand_down = Some(stand_downs.recipient());
         let recover = recoverer.recipient();
-        notifier.do_send(AddPort { port: Port::Local, recover, stand_down });
+        notifier.do_send(AddPort { port: RecovererPort::Local, recover, stand_down });
         let events = Probe::start();
         detector.do_send(Subscribe(events.recipient()));
         Chain { monitor, detector, notifier, recoverer, stand_downs, deaths, events }
     }
 
-    fn enrol(&self, enrolment: Enrolment) {
-        self.monitor.do_send(Enrol { enrolment, inquiries: None });
+    fn enrol(&self, enrolment: Registration) {
+        self.monitor.do_send(Register { enrolment, inquiries: None });
     }
 
     fn silence(&self, name: &str) {
         let (object, silent_for) = (object(name), 3 * TENTH);
-        self.monitor.do_send(Sighted::Silent { object, incarnation: ONE, silent_for });
+        self.monitor.do_send(LivenessReported::Silent { object, incarnation: ONE, silent_for });
     }
 
     fn speech(&self, name: &str) {
-        self.monitor.do_send(Sighted::Spoke { object: object(name), incarnation: ONE });
+        self.monitor.do_send(LivenessReported::Spoke { object: object(name), incarnation: ONE });
     }
 
     fn panic(&self, name: &str) {
-        let exit = Exit::Panicked { text: "boom".into(), at: "arm.rs:7".into(), during: "Move" };
+        let exit =
+            ExitReason::Panicked { text: "boom".into(), at: "arm.rs:7".into(), during: "Move" };
         let object = object(name);
         self.monitor.do_send(Exited { object, incarnation: ONE, exit, restarted_as: None });
     }
@@ -117,7 +120,7 @@ fn a_panic_reaches_the_recoverer_without_any_time_passing() {
         assert_eq!((fault.kind, fault.place.to_string()), (FaultKind::Panic, "m:arm".into()));
         assert_eq!(fault.detail, "boom, at arm.rs:7, in Move");
         assert_eq!(platform::now(), before);
-        assert_eq!(chain.events.expect().await.turn, Turn::Found);
+        assert_eq!(chain.events.expect().await.turn, FaultTransition::Found);
     });
 }
 
@@ -125,20 +128,28 @@ fn a_panic_reaches_the_recoverer_without_any_time_passing() {
 fn a_silent_arm_is_reported_once_and_cleared_when_it_speaks_again() {
     paused(async {
         let chain = Chain::start();
-        chain.enrol(Enrolment::new(object("arm")).watch(Watch::push(TENTH, 3)));
+        chain.enrol(Registration::new(object("arm")).watch(Liveness::push(TENTH, 3)));
         chain.silence("arm");
         let fault = chain.recoverer.expect().await.fault;
         assert_eq!(fault.kind, FaultKind::Silence);
-        let decided = Outcome::Decided { measure: "restart".into() };
+        let decided = RecoveryOutcome::Decided { measure: "restart".into() };
         let at = platform::now();
         chain.detector.do_send(FaultOutcome { id: fault.id, at, what: decided });
         chain.recoverer.expect_none_for(Duration::from_secs(10)).await;
 
         chain.speech("arm");
         assert_eq!(chain.stand_downs.expect().await.id, fault.id);
-        let turns: Vec<Turn> = chain.events.drain().into_iter().map(|e| e.turn).collect();
+        let turns: Vec<FaultTransition> =
+            chain.events.drain().into_iter().map(|e| e.turn).collect();
         let measure = "restart".into();
-        assert_eq!(turns, [Turn::Found, Turn::Decided { measure }, Turn::Cleared]);
+        assert_eq!(
+            turns,
+            [
+                FaultTransition::Found,
+                FaultTransition::Decided { measure },
+                FaultTransition::Cleared
+            ]
+        );
     });
 }
 
@@ -148,15 +159,15 @@ fn an_object_that_is_asked_and_answers_is_trusted() {
         let chain = Chain::start();
         let arm =
             Probe::replying(|_: &AreYouAlive| Alive { incarnation: ONE, state: Lifecycle::Active });
-        let enrolment = Enrolment::new(object("arm")).watch(Watch::pull(TENTH, TENTH));
+        let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
         let refused =
-            chain.monitor.send(Enrol { enrolment: enrolment.clone(), inquiries: None }).await;
+            chain.monitor.send(Register { enrolment: enrolment.clone(), inquiries: None }).await;
         assert_eq!(
             refused.expect("the monitor lives"),
-            Err(EnrolError::NowhereToAsk { object: object("arm") })
+            Err(RegistrationError::NowhereToAsk { object: object("arm") })
         );
 
-        chain.monitor.do_send(Enrol { enrolment, inquiries: Some(arm.recipient()) });
+        chain.monitor.do_send(Register { enrolment, inquiries: Some(arm.recipient()) });
         advance(Duration::from_millis(950)).await;
 
         assert_eq!(arm.recorded(), 10);
@@ -170,9 +181,9 @@ fn an_object_that_is_asked_and_answers_is_trusted() {
 fn one_that_never_answers_is_asked_once_and_found_silent() {
     paused(async {
         let chain = Chain::start();
-        let enrolment = Enrolment::new(object("arm")).watch(Watch::pull(TENTH, TENTH));
+        let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
         let inquiries = Some(Mute(0).start().recipient());
-        chain.monitor.do_send(Enrol { enrolment, inquiries });
+        chain.monitor.do_send(Register { enrolment, inquiries });
 
         advance(Duration::from_secs(5)).await;
 
@@ -186,14 +197,14 @@ fn a_stall_of_the_whole_process_condemns_nobody() {
         let chain = Chain::start();
         let arm =
             Probe::replying(|_: &AreYouAlive| Alive { incarnation: ONE, state: Lifecycle::Active });
-        let enrolment = Enrolment::new(object("arm")).watch(Watch::pull(TENTH, TENTH));
-        chain.monitor.do_send(Enrol { enrolment, inquiries: Some(arm.recipient()) });
+        let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
+        chain.monitor.do_send(Register { enrolment, inquiries: Some(arm.recipient()) });
         settle().await;
 
         // The clock jumps: every timer is late at once, before anything can answer.
         let gap = Duration::from_secs(30);
         tokio::time::advance(gap).await;
-        chain.monitor.do_send(Sighted::Stalled { gap });
+        chain.monitor.do_send(LivenessReported::Stalled { gap });
         advance(Duration::from_millis(340)).await;
 
         assert_eq!(chain.recoverer.recorded(), 0);
@@ -234,7 +245,7 @@ fn the_links_of_a_lost_node_are_told_as_its_symptoms() {
 fn a_recoverer_that_cannot_be_reached_gets_the_fault_when_it_is_back() {
     paused(async {
         let chain = Chain::start();
-        let there = Port::Remote(node("n"));
+        let there = RecovererPort::Remote(node("n"));
         let (port, recover) = (there.clone(), Gone.start().recipient());
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
         chain.panic("arm");
@@ -257,7 +268,7 @@ fn a_recoverer_that_cannot_be_reached_gets_the_fault_when_it_is_back() {
 fn each_of_the_three_survives_being_struck_with_all_it_knew() {
     paused(async {
         let chain = Chain::start();
-        chain.enrol(Enrolment::new(object("arm")).watch(Watch::push(TENTH, 3)));
+        chain.enrol(Registration::new(object("arm")).watch(Liveness::push(TENTH, 3)));
         chain.monitor.do_send(StateReported {
             object: object("arm"),
             incarnation: ONE,
@@ -308,10 +319,10 @@ fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
     paused(async {
         let heard = Rc::new(RefCell::new(Vec::new()));
         let detector = Deaf(heard.clone()).start().recipient();
-        let monitor = Monitor::new(node("m"), MonitorLimits::default(), detector).start();
+        let monitor = MonitorActor::new(node("m"), MonitorLimits::default(), detector).start();
         for name in ["a", "b"] {
-            let enrolment = Enrolment::new(object(name));
-            monitor.do_send(Enrol { enrolment, inquiries: None });
+            let enrolment = Registration::new(object(name));
+            monitor.do_send(Register { enrolment, inquiries: None });
         }
 
         advance(Duration::from_secs(60)).await;

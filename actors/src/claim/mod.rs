@@ -12,10 +12,10 @@ mod roaming;
 
 pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
 
-pub(crate) use names::{Names, Wish};
-pub(crate) use roaming::Roaming;
+pub(crate) use names::{ClaimCommand, GlobalNameTable};
+pub(crate) use roaming::GlobalNameSender;
 
-use blastema_core::global_name::{ClaimRefused, Wanted};
+use blastema_core::global_name::{ClaimRefused, ClaimRequest};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
 use std::fmt;
 use std::time::Duration;
@@ -81,7 +81,7 @@ pub enum ClaimState {
 pub struct Claim {
     name: ObjectName,
     number: u64,
-    names: Names,
+    names: GlobalNameTable,
     state: watch::Receiver<ClaimState>,
 }
 
@@ -93,7 +93,10 @@ impl fmt::Debug for Claim {
 
 impl Claim {
     /// Claims, and waits until that is granted, refused, or stood by for.
-    pub(crate) async fn make(names: &Names, wanted: Wanted) -> Result<Self, ClaimError> {
+    pub(crate) async fn make(
+        names: &GlobalNameTable,
+        wanted: ClaimRequest,
+    ) -> Result<Self, ClaimError> {
         let (name, number) = (wanted.name.clone(), names.number());
         let state = names.claim(wanted, number);
         let mut claim = Claim { name, number, names: names.clone(), state };
@@ -141,7 +144,7 @@ impl Drop for Claim {
 /// [`Node::watch_name`](crate::Node::watch_name).
 pub struct NameWatch {
     name: ObjectName,
-    names: Names,
+    names: GlobalNameTable,
     revision: watch::Receiver<u64>,
     told: Option<Option<Holder>>,
 }
@@ -153,7 +156,7 @@ impl fmt::Debug for NameWatch {
 }
 
 impl NameWatch {
-    pub(crate) fn new(names: &Names, name: ObjectName) -> Self {
+    pub(crate) fn new(names: &GlobalNameTable, name: ObjectName) -> Self {
         NameWatch { name, names: names.clone(), revision: names.revision(), told: None }
     }
 

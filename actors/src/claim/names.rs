@@ -3,7 +3,7 @@
 use super::{ClaimRow, ClaimState};
 use crate::platform;
 use actix::{Message, Recipient};
-use blastema_core::global_name::{Holder, Wanted};
+use blastema_core::global_name::{ClaimRequest, Holder};
 use blastema_core::{Incarnation, Instant, ObjectName};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
@@ -14,10 +14,10 @@ use tokio::sync::watch;
 /// What is wanted of the body.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) enum Wish {
+pub(crate) enum ClaimCommand {
     /// An object here claims a name.
     Claim {
-        wanted: Wanted,
+        wanted: ClaimRequest,
         /// Which claim it is, of all that were ever made here; a component has one for all its lives.
         number: u64,
         told: watch::Sender<ClaimState>,
@@ -40,29 +40,29 @@ struct Inner {
     /// As many as the machine takes.
     known: Mutex<BTreeMap<ObjectName, Known>>,
     revision: watch::Sender<u64>,
-    body: OnceLock<Recipient<Wish>>,
+    body: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
 }
 
 /// The names of the whole robot. Clones share them.
 #[derive(Clone)]
-pub(crate) struct Names(Arc<Inner>);
+pub(crate) struct GlobalNameTable(Arc<Inner>);
 
-impl Default for Names {
+impl Default for GlobalNameTable {
     fn default() -> Self {
         let (revision, _) = watch::channel(0);
         let (known, body, next) = (Mutex::default(), OnceLock::new(), AtomicU64::new(1));
-        Names(Arc::new(Inner { known, revision, body, next }))
+        GlobalNameTable(Arc::new(Inner { known, revision, body, next }))
     }
 }
 
-impl Names {
+impl GlobalNameTable {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Known>> {
         self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Claims are made there from now on.
-    pub(crate) fn lead_to(&self, body: Recipient<Wish>) {
+    pub(crate) fn lead_to(&self, body: Recipient<ClaimCommand>) {
         // Called once, when the node starts.
         let _ = self.0.body.set(body);
     }
@@ -112,19 +112,24 @@ impl Names {
     }
 
     /// Claims a name, and tells how that stands.
-    pub(crate) fn claim(&self, wanted: Wanted, number: u64) -> watch::Receiver<ClaimState> {
+    pub(crate) fn claim(&self, wanted: ClaimRequest, number: u64) -> watch::Receiver<ClaimState> {
         self.wish(wanted, number, false)
     }
 
     /// Claims a name for a component, whose lives have the same number.
-    pub(crate) fn claim_unattended(&self, wanted: Wanted, number: u64) {
+    pub(crate) fn claim_unattended(&self, wanted: ClaimRequest, number: u64) {
         drop(self.wish(wanted, number, true));
     }
 
-    fn wish(&self, wanted: Wanted, number: u64, unattended: bool) -> watch::Receiver<ClaimState> {
+    fn wish(
+        &self,
+        wanted: ClaimRequest,
+        number: u64,
+        unattended: bool,
+    ) -> watch::Receiver<ClaimState> {
         let (told, state) = watch::channel(ClaimState::Waiting);
         if let Some(body) = self.0.body.get() {
-            body.do_send(Wish::Claim { wanted, number, told, unattended });
+            body.do_send(ClaimCommand::Claim { wanted, number, told, unattended });
         }
         state
     }
@@ -132,7 +137,7 @@ impl Names {
     /// Gives it back.
     pub(crate) fn withdraw(&self, name: &ObjectName, number: u64) {
         if let Some(body) = self.0.body.get() {
-            body.do_send(Wish::Withdraw { name: name.clone(), number });
+            body.do_send(ClaimCommand::Withdraw { name: name.clone(), number });
         }
     }
 }

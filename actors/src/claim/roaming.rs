@@ -1,34 +1,35 @@
 //! What stands behind a `Sender` of a claimed name: whoever holds it when something is sent.
 
-use super::Names;
+use super::GlobalNameTable;
 use crate::registry::Registry;
-use crate::reply::Reply;
-use crate::sender::{Inlet, RequestError, SendError, Sender};
+use crate::reply::ReplyFuture;
+use crate::sender::{MessageSink, RequestError, SendError, Sender};
 use blastema_core::global_name::Holder;
-use blastema_core::{Contract, MessageId, ObjectName, Why};
+use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 /// Messages of one contract to the holder of a name.
-pub(crate) struct Roaming<M: Contract> {
+pub(crate) struct GlobalNameSender<M: Contract> {
     name: ObjectName,
     registry: Registry,
-    names: Names,
+    names: GlobalNameTable,
     /// Who was sent to last, and how.
     last: Mutex<Option<(Holder, Sender<M>)>>,
 }
 
-impl<M: Contract> Roaming<M> {
-    pub(crate) fn new(name: ObjectName, registry: Registry, names: Names) -> Self {
-        Roaming { name, registry, names, last: Mutex::default() }
+impl<M: Contract> GlobalNameSender<M> {
+    pub(crate) fn new(name: ObjectName, registry: Registry, names: GlobalNameTable) -> Self {
+        GlobalNameSender { name, registry, names, last: Mutex::default() }
     }
 
     /// The way to whoever holds the name now.
-    fn present(&self) -> Result<Sender<M>, Why> {
+    fn present(&self) -> Result<Sender<M>, DeliveryError> {
         let holder = self.names.holder(&self.name);
-        let holder = holder.ok_or_else(|| Why::Unclaimed { name: self.name.to_string() })?;
+        let holder =
+            holder.ok_or_else(|| DeliveryError::Unclaimed { name: self.name.to_string() })?;
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((known, sender)) = last.as_ref()
             && *known == holder
@@ -41,7 +42,7 @@ impl<M: Contract> Roaming<M> {
     }
 }
 
-impl<M: Contract> Inlet<M> for Roaming<M> {
+impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
         match self.present() {
             Ok(sender) => sender.0.tell(message),
@@ -56,7 +57,10 @@ impl<M: Contract> Inlet<M> for Roaming<M> {
         }
     }
 
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         let refused = refused.clone();
         Box::pin(async move {
             let mut revision = self.names.revision();
@@ -75,7 +79,7 @@ impl<M: Contract> Inlet<M> for Roaming<M> {
         message: M,
         id: Option<MessageId>,
         within: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
         match self.present() {
             Ok(sender) => sender.0.ask(message, id, within),
             Err(why) => Err(RequestError::new(why, Some(message))),

@@ -3,29 +3,31 @@
 //! The queue, the name and the record of messages that kill belong here, not to a life, so that they
 //! outlive panics and hung threads.
 
-use super::arbiters::Seat;
-use super::environment::HostEnvironment;
+use super::arbiters::ArbiterSlot;
+use super::environment::ComponentEnvironment;
 use super::injection::Injected;
-use super::life::LifeToken;
-use super::limits::Limits;
-use super::stamp::Place;
-use super::watch::Glimpsed;
+use super::life::IncarnationToken;
+use super::limits::ComponentLimits;
+use super::stamp::ActivitySlotRef;
+use super::watch::AliveSource;
 use super::{Host, pulse};
 use crate::component::{Component, Handle};
-use crate::death_watch::{Down, Mourners};
-use crate::lane::{Lane, WhenFull};
-use crate::letter::{Mail, Times, pack, posting_time};
-use crate::reply::{Answer, Reply, Revocable};
-use crate::sender::{Inlet, Receiver, RequestError, SendError};
+use crate::death_watch::{Down, Watchers};
+use crate::lane::{BoundedQueue, WhenFull};
+use crate::letter::{BoxedEnvelope, Times, enqueue_time, seal_message};
+use crate::reply::{Cancel, ReplyFuture, Responder};
+use crate::sender::{MessageSink, Receiver, RequestError, SendError};
 use crate::topic::Subscriptions;
 use crate::{panics, platform};
 use actix::Addr;
-use blastema_contract::child::StandingOrder;
+use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
-use blastema_core::global_name::Wanted;
-use blastema_core::{Contract, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName, Why};
+use blastema_core::global_name::ClaimRequest;
+use blastema_core::{
+    Contract, DeliveryError, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName,
+};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -39,51 +41,51 @@ const ISOLATED: u8 = 1;
 /// Some message is quarantined, so that identified ones are looked at.
 const QUARANTINE: u8 = 2;
 
-pub(crate) struct Anchor<C: Component> {
-    pub(crate) lane: Lane<Mail<C>>,
-    pub(crate) record: Record,
+pub(crate) struct ComponentCell<C: Component> {
+    pub(crate) lane: BoundedQueue<BoxedEnvelope<C>>,
+    pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
     control: Mutex<Option<Addr<Host<C>>>>,
     subscriptions: Mutex<Subscriptions<C>>,
 }
 
-/// The part of an [`Anchor`] that does not depend on the component's type.
-pub(crate) struct Record {
+/// The part of an [`ComponentCell`] that does not depend on the component's type.
+pub(crate) struct CellCore {
     pub(crate) name: ObjectName,
-    pub(crate) limits: Limits,
-    pub(crate) environment: HostEnvironment,
-    pub(crate) mourners: Mourners,
+    pub(crate) limits: ComponentLimits,
+    pub(crate) environment: ComponentEnvironment,
+    pub(crate) mourners: Watchers,
     pub(crate) injected: Injected,
     gate: AtomicU8,
     state: Mutex<Standing>,
     /// The life that began last.
     incarnation: AtomicU64,
-    service: Mutex<Followed>,
+    service: Mutex<MessageInService>,
     quarantine: Mutex<Quarantine>,
-    order: Mutex<Option<StandingOrder>>,
+    order: Mutex<Option<RestartGrant>>,
     /// The names of the whole robot that it claims while it is at work, each with the claim's number.
-    claims: OnceLock<Box<[(Wanted, u64)]>>,
+    claims: OnceLock<Box<[(ClaimRequest, u64)]>>,
 }
 
 /// Where a component stands, and where it lives.
 struct Standing {
     state: Lifecycle,
-    seat: Option<Seated>,
+    seat: Option<CurrentPlacement>,
 }
 
 /// One life's place.
 #[derive(Clone)]
-pub(crate) struct Seated {
-    pub(crate) seat: Seat,
-    pub(crate) slot: Place,
-    pub(crate) token: Arc<LifeToken>,
+pub(crate) struct CurrentPlacement {
+    pub(crate) seat: ArbiterSlot,
+    pub(crate) slot: ActivitySlotRef,
+    pub(crate) token: Arc<IncarnationToken>,
 }
 
 /// Who is to be told if the message in service brings death. It stands here and not with the pump, so
 /// that a hung callee cannot keep it.
 #[derive(Default)]
-pub(crate) struct Followed {
-    asker: Option<Arc<dyn Revocable>>,
+pub(crate) struct MessageInService {
+    asker: Option<Arc<dyn Cancel>>,
     id: Option<MessageId>,
 }
 
@@ -100,13 +102,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Record {
-    pub(crate) fn new(name: ObjectName, limits: Limits, environment: HostEnvironment) -> Self {
-        Record {
+impl CellCore {
+    pub(crate) fn new(
+        name: ObjectName,
+        limits: ComponentLimits,
+        environment: ComponentEnvironment,
+    ) -> Self {
+        CellCore {
             name,
             limits,
             environment,
-            mourners: Mourners::default(),
+            mourners: Watchers::default(),
             injected: Injected::default(),
             gate: AtomicU8::new(0),
             state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
@@ -119,7 +125,7 @@ impl Record {
     }
 
     /// It claims these names of the whole robot.
-    pub(crate) fn set_claims(&self, wanted: impl Iterator<Item = Wanted>) {
+    pub(crate) fn set_claims(&self, wanted: impl Iterator<Item = ClaimRequest>) {
         let numbered = wanted.map(|wanted| (wanted, self.environment.names.number()));
         // A component is described once.
         let _ = self.claims.set(numbered.collect());
@@ -133,7 +139,7 @@ impl Record {
     }
 
     /// No life is there, and none follows at once.
-    pub(crate) fn give_names_back(&self) {
+    pub(crate) fn withdraw_names(&self) {
         for (wanted, number) in self.claims.get().into_iter().flatten() {
             self.environment.names.withdraw(&wanted.name, *number);
         }
@@ -149,7 +155,7 @@ impl Record {
     }
 
     /// A life is in its place. False if a later one has begun elsewhere, whose place stays known.
-    pub(crate) fn enter(&self, incarnation: Incarnation, seated: Seated) -> bool {
+    pub(crate) fn enter(&self, incarnation: Incarnation, seated: CurrentPlacement) -> bool {
         let mut standing = lock(&self.state);
         let is_newest = incarnation >= self.incarnation();
         if is_newest {
@@ -167,19 +173,19 @@ impl Record {
         lock(&self.state).state = state;
     }
 
-    pub(crate) fn seat(&self) -> Option<Seated> {
+    pub(crate) fn seat(&self) -> Option<CurrentPlacement> {
         lock(&self.state).seat.clone()
     }
 
-    pub(crate) fn take_seat(&self) -> Option<Seated> {
+    pub(crate) fn take_seat(&self) -> Option<CurrentPlacement> {
         lock(&self.state).seat.take()
     }
 
-    pub(crate) fn order(&self) -> Option<StandingOrder> {
+    pub(crate) fn order(&self) -> Option<RestartGrant> {
         *lock(&self.order)
     }
 
-    pub(crate) fn set_order(&self, order: Option<StandingOrder>) {
+    pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
         *lock(&self.order) = order;
     }
 
@@ -191,22 +197,22 @@ impl Record {
     /// The message in service is one whose sender waits, or one that may come again. An asker may be
     /// left here: a request takes one result only, and it has it when it was served.
     #[inline]
-    pub(crate) fn follow(&self, asker: Option<Arc<dyn Revocable>>, id: Option<MessageId>) {
-        *lock(&self.service) = Followed { asker, id };
+    pub(crate) fn begin_service(&self, asker: Option<Arc<dyn Cancel>>, id: Option<MessageId>) {
+        *lock(&self.service) = MessageInService { asker, id };
     }
 
     /// It has been served, and is not to be blamed for what comes after.
     #[inline]
-    pub(crate) fn unfollow(&self) {
+    pub(crate) fn end_service(&self) {
         let followed = std::mem::take(&mut *lock(&self.service));
         drop(followed);
     }
 
     /// The life ends with the message that it serves: its asker is told, and it is blamed.
-    pub(crate) fn blame(&self, incarnation: Incarnation) {
-        let Followed { asker, id } = std::mem::take(&mut *lock(&self.service));
+    pub(crate) fn record_fatal_message(&self, incarnation: Incarnation) {
+        let MessageInService { asker, id } = std::mem::take(&mut *lock(&self.service));
         if let Some(asker) = asker {
-            asker.revoke(Why::PeerDied { incarnation });
+            asker.cancel(DeliveryError::PeerDied { incarnation });
         }
         if let Some(id) = id {
             let mut quarantine = lock(&self.quarantine);
@@ -219,7 +225,7 @@ impl Record {
 
     /// Says why this message is not let in.
     #[inline]
-    pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<Why> {
+    pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<DeliveryError> {
         match self.gate.load(Relaxed) {
             0 => None,
             gate => self.look_closer(gate, id),
@@ -227,16 +233,16 @@ impl Record {
     }
 
     #[cold]
-    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<Why> {
+    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<DeliveryError> {
         if gate & ISOLATED != 0 {
-            return Some(Why::Isolated);
+            return Some(DeliveryError::Isolated);
         }
         let kills = lock(&self.quarantine).refuses(id?)?;
-        Some(Why::Quarantined { kills })
+        Some(DeliveryError::Quarantined { kills })
     }
 
-    pub(crate) fn bury(&self, contract: &'static str, why: &Why) {
-        self.environment.dead_letters.take(&self.name, contract, why);
+    pub(crate) fn record_dead_letter(&self, contract: &'static str, why: &DeliveryError) {
+        self.environment.dead_letters.record(&self.name, contract, why);
     }
 
     /// A fault of the component, or of what was sent to it.
@@ -277,14 +283,14 @@ impl Record {
     }
 }
 
-impl<C: Component> Anchor<C> {
+impl<C: Component> ComponentCell<C> {
     pub(crate) fn new(
-        record: Record,
+        record: CellCore,
         queue: (usize, WhenFull),
         factory: Box<dyn Fn() -> C + Send + Sync>,
     ) -> Self {
-        Anchor {
-            lane: Lane::new(queue.0, queue.1),
+        ComponentCell {
+            lane: BoundedQueue::new(queue.0, queue.1),
             record,
             factory,
             control: Mutex::default(),
@@ -322,20 +328,20 @@ impl<C: Component> Anchor<C> {
     }
 
     /// Closes the queue until the next life; what was in it is returned or counted.
-    pub(crate) fn close(&self, why: &Why) {
+    pub(crate) fn close(&self, why: &DeliveryError) {
         self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, why.clone()));
     }
 
     /// The same, by the life that ends; without effect when it was given up and another has begun.
     pub(crate) fn close_by(&self, incarnation: Incarnation) {
         let left = self.lane.stop_by(incarnation);
-        left.into_iter().for_each(|mail| self.return_mail(mail, Why::Stopped));
+        left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
     }
 
     /// A message that is not going to be served.
-    pub(crate) fn return_mail(&self, mut mail: Mail<C>, why: Why) {
+    pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
         let contract = mail.brief().name;
-        self.record.bury(contract, &why);
+        self.record.record_dead_letter(contract, &why);
         let give_back = move || {
             mail.give_back(why);
             drop(mail);
@@ -344,8 +350,8 @@ impl<C: Component> Anchor<C> {
     }
 
     #[inline]
-    fn admit(&self, id: Option<MessageId>) -> Result<(), Why> {
-        match pulse::forbidden().or_else(|| self.record.refusal(id)) {
+    fn admit(&self, id: Option<MessageId>) -> Result<(), DeliveryError> {
+        match pulse::send_refusal().or_else(|| self.record.refusal(id)) {
             None => Ok(()),
             Some(why) => Err(why),
         }
@@ -361,7 +367,7 @@ impl<C: Component> Anchor<C> {
             Some(node) => format!("{node}:{}", down.object),
             None => down.object.to_string(),
         };
-        let notice = pack::<C, Down>(down, None, None, pulse::rough_now());
+        let notice = seal_message::<C, Down>(down, None, None, pulse::coarse_now());
         drop(self.lane.notify(watcher, &about, notice));
     }
 
@@ -373,19 +379,20 @@ impl<C: Component> Anchor<C> {
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
-                let push = self.lane.push_with(event, |m| pack::<C, M>(m, None, None, times));
+                let push =
+                    self.lane.push_with(event, |m| seal_message::<C, M>(m, None, None, times));
                 match push {
                     Ok(None) => return,
-                    Ok(Some(oldest)) => return self.return_mail(oldest, Why::Full),
+                    Ok(Some(oldest)) => return self.return_mail(oldest, DeliveryError::Full),
                     Err((_, why)) => why,
                 }
             }
         };
-        self.record.bury(M::NAME, &refused);
+        self.record.record_dead_letter(M::NAME, &refused);
     }
 }
 
-impl<C: Component> Glimpsed for Anchor<C> {
+impl<C: Component> AliveSource for ComponentCell<C> {
     fn incarnation(&self) -> Incarnation {
         self.record.incarnation()
     }
@@ -401,18 +408,18 @@ impl<C: Component> Glimpsed for Anchor<C> {
     }
 }
 
-impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
+impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
     #[inline]
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.tell_at(message, posting_time::<M>())
+        self.tell_at(message, enqueue_time::<M>())
     }
 
     #[inline]
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        self.offer_at(message, posting_time::<M>())
+        self.offer_at(message, enqueue_time::<M>())
     }
 
-    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(self.lane.room())
     }
 
@@ -432,8 +439,8 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
         id: Option<MessageId>,
         // Whoever waits is next door: a request that nobody waits for is not begun.
         _: Option<Duration>,
-    ) -> Result<Reply<M>, RequestError<M>> {
-        let (answer, reply) = Answer::awaited();
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        let (answer, reply) = Responder::awaited();
         match self.post(message, answer, id) {
             Ok(()) => Ok(reply),
             Err(error) => Err(error.into()),
@@ -441,7 +448,7 @@ impl<C: Handle<M>, M: Contract> Inlet<M> for Anchor<C> {
     }
 }
 
-impl<C: Component> Anchor<C> {
+impl<C: Component> ComponentCell<C> {
     /// Tells the component what was posted then.
     #[inline]
     pub(crate) fn tell_at<M: Contract>(
@@ -453,10 +460,12 @@ impl<C: Component> Anchor<C> {
         C: Handle<M>,
     {
         match self.offer_at(message, posted_at) {
-            Err(SendError { why: why @ (Why::Full | Why::Restarting), message, .. })
-                if self.lane.policy() == WhenFull::DropNewest =>
-            {
-                self.record.bury(M::NAME, &why);
+            Err(SendError {
+                kind: why @ (DeliveryError::Full | DeliveryError::Restarting),
+                message,
+                ..
+            }) if self.lane.policy() == WhenFull::DropNewest => {
+                self.record.record_dead_letter(M::NAME, &why);
                 drop(message);
                 Ok(())
             }
@@ -476,10 +485,10 @@ impl<C: Component> Anchor<C> {
         if let Err(why) = self.admit(None) {
             return Err(SendError::new(why, message));
         }
-        match self.lane.push_with(message, |m| pack::<C, M>(m, None, None, posted_at)) {
+        match self.lane.push_with(message, |m| seal_message::<C, M>(m, None, None, posted_at)) {
             Ok(None) => Ok(()),
             Ok(Some(oldest)) => {
-                self.return_mail(oldest, Why::Full);
+                self.return_mail(oldest, DeliveryError::Full);
                 Ok(())
             }
             Err((message, why)) => Err(SendError::new(why, message)),
@@ -491,7 +500,7 @@ impl<C: Component> Anchor<C> {
     pub(crate) fn post<M: Contract>(
         &self,
         message: M,
-        answer: Answer<M>,
+        answer: Responder<M>,
         id: Option<MessageId>,
     ) -> Result<(), SendError<M>>
     where
@@ -500,20 +509,21 @@ impl<C: Component> Anchor<C> {
         let mut answer = Some(answer);
         let posted = match self.admit(id) {
             Ok(()) => {
-                let posted_at = posting_time::<M>();
-                self.lane.push_with(message, |m| pack::<C, M>(m, answer.take(), id, posted_at))
+                let posted_at = enqueue_time::<M>();
+                self.lane
+                    .push_with(message, |m| seal_message::<C, M>(m, answer.take(), id, posted_at))
             }
             Err(why) => Err((message, why)),
         };
         match posted {
             Ok(None) => Ok(()),
             Ok(Some(oldest)) => {
-                self.return_mail(oldest, Why::Full);
+                self.return_mail(oldest, DeliveryError::Full);
                 Ok(())
             }
             Err((message, why)) => {
-                if let Why::Quarantined { .. } = why {
-                    self.record.bury(M::NAME, &why);
+                if let DeliveryError::Quarantined { .. } = why {
+                    self.record.record_dead_letter(M::NAME, &why);
                 }
                 if let Some(answer) = answer {
                     answer.refuse(why.clone(), None);

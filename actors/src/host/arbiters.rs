@@ -3,7 +3,7 @@
 //! A thread that hangs cannot be killed. It is given up, another takes its place, and the given-up ones
 //! are counted: too many, and the process itself has to be begun anew.
 
-use super::pulse::Pulse;
+use super::pulse::ArbiterHeartbeat;
 use super::threads::ThreadKind;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::ObjectName;
@@ -18,13 +18,13 @@ pub(crate) const ABANDONED_LIMIT: usize = 4;
 
 /// An arbiter that a component was given.
 #[derive(Clone)]
-pub(crate) struct Seat {
+pub(crate) struct ArbiterSlot {
     pub(crate) handle: ArbiterHandle,
-    pub(crate) pulse: Arc<Pulse>,
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
     own_thread: bool,
 }
 
-impl Seat {
+impl ArbiterSlot {
     /// Another life of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
         !self.own_thread && !self.pulse.is_fenced() && self.handle.alive()
@@ -55,7 +55,7 @@ pub(crate) type OnAbandoned = Box<dyn Fn(usize) + Send + Sync>;
 
 /// The threads of a node's components. Clones share them.
 #[derive(Clone)]
-pub(crate) struct Arbiters(Arc<Inner>);
+pub(crate) struct ArbiterPool(Arc<Inner>);
 
 struct Inner {
     /// How many arbiters are shared; none where everything lives on the arbiter that asks.
@@ -69,27 +69,27 @@ struct Inner {
 
 #[derive(Default)]
 struct Pool {
-    seats: Vec<Seat>,
+    seats: Vec<ArbiterSlot>,
     next: usize,
     /// Threads that components have for themselves, to be ended with the node.
-    own: Vec<Seat>,
+    own: Vec<ArbiterSlot>,
     /// Those that were given up and have not come back, and whose handler keeps them.
-    lost: Vec<(Seat, ObjectName)>,
+    lost: Vec<(ArbiterSlot, ObjectName)>,
     /// The node has ended: a life that begins anew because its arbiter went finds no place.
     stopped: bool,
 }
 
 /// A thread that was begun here and has not ended.
-pub(crate) struct Thread {
+pub(crate) struct ArbiterThread {
     pub(crate) kind: ThreadKind,
-    pub(crate) pulse: Arc<Pulse>,
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
     /// The culprit, if it is given up.
     pub(crate) lost_to: Option<ObjectName>,
 }
 
 impl Pool {
     /// At [`ABANDONED_LIMIT`] the process is begun anew; threads that came back are forgotten.
-    fn note_lost(&mut self, pulse: &Pulse, culprit: &ObjectName) {
+    fn note_lost(&mut self, pulse: &ArbiterHeartbeat, culprit: &ObjectName) {
         self.lost.retain(|(seat, _)| seat.handle.alive());
         for seats in [&mut self.seats, &mut self.own] {
             let gone = seats.extract_if(.., |seat| seat.pulse.id() == pulse.id());
@@ -100,12 +100,12 @@ impl Pool {
 
 /// Lives as long as an arbiter's event loop turns. Dropped after the arbiter was lost, it says that
 /// the thread has come back after all.
-pub(crate) struct Loan {
-    pulse: Arc<Pulse>,
+pub(crate) struct LoopGuard {
+    pulse: Arc<ArbiterHeartbeat>,
     abandoned: Arc<AtomicUsize>,
 }
 
-impl Drop for Loan {
+impl Drop for LoopGuard {
     fn drop(&mut self) {
         if self.pulse.is_lost() {
             let _ = self.abandoned.fetch_update(Relaxed, Relaxed, |count| count.checked_sub(1));
@@ -113,13 +113,13 @@ impl Drop for Loan {
     }
 }
 
-impl fmt::Debug for Arbiters {
+impl fmt::Debug for ArbiterPool {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} shared arbiters, {} abandoned", self.0.shared, self.abandoned())
     }
 }
 
-impl Arbiters {
+impl ArbiterPool {
     /// Everything lives on the arbiter that starts it: for tests, under one clock.
     pub(crate) fn here() -> Self {
         Self::with(0, None)
@@ -134,7 +134,7 @@ impl Arbiters {
     }
 
     fn with(shared: usize, system: Option<System>) -> Self {
-        Arbiters(Arc::new(Inner {
+        ArbiterPool(Arc::new(Inner {
             shared,
             system,
             pool: Mutex::default(),
@@ -151,10 +151,10 @@ impl Arbiters {
     ///
     /// # Errors
     /// The operating system has no thread left, or the node has ended.
-    pub(crate) fn place(&self, own_thread: bool) -> std::io::Result<Seat> {
+    pub(crate) fn place(&self, own_thread: bool) -> std::io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
-            let pulse = Pulse::enrol_here();
-            return Ok(Seat { handle: Arbiter::current(), pulse, own_thread: false });
+            let pulse = ArbiterHeartbeat::enrol_here();
+            return Ok(ArbiterSlot { handle: Arbiter::current(), pulse, own_thread: false });
         }
         let mut pool = self.pool_of();
         if pool.stopped {
@@ -167,7 +167,7 @@ impl Arbiters {
             return Ok(seat);
         }
         pool.seats.retain(|seat| !seat.pulse.is_lost() && seat.handle.alive());
-        let turning = |seat: &&Seat| !seat.pulse.is_fenced();
+        let turning = |seat: &&ArbiterSlot| !seat.pulse.is_fenced();
         let free = pool.seats.iter().filter(turning).count();
         if free < self.0.shared {
             let seat = self.start(false)?;
@@ -179,7 +179,7 @@ impl Arbiters {
         Ok(seat.expect("there are as many as were counted").clone())
     }
 
-    fn start(&self, own_thread: bool) -> std::io::Result<Seat> {
+    fn start(&self, own_thread: bool) -> std::io::Result<ArbiterSlot> {
         if let (None, Some(system)) = (System::try_current(), &self.0.system) {
             System::set_current(system.clone());
         }
@@ -187,15 +187,15 @@ impl Arbiters {
             tokio::runtime::Builder::new_current_thread().enable_all().build()
         })?;
         let handle = arbiter.handle();
-        let pulse = Arc::new(Pulse::default());
-        let loan = Loan { pulse: pulse.clone(), abandoned: self.0.abandoned.clone() };
+        let pulse = Arc::new(ArbiterHeartbeat::default());
+        let loan = LoopGuard { pulse: pulse.clone(), abandoned: self.0.abandoned.clone() };
         let adopted = pulse.clone();
         handle.spawn_fn(move || adopted.adopt(Some(loan)));
-        Ok(Seat { handle, pulse, own_thread })
+        Ok(ArbiterSlot { handle, pulse, own_thread })
     }
 
     /// The grace time of this arbiter is over. Says whether it is really lost, or has just come back.
-    pub(crate) fn lose(&self, pulse: &Pulse, culprit: &ObjectName) -> bool {
+    pub(crate) fn mark_lost(&self, pulse: &ArbiterHeartbeat, culprit: &ObjectName) -> bool {
         if !pulse.lose() {
             return false;
         }
@@ -223,14 +223,14 @@ impl Arbiters {
     }
 
     /// All threads that were begun here and have not ended.
-    pub(crate) fn threads(&self) -> Vec<Thread> {
+    pub(crate) fn threads(&self) -> Vec<ArbiterThread> {
         let pool = self.pool_of();
         let usable = pool.seats.iter().chain(&pool.own).map(|seat| (seat, None));
         let lost = pool.lost.iter().map(|(seat, culprit)| (seat, Some(culprit.clone())));
         let there = usable.chain(lost).filter(|(seat, _)| seat.handle.alive());
-        let thread = |(seat, lost_to): (&Seat, _)| {
+        let thread = |(seat, lost_to): (&ArbiterSlot, _)| {
             let (kind, pulse) = (seat.kind(), seat.pulse.clone());
-            Thread { kind, pulse, lost_to }
+            ArbiterThread { kind, pulse, lost_to }
         };
         there.map(thread).collect()
     }
@@ -264,7 +264,7 @@ mod tests {
     #[test]
     fn arbiters_that_were_stopped_start_no_thread_again() {
         System::new().block_on(async {
-            let arbiters = Arbiters::pool(1);
+            let arbiters = ArbiterPool::pool(1);
             arbiters.place(true).expect("a thread");
 
             arbiters.stop();

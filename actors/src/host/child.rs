@@ -1,38 +1,38 @@
 //! What a supervisor does with a hosted component.
 
-use super::anchor::Anchor;
-use super::arbiters::Seat;
+use super::anchor::ComponentCell;
+use super::arbiters::ArbiterSlot;
 use super::course::Hook;
 use super::injection::Injection;
-use super::pump::{Pump, SharedPump};
-use super::{Control, Host, label};
+use super::pump::{ComponentExecutor, SharedExecutor};
+use super::{Host, HostCommand, label};
 use crate::component::Component;
-use crate::death_watch::{Down, Ending, Mortal, Mourner};
+use crate::death_watch::{Down, Ending, Watchable, Watcher};
 use actix::dev::channel;
 use actix::{Addr, Recipient};
-use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
-use blastema_core::{Incarnation, Lifecycle, ObjectName, Why};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_core::{DeliveryError, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
 
 /// Control messages that may wait before a sender notices; there is one outstanding of each kind.
 const CONTROL: usize = 16;
 
 /// A hosted component in the hands of its supervisor.
-pub(crate) struct HostedChild<C: Component> {
-    anchor: Arc<Anchor<C>>,
+pub(crate) struct ComponentChild<C: Component> {
+    anchor: Arc<ComponentCell<C>>,
     report: Option<Recipient<ChildReport>>,
     /// Where the last life was. The next one stays there if it can, so that what is spread over the
     /// arbiters stays so, and events keep their order.
-    seat: Option<Seat>,
+    seat: Option<ArbiterSlot>,
     /// It was moved, or began so.
     own_thread: bool,
 }
 
-impl<C: Component> HostedChild<C> {
-    pub(crate) fn new(anchor: Arc<Anchor<C>>) -> Self {
+impl<C: Component> ComponentChild<C> {
+    pub(crate) fn new(anchor: Arc<ComponentCell<C>>) -> Self {
         crate::panics::install_hook();
         let own_thread = anchor.record.limits.own_thread;
-        HostedChild { anchor, report: None, seat: None, own_thread }
+        ComponentChild { anchor, report: None, seat: None, own_thread }
     }
 
     /// A life is there, or on its way.
@@ -40,7 +40,7 @@ impl<C: Component> HostedChild<C> {
         self.anchor.lane.owner().is_some()
     }
 
-    fn order(&self, control: Control) {
+    fn order(&self, control: HostCommand) {
         if let Some(host) = self.anchor.control() {
             host.do_send(control);
         }
@@ -54,7 +54,7 @@ impl<C: Component> HostedChild<C> {
     }
 }
 
-impl<C: Component> Child for HostedChild<C> {
+impl<C: Component> Child for ComponentChild<C> {
     fn name(&self) -> &ObjectName {
         &self.anchor.record.name
     }
@@ -64,7 +64,7 @@ impl<C: Component> Child for HostedChild<C> {
         self.report = Some(report.clone());
         let record = &self.anchor.record;
         record.set_state(Lifecycle::Created);
-        let known = self.seat.take().filter(Seat::is_usable);
+        let known = self.seat.take().filter(ArbiterSlot::is_usable);
         let place = || record.environment.arbiters.place(self.own_thread);
         let seat = match known.map_or_else(place, Ok) {
             Ok(seat) => seat,
@@ -94,7 +94,7 @@ impl<C: Component> Child for HostedChild<C> {
 
     fn stop(&mut self) {
         if self.is_alive() {
-            return self.order(Control::Stop);
+            return self.order(HostCommand::Stop);
         }
         self.anchor.end();
         self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
@@ -102,7 +102,7 @@ impl<C: Component> Child for HostedChild<C> {
 
     fn make_way(&mut self) {
         if self.is_alive() {
-            return self.order(Control::MakeWay);
+            return self.order(HostCommand::MakeWay);
         }
         self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
     }
@@ -121,18 +121,18 @@ impl<C: Component> Child for HostedChild<C> {
             let reading = seated.slot.stamp.read();
             let during = label::name(reading.during);
             if reading.turn % 2 == 1 && !Hook::is_name(during) {
-                record.bury(during, &Why::PeerDied { incarnation });
+                record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
-            record.blame(incarnation);
+            record.record_fatal_message(incarnation);
             let pulse = &seated.seat.pulse;
             if pulse.running() == Some(seated.slot.index) && !pulse.is_here() {
                 pulse.fence();
             }
         }
         // A handler that awaits is dropped by its own pump, which sees that it has been given up.
-        self.order(Control::Wake);
+        self.order(HostCommand::Wake);
         self.anchor.set_control(None);
-        record.give_names_back();
+        record.withdraw_names();
         let (object, ending) = (record.name.clone(), Ending::Abandoned);
         record.mourners.tell(&Down { object, node: None, incarnation, ending });
     }
@@ -150,7 +150,7 @@ impl<C: Component> Child for HostedChild<C> {
 
     fn reset(&mut self) {
         if self.is_alive() {
-            return self.order(Control::Reset);
+            return self.order(HostCommand::Reset);
         }
         let reason = "it is not alive".to_owned();
         self.tell(self.anchor.record.incarnation(), ChildEvent::ResetFailed { reason });
@@ -160,30 +160,30 @@ impl<C: Component> Child for HostedChild<C> {
         self.anchor.isolate(isolated);
         if isolated && !self.is_alive() {
             // Nobody is there to whom it could be kept.
-            self.anchor.close(&Why::Isolated);
+            self.anchor.close(&DeliveryError::Isolated);
         }
     }
 
-    fn standing_order(&mut self, order: Option<StandingOrder>) {
+    fn standing_order(&mut self, order: Option<RestartGrant>) {
         self.anchor.record.set_order(order);
     }
 }
 
-impl<C: Component> Drop for HostedChild<C> {
+impl<C: Component> Drop for ComponentChild<C> {
     fn drop(&mut self) {
         self.abandon();
         self.anchor.end();
         let record = &self.anchor.record;
-        record.environment.registry.release(&record.name);
+        record.environment.registry.unregister(&record.name);
         record.environment.variables.withdraw(&record.name);
         record.environment.actuators.withdraw(&record.name);
     }
 }
 
-impl<C: Component> Anchor<C> {
+impl<C: Component> ComponentCell<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
     pub(crate) fn end(&self) {
-        self.close(&Why::Stopped);
+        self.close(&DeliveryError::Stopped);
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 
@@ -196,17 +196,17 @@ impl<C: Component> Anchor<C> {
     }
 }
 
-impl<C: Component> Mortal for Anchor<C> {
+impl<C: Component> Watchable for ComponentCell<C> {
     fn inject(&self, injection: Injection) {
         self.record.injected.put_in(injection);
         if injection == Injection::Panic
             && let Some(host) = self.control()
         {
-            host.do_send(Control::Panic);
+            host.do_send(HostCommand::Panic);
         }
     }
 
-    fn watch(&self, mourner: Mourner) {
+    fn watch(&self, mourner: Watcher) {
         let mourner = Arc::new(mourner);
         self.record.mourners.join(mourner.clone());
         if self.lane.owner().is_none() {
@@ -222,15 +222,15 @@ impl<C: Component> Mortal for Anchor<C> {
 
 /// A life on its way to its arbiter. If that goes away first, the supervisor is told.
 struct Boarding<C: Component> {
-    anchor: Option<Arc<Anchor<C>>>,
+    anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
-    seat: Seat,
+    seat: ArbiterSlot,
     report: Recipient<ChildReport>,
 }
 
 impl<C: Component> Boarding<C> {
     /// The pump of the life, unless that has been given up meanwhile.
-    fn enter(mut self) -> Option<SharedPump<C>> {
+    fn enter(mut self) -> Option<SharedExecutor<C>> {
         let anchor = self.anchor.take()?;
         if anchor.lane.owner() != Some(self.incarnation) {
             self.seat.vacate();
@@ -240,7 +240,12 @@ impl<C: Component> Boarding<C> {
             subscription.attach(&anchor);
         }
         let (incarnation, seat) = (self.incarnation, self.seat.clone());
-        Some(SharedPump::new(Pump::new(anchor, incarnation, seat, self.report.clone())))
+        Some(SharedExecutor::new(ComponentExecutor::new(
+            anchor,
+            incarnation,
+            seat,
+            self.report.clone(),
+        )))
     }
 }
 

@@ -6,7 +6,7 @@
 //! and take their turn between messages; one that is due already is not made due again, so that nothing
 //! stale piles up while the component is busy.
 
-use super::life::{Action, Rhythm, Task, TimerId};
+use super::life::{Task, TimerAction, TimerId, TimerMode};
 use super::turn_budget::TurnBudget;
 use crate::component::Component;
 use crate::platform;
@@ -34,7 +34,7 @@ const FINEST: Duration = Duration::from_millis(1);
 
 /// Something that is due.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Chore {
+pub(crate) enum DueWork {
     Execute,
     Timer(TimerId),
     /// The life should have begun by now.
@@ -53,7 +53,7 @@ struct Timer<C: Component> {
     /// Its entry in the schedule, until it is due for the last time.
     entry: Option<Entry>,
     /// Lifted out while it runs.
-    action: Option<Action<C>>,
+    action: Option<TimerAction<C>>,
 }
 
 /// A task of the component's own; it waits while the turn is over.
@@ -76,18 +76,18 @@ impl Future for Spawned {
     }
 }
 
-pub(crate) struct Chores<C: Component> {
+pub(crate) struct ScheduledWork<C: Component> {
     tasks: FuturesUnordered<Spawned>,
     timers: BTreeMap<u64, Timer<C>>,
-    schedule: BTreeMap<Entry, Chore>,
+    schedule: BTreeMap<Entry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
     /// Sleeps until the earliest entry, or one before it.
     alarm: Option<(Instant, Pin<Box<Sleep>>)>,
     /// At most one entry per timer, and one for the round.
-    due: VecDeque<Chore>,
+    due: VecDeque<DueWork>,
     /// Limits that were reached and have not been asked for yet.
-    reached: Vec<Chore>,
+    reached: Vec<DueWork>,
     interval: Option<Duration>,
     active: bool,
     /// The entry of the next round.
@@ -98,9 +98,9 @@ pub(crate) struct Chores<C: Component> {
     fresh: bool,
 }
 
-impl<C: Component> Default for Chores<C> {
+impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        Chores {
+        ScheduledWork {
             tasks: FuturesUnordered::new(),
             timers: BTreeMap::new(),
             schedule: BTreeMap::new(),
@@ -129,10 +129,10 @@ fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
     now + (every - Duration::from_nanos(past))
 }
 
-impl<C: Component> Chores<C> {
+impl<C: Component> ScheduledWork<C> {
     /// For a life that begins, with rounds at this interval.
     pub(crate) fn begin(&mut self, interval: Option<Duration>) {
-        *self = Chores { interval, ..Chores::default() };
+        *self = ScheduledWork { interval, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -152,7 +152,7 @@ impl<C: Component> Chores<C> {
         }
         self.active = active;
         self.last_round = None;
-        self.due.retain(|chore| *chore != Chore::Execute);
+        self.due.retain(|chore| *chore != DueWork::Execute);
         self.plan_round();
     }
 
@@ -174,11 +174,11 @@ impl<C: Component> Chores<C> {
         if let (true, Some(interval)) = (self.active, self.interval) {
             let now = platform::now();
             let at = self.last_round.map_or(now, |last| (last + interval).max(now));
-            self.round = Some(self.enter(at, Chore::Execute));
+            self.round = Some(self.enter(at, DueWork::Execute));
         }
     }
 
-    fn enter(&mut self, at: Instant, chore: Chore) -> Entry {
+    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
         self.fresh = true;
         self.next_entry += 1;
         let entry = (at, self.next_entry);
@@ -190,7 +190,7 @@ impl<C: Component> Chores<C> {
     pub(crate) fn take_on(
         &mut self,
         tasks: Vec<Task>,
-        timers: Vec<(TimerId, Rhythm, Action<C>)>,
+        timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
         cancelled: &[TimerId],
         budget: &Rc<TurnBudget>,
     ) {
@@ -209,10 +209,10 @@ impl<C: Component> Chores<C> {
             let held = self.timers.len();
             assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
             let (delay, every) = match rhythm {
-                Rhythm::Once(delay) => (delay, None),
-                Rhythm::Every(interval) => (interval, Some(interval)),
+                TimerMode::Once(delay) => (delay, None),
+                TimerMode::Every(interval) => (interval, Some(interval)),
             };
-            let entry = Some(self.enter(now + delay, Chore::Timer(id)));
+            let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
             self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
         }
     }
@@ -222,23 +222,23 @@ impl<C: Component> Chores<C> {
         if let Some(entry) = timer.entry {
             self.schedule.remove(&entry);
         }
-        self.due.retain(|chore| *chore != Chore::Timer(id));
+        self.due.retain(|chore| *chore != DueWork::Timer(id));
     }
 
     /// Sets one of the limits. One that is set already stays as it is.
-    pub(crate) fn limit(&mut self, limit: Chore, within: Duration) {
+    pub(crate) fn limit(&mut self, limit: DueWork, within: Duration) {
         if self.schedule.values().all(|set| *set != limit) {
             self.enter(platform::now() + within, limit);
         }
     }
 
-    pub(crate) fn cancel_limit(&mut self, limit: Chore) {
+    pub(crate) fn cancel_limit(&mut self, limit: DueWork) {
         self.schedule.retain(|_, set| *set != limit);
         self.reached.retain(|reached| *reached != limit);
     }
 
     /// Says whether this limit has been reached, once.
-    pub(crate) fn take_limit(&mut self, limit: Chore) -> bool {
+    pub(crate) fn take_limit(&mut self, limit: DueWork) -> bool {
         let before = self.reached.len();
         self.reached.retain(|reached| *reached != limit);
         self.reached.len() < before
@@ -280,14 +280,14 @@ impl<C: Component> Chores<C> {
         self.alarm = None;
     }
 
-    fn fall_due(&mut self, chore: Chore, at: Instant, now: Instant) {
+    fn fall_due(&mut self, chore: DueWork, at: Instant, now: Instant) {
         match chore {
-            Chore::Execute => {
+            DueWork::Execute => {
                 self.last_round = Some(at);
                 let next = self.interval.map(|interval| next_tick(at, interval, now));
-                self.round = next.map(|next| self.enter(next, Chore::Execute));
+                self.round = next.map(|next| self.enter(next, DueWork::Execute));
             }
-            Chore::Timer(id) => {
+            DueWork::Timer(id) => {
                 let every = self.timers.get(&id.0).and_then(|timer| timer.every);
                 let next = every.map(|every| next_tick(at, every, now));
                 let entry = next.map(|next| self.enter(next, chore));
@@ -295,7 +295,7 @@ impl<C: Component> Chores<C> {
                     timer.entry = entry;
                 }
             }
-            Chore::ReadyLimit | Chore::StopLimit | Chore::Retry => {
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {
                 return self.reached.push(chore);
             }
         }
@@ -306,17 +306,17 @@ impl<C: Component> Chores<C> {
 
     /// What is due first.
     #[inline]
-    pub(crate) fn next_due(&mut self) -> Option<Chore> {
+    pub(crate) fn next_due(&mut self) -> Option<DueWork> {
         self.due.pop_front()
     }
 
     /// The timer's action, to be run.
-    pub(crate) fn lift(&mut self, id: TimerId) -> Option<Action<C>> {
+    pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
         self.timers.get_mut(&id.0)?.action.take()
     }
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
-    pub(crate) fn put_back(&mut self, id: TimerId, action: Action<C>) {
+    pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
         if let Some(timer) = self.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
             timer.action = Some(action);
             return;
@@ -325,8 +325,8 @@ impl<C: Component> Chores<C> {
     }
 
     /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
-    pub(crate) fn clear(&mut self) -> (Vec<Task>, Vec<Action<C>>) {
-        let Chores { tasks, timers, .. } = std::mem::take(self);
+    pub(crate) fn clear(&mut self) -> (Vec<Task>, Vec<TimerAction<C>>) {
+        let ScheduledWork { tasks, timers, .. } = std::mem::take(self);
         let tasks = tasks.into_iter().map(|spawned| spawned.task);
         let actions = timers.into_values().filter_map(|timer| timer.action);
         (tasks.collect(), actions.collect())

@@ -74,7 +74,7 @@ impl Hook {
 
 /// How a life ends that does not panic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum End {
+pub(crate) enum EndReason {
     /// It was told to.
     Stopped,
     /// It was told to, and another life follows.
@@ -87,21 +87,21 @@ pub(crate) enum End {
 
 /// What the pump is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Step {
+pub(crate) enum LifecycleStep {
     Run(Hook),
     /// Serve timers, rounds and messages.
     Serve,
     /// Wait for an order.
     Rest,
-    End(End),
+    End(EndReason),
 }
 
 /// What is to be told.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum News {
+pub(crate) enum LifecycleReport {
     State(Lifecycle, Option<String>),
     Child(ChildEvent),
-    /// Something is not there yet; [`Course::handle_retry`] is to be called when this has passed.
+    /// Something is not there yet; [`IncarnationLifecycle::handle_retry`] is to be called when this has passed.
     Unavailable {
         reason: String,
         retry_in: Duration,
@@ -126,28 +126,28 @@ enum Awaited {
 }
 
 #[derive(Debug)]
-pub(crate) struct Course {
+pub(crate) struct IncarnationLifecycle {
     state: Lifecycle,
     /// At most one per hook.
     hooks: VecDeque<Hook>,
     awaited: Option<Awaited>,
     /// A hook found that something is not there yet.
     retried: Option<Retried>,
-    end: Option<End>,
-    news: Vec<News>,
+    end: Option<EndReason>,
+    news: Vec<LifecycleReport>,
 }
 
-impl Course {
+impl IncarnationLifecycle {
     /// A life that is about to be initialised and activated. `announced`: its supervisor waits to
     /// hear of it.
     pub(crate) fn new(announced: bool) -> Self {
-        Course {
+        IncarnationLifecycle {
             state: Lifecycle::Created,
             hooks: VecDeque::from([Hook::Initialize, Hook::Startup, Hook::Activated]),
             awaited: announced.then_some(Awaited::Start),
             retried: None,
             end: None,
-            news: vec![News::State(Lifecycle::Created, None)],
+            news: vec![LifecycleReport::State(Lifecycle::Created, None)],
         }
     }
 
@@ -164,27 +164,27 @@ impl Course {
 
     /// Another life follows this one.
     pub(crate) fn makes_way(&self) -> bool {
-        self.end == Some(End::Replaced)
+        self.end == Some(EndReason::Replaced)
     }
 
     pub(crate) fn is_ending(&self) -> bool {
         self.end.is_some()
     }
 
-    pub(crate) fn poll_news(&mut self) -> Vec<News> {
+    pub(crate) fn poll_news(&mut self) -> Vec<LifecycleReport> {
         std::mem::take(&mut self.news)
     }
 
     /// What is to be done next. A hook that is named here counts as begun.
-    pub(crate) fn next(&mut self) -> Step {
+    pub(crate) fn next(&mut self) -> LifecycleStep {
         if self.retried.is_some_and(|retried| retried.waits) {
-            return Step::Rest;
+            return LifecycleStep::Rest;
         }
         match (self.hooks.pop_front(), self.end) {
-            (Some(hook), _) => Step::Run(hook),
-            (None, Some(end)) => Step::End(end),
-            (None, None) if self.state == Lifecycle::Active => Step::Serve,
-            (None, None) => Step::Rest,
+            (Some(hook), _) => LifecycleStep::Run(hook),
+            (None, Some(end)) => LifecycleStep::End(end),
+            (None, None) if self.state == Lifecycle::Active => LifecycleStep::Serve,
+            (None, None) => LifecycleStep::Rest,
         }
     }
 
@@ -227,10 +227,10 @@ impl Course {
         self.retried = Some(Retried { hook, attempts, waits: true });
         // Whoever waited for the start, or the reset, waits for the start from now on.
         self.awaited = Some(Awaited::Start);
-        self.news.push(News::Child(ChildEvent::Unavailable { reason: reason.clone() }));
+        self.news.push(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
         // The first attempt was made at once; what it waits before the second is the first wait.
         let retry_in = UNAVAILABLE.delay(attempts.saturating_add(1), u64::from(attempts));
-        self.news.push(News::Unavailable { reason, retry_in });
+        self.news.push(LifecycleReport::Unavailable { reason, retry_in });
     }
 
     /// The time has come to call the hook again; says whether that is still so.
@@ -250,8 +250,8 @@ impl Course {
             return;
         }
         match self.awaited.take() {
-            Some(Awaited::Start) => self.news.push(News::Child(ChildEvent::Started)),
-            Some(Awaited::Reset) => self.news.push(News::Child(ChildEvent::Reset)),
+            Some(Awaited::Start) => self.news.push(LifecycleReport::Child(ChildEvent::Started)),
+            Some(Awaited::Reset) => self.news.push(LifecycleReport::Child(ChildEvent::Reset)),
             None => {}
         }
     }
@@ -284,27 +284,29 @@ impl Course {
             self.hooks.push_back(Hook::Aborting);
         }
         self.hooks.push_back(Hook::Finalize);
-        self.end = Some(End::Fatal);
+        self.end = Some(EndReason::Fatal);
     }
 
     fn answer_failed(&mut self, reason: &str) {
         let reason = reason.to_owned();
         match self.awaited.take() {
             Some(Awaited::Start) => {
-                self.news.push(News::Child(ChildEvent::StartFailed { reason }));
+                self.news.push(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
             }
             Some(Awaited::Reset) => {
-                self.news.push(News::Child(ChildEvent::ResetFailed { reason }));
+                self.news.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
             None => {}
         }
     }
 
     /// The life is to end in order.
-    pub(crate) fn handle_stop(&mut self, end: End) {
+    pub(crate) fn handle_stop(&mut self, end: EndReason) {
         if self.end.is_some() {
             // Who asks to be told that it stopped is told so, whatever it ends of.
-            if end == End::Stopped || (end == End::Replaced && self.end != Some(End::Stopped)) {
+            if end == EndReason::Stopped
+                || (end == EndReason::Replaced && self.end != Some(EndReason::Stopped))
+            {
                 self.end = Some(end);
             }
             return;
@@ -335,10 +337,10 @@ impl Course {
                 self.hooks.push_back(Hook::Reset);
                 self.awaited = Some(Awaited::Reset);
             }
-            (Lifecycle::Active, None) => self.news.push(News::Child(ChildEvent::Reset)),
+            (Lifecycle::Active, None) => self.news.push(LifecycleReport::Child(ChildEvent::Reset)),
             (state, _) => {
                 let reason = format!("it is {state}; only a component in error can be reset");
-                self.news.push(News::Child(ChildEvent::ResetFailed { reason }));
+                self.news.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
         }
     }
@@ -367,7 +369,7 @@ impl Course {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.state = state;
-        self.news.push(News::State(state, reason));
+        self.news.push(LifecycleReport::State(state, reason));
     }
 }
 

@@ -1,17 +1,17 @@
 //! What a node gives every component: whom its guard tells, where it lives, whom it finds.
 
-use super::arbiters::Arbiters;
-use super::office::DeadLetterOffice;
-use super::watch::WatchList;
-use crate::claim::Names;
-use crate::lease::Yard;
+use super::arbiters::ArbiterPool;
+use super::office::DeadLetterLog;
+use super::watch::SampledComponents;
+use crate::claim::GlobalNameTable;
+use crate::lease::ActuatorTable;
 use crate::parameters::Configured;
 use crate::registry::Registry;
 use crate::service::Roster;
 use crate::topic::Topics;
-use crate::variable::Store;
+use crate::variable::VariableStore;
 use actix::Recipient;
-use blastema_contract::reports::{Exited, FaultDeclared, FaultMended, StateReported};
+use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared, StateReported};
 use blastema_core::suggestion::nearest;
 use blastema_core::{FaultKind, ObjectName};
 use std::collections::BTreeSet;
@@ -20,32 +20,32 @@ use tracing::error;
 
 /// Who is told what guards and components report. Whoever is not named is not told.
 #[derive(Clone, Default)]
-pub(crate) struct Reports {
+pub(crate) struct FaultReports {
     pub(crate) exits: Option<Recipient<Exited>>,
     pub(crate) states: Option<Recipient<StateReported>>,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<FaultMended>>,
+    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 /// What all components of a node share. Clones share it too.
 #[derive(Clone)]
-pub(crate) struct HostEnvironment {
-    pub(crate) reports: Reports,
-    pub(crate) arbiters: Arbiters,
+pub(crate) struct ComponentEnvironment {
+    pub(crate) reports: FaultReports,
+    pub(crate) arbiters: ArbiterPool,
     pub(crate) registry: Registry,
     pub(crate) topics: Topics,
-    pub(crate) dead_letters: DeadLetterOffice,
-    pub(crate) watch_list: WatchList,
-    pub(crate) variables: Store,
+    pub(crate) dead_letters: DeadLetterLog,
+    pub(crate) watch_list: SampledComponents,
+    pub(crate) variables: VariableStore,
     pub(crate) parameters: Configured,
-    pub(crate) actuators: Yard,
+    pub(crate) actuators: ActuatorTable,
     pub(crate) services: Roster,
-    pub(crate) names: Names,
+    pub(crate) names: GlobalNameTable,
     /// The codes of the application's own list of faults.
     pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
 }
 
-impl Reports {
+impl FaultReports {
     /// A fault of one of the middleware's own objects.
     pub(crate) fn declare(&self, object: &str, detail: String) {
         if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
@@ -61,7 +61,7 @@ impl Reports {
         if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
             let (incarnation, kind) =
                 (crate::guardian::alive().incarnation, FaultKind::CheckFailed);
-            mended.do_send(FaultMended { object, incarnation, kind });
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }
@@ -69,7 +69,7 @@ impl Reports {
 /// Under this name stands what is wrong with the variables' file.
 pub(crate) const KEPT_VARIABLES: &str = "variables";
 
-impl HostEnvironment {
+impl ComponentEnvironment {
     /// What is told of a fault of the application's own, and that nobody declared its code.
     pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
         if self.fault_codes.contains(code) {
@@ -97,21 +97,21 @@ impl HostEnvironment {
     }
 
     /// An environment of its own, whose components live on `arbiters`.
-    pub(crate) fn new(arbiters: Arbiters, reports: Reports) -> Self {
-        let dead_letters = DeadLetterOffice::default();
+    pub(crate) fn new(arbiters: ArbiterPool, reports: FaultReports) -> Self {
+        let dead_letters = DeadLetterLog::default();
         let topics = Topics::new(dead_letters.clone(), reports.clone());
-        HostEnvironment {
+        ComponentEnvironment {
             reports,
             arbiters,
             registry: Registry::default(),
             topics,
             dead_letters,
-            watch_list: WatchList::default(),
-            variables: Store::default(),
+            watch_list: SampledComponents::default(),
+            variables: VariableStore::default(),
             parameters: Configured::default(),
-            actuators: Yard::default(),
+            actuators: ActuatorTable::default(),
             services: Roster::default(),
-            names: Names::default(),
+            names: GlobalNameTable::default(),
             fault_codes: Arc::default(),
         }
     }

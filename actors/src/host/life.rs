@@ -1,11 +1,11 @@
 //! What one life's context and its pump share, and what its threads are given.
 
-use super::stamp::Stamp;
+use super::stamp::ActivityRecord;
 use crate::component::{Component, Failure};
 use crate::context::Context;
 use crate::sync::atomic::AtomicBool;
 use crate::sync::atomic::Ordering::Relaxed;
-use blastema_core::{Incarnation, Instant, Why};
+use blastema_core::{DeliveryError, Incarnation, Instant};
 use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
@@ -14,12 +14,12 @@ use std::time::Duration;
 
 /// Says to every thread whether a life still lasts and may speak.
 #[derive(Debug, Default)]
-pub(crate) struct LifeToken {
+pub(crate) struct IncarnationToken {
     ended: AtomicBool,
     muted: AtomicBool,
 }
 
-impl LifeToken {
+impl IncarnationToken {
     pub(crate) fn end(&self) {
         self.ended.store(true, Relaxed);
     }
@@ -39,10 +39,10 @@ impl LifeToken {
     }
 
     /// Why this life may send nothing, if that is so.
-    pub(crate) fn forbidden(&self) -> Option<Why> {
+    pub(crate) fn forbidden(&self) -> Option<DeliveryError> {
         match (self.has_ended(), self.is_muted()) {
-            (true, _) => Some(Why::Fenced),
-            (false, true) => Some(Why::Isolated),
+            (true, _) => Some(DeliveryError::Fenced),
+            (false, true) => Some(DeliveryError::Isolated),
             (false, false) => None,
         }
     }
@@ -53,30 +53,30 @@ impl LifeToken {
 pub struct TimerId(pub(crate) u64);
 
 /// What a timer does when it fires.
-pub(crate) type Action<C> = Box<dyn FnMut(&mut C, &mut Context<C>)>;
+pub(crate) type TimerAction<C> = Box<dyn FnMut(&mut C, &mut Context<C>)>;
 /// A future that a component started and owns.
 pub(crate) type Task = Pin<Box<dyn Future<Output = ()>>>;
 
 /// How a timer fires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rhythm {
+pub(crate) enum TimerMode {
     Once(Duration),
     Every(Duration),
 }
 
 /// What a handler or hook asked of its host; the pump fulfils it when they have had their turn.
-pub(crate) struct Wishes<C: Component> {
+pub(crate) struct DeferredCommands<C: Component> {
     pub(crate) stop: bool,
     pub(crate) failure: Option<Failure>,
     pub(crate) tasks: Vec<Task>,
-    pub(crate) timers: Vec<(TimerId, Rhythm, Action<C>)>,
+    pub(crate) timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
     pub(crate) cancelled: Vec<TimerId>,
     pub(crate) interval: Option<Option<Duration>>,
 }
 
-impl<C: Component> Default for Wishes<C> {
+impl<C: Component> Default for DeferredCommands<C> {
     fn default() -> Self {
-        Wishes {
+        DeferredCommands {
             stop: false,
             failure: None,
             tasks: Vec::new(),
@@ -87,20 +87,20 @@ impl<C: Component> Default for Wishes<C> {
     }
 }
 
-pub(crate) struct Life<C: Component> {
+pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
-    pub(crate) token: Arc<LifeToken>,
-    pub(crate) stamp: &'static Stamp,
+    pub(crate) token: Arc<IncarnationToken>,
+    pub(crate) stamp: &'static ActivityRecord,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
-    wishes: RefCell<Wishes<C>>,
+    wishes: RefCell<DeferredCommands<C>>,
     wished: Cell<bool>,
     next_timer: Cell<u64>,
 }
 
-impl<C: Component> Life<C> {
-    pub(crate) fn new(incarnation: Incarnation, stamp: &'static Stamp) -> Self {
-        Life {
+impl<C: Component> IncarnationState<C> {
+    pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
+        IncarnationState {
             incarnation,
             token: Arc::default(),
             stamp,
@@ -111,7 +111,7 @@ impl<C: Component> Life<C> {
         }
     }
 
-    pub(crate) fn wish(&self, make: impl FnOnce(&mut Wishes<C>)) {
+    pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands<C>)) {
         self.wished.set(true);
         make(&mut self.wishes.borrow_mut());
     }
@@ -127,7 +127,7 @@ impl<C: Component> Life<C> {
         self.wished.get()
     }
 
-    pub(crate) fn take_wishes(&self) -> Wishes<C> {
+    pub(crate) fn take_wishes(&self) -> DeferredCommands<C> {
         self.wished.set(false);
         self.wishes.take()
     }

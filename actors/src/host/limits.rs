@@ -2,15 +2,15 @@
 
 use super::spec::SpecError;
 use crate::sender::DEFAULT_DEADLINE;
-use blastema_core::detection::{Pull, Push, Watch};
+use blastema_core::detection::{Liveness, Pull, Push};
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// The limits of one component's life.
 #[derive(Clone, Debug)]
-pub(crate) struct Limits {
+pub(crate) struct ComponentLimits {
     pub(crate) interval: Option<Duration>,
-    pub(crate) watch: Watch,
+    pub(crate) watch: Liveness,
     pub(crate) max_block: Duration,
     pub(crate) max_wait: Duration,
     pub(crate) max_delay: Duration,
@@ -20,11 +20,11 @@ pub(crate) struct Limits {
     pub(crate) own_thread: bool,
 }
 
-impl Default for Limits {
+impl Default for ComponentLimits {
     fn default() -> Self {
-        Limits {
+        ComponentLimits {
             interval: None,
-            watch: Watch::Guard,
+            watch: Liveness::Guard,
             // Fifty beats: far beyond what a loaded machine adds, and short for a robot's standstill.
             max_block: Duration::from_millis(500),
             // Ten times the default deadline of a request that the handler may be waiting for.
@@ -54,7 +54,7 @@ const TOLERANCE: RangeInclusive<u32> = 1..=1000;
 /// No round need be missed: one may be under way whenever it is counted.
 const PERCENT: RangeInclusive<u8> = 1..=100;
 
-impl Limits {
+impl ComponentLimits {
     /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes sense.
     pub(super) fn check(&self, name: &str) -> Result<(), SpecError> {
         let spans = [
@@ -84,8 +84,8 @@ impl Limits {
             return Err(SpecError::setting(name, "max_missed_rounds", value, cure));
         }
         match self.watch {
-            Watch::Push(push) => check_push(name, push),
-            Watch::Pull(pull) => check_pull(name, pull),
+            Liveness::Push(push) => check_push(name, push),
+            Liveness::Pull(pull) => check_pull(name, pull),
             _ => Ok(()),
         }
     }

@@ -7,7 +7,7 @@
 //!                    │ owns
 //!                   Pump: one life after another, each under the guard
 //!                    │ Home, Course, Chores, Stamp
-//!  watch thread ──► Pulse of each arbiter, Stamp of each component
+//!  watch thread ──► ArbiterHeartbeat of each arbiter, Stamp of each component
 //! ```
 //!
 //! The actix mailbox is the control lane: the framework alone sends to it, and it is served before the
@@ -45,21 +45,21 @@ mod tests;
 use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
-use course::End;
-use pump::{Pump, SharedPump};
+use course::EndReason;
+use pump::{ComponentExecutor, SharedExecutor};
 use std::cell::RefCell;
 use std::rc::Rc;
 
 /// The actix actor behind a component, for one placement on one arbiter.
 pub(crate) struct Host<C: Component> {
-    pump: Rc<RefCell<Pump<C>>>,
-    entering: Option<SharedPump<C>>,
+    pump: Rc<RefCell<ComponentExecutor<C>>>,
+    entering: Option<SharedExecutor<C>>,
 }
 
 /// What the framework tells a host, on the control lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub(crate) enum Control {
+pub(crate) enum HostCommand {
     /// End in order.
     Stop,
     /// End in order, because another life follows.
@@ -75,7 +75,7 @@ pub(crate) enum Control {
 }
 
 impl<C: Component> Host<C> {
-    pub(crate) fn new(pump: SharedPump<C>) -> Self {
+    pub(crate) fn new(pump: SharedExecutor<C>) -> Self {
         Host { pump: pump.0.clone(), entering: Some(pump) }
     }
 }
@@ -95,19 +95,21 @@ impl<C: Component> Actor for Host<C> {
     }
 }
 
-impl<C: Component> Handler<Control> for Host<C> {
+impl<C: Component> Handler<HostCommand> for Host<C> {
     type Result = ();
 
-    fn handle(&mut self, control: Control, _: &mut Self::Context) {
+    fn handle(&mut self, control: HostCommand, _: &mut Self::Context) {
         let mut pump = self.pump.borrow_mut();
         match control {
-            Control::Stop => pump.stop(End::Stopped),
-            Control::MakeWay => pump.stop(End::Replaced),
-            Control::Reset => pump.reset(),
-            Control::Activate(active) => pump.activate(active),
+            HostCommand::Stop => pump.stop(EndReason::Stopped),
+            HostCommand::MakeWay => pump.stop(EndReason::Replaced),
+            HostCommand::Reset => pump.reset(),
+            HostCommand::Activate(active) => pump.activate(active),
             // Whatever arrives here, the pump is polled next.
-            Control::Wake => {}
-            Control::Panic => pump.die_of(Box::new("it was told to panic"), "an injected fault"),
+            HostCommand::Wake => {}
+            HostCommand::Panic => {
+                pump.die_of(Box::new("it was told to panic"), "an injected fault")
+            }
         }
     }
 }

@@ -4,25 +4,25 @@ use crate::platform;
 use blastema_core::delivery::dead_letters::{
     DeadLetter, DeadLetterCount, DeadLetterLimits, DeadLetters, DeadReason,
 };
-use blastema_core::{NodeName, ObjectName, Why};
+use blastema_core::{DeliveryError, NodeName, ObjectName};
 use std::borrow::Cow;
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A handle on a node's record of undelivered messages; clones share it.
 #[derive(Clone, Default)]
-pub struct DeadLetterOffice(Arc<Mutex<DeadLetters>>);
+pub struct DeadLetterLog(Arc<Mutex<DeadLetters>>);
 
-impl fmt::Debug for DeadLetterOffice {
+impl fmt::Debug for DeadLetterLog {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} dead letters", self.total())
     }
 }
 
-impl DeadLetterOffice {
+impl DeadLetterLog {
     /// An empty office that remembers this much.
     pub fn new(limits: DeadLetterLimits) -> Self {
-        DeadLetterOffice(Arc::new(Mutex::new(DeadLetters::new(limits))))
+        DeadLetterLog(Arc::new(Mutex::new(DeadLetters::new(limits))))
     }
 
     fn lock(&self) -> MutexGuard<'_, DeadLetters> {
@@ -30,11 +30,11 @@ impl DeadLetterOffice {
     }
 
     /// Takes note of one message to an object of this node that was not delivered.
-    pub(crate) fn take(
+    pub(crate) fn record(
         &self,
         object: &ObjectName,
         contract: impl Into<Cow<'static, str>>,
-        why: &Why,
+        why: &DeliveryError,
     ) {
         self.take_for(None, object, contract, why);
     }
@@ -45,7 +45,7 @@ impl DeadLetterOffice {
         node: Option<NodeName>,
         object: &ObjectName,
         contract: impl Into<Cow<'static, str>>,
-        why: &Why,
+        why: &DeliveryError,
     ) {
         self.take_many(node, object, contract, (why.into(), 1));
     }

@@ -3,10 +3,10 @@
 //! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.
 
-use super::arbiters::Loan;
+use super::arbiters::LoopGuard;
 use crate::platform;
-use crate::reply::Revocable;
-use blastema_core::{Instant, Why};
+use crate::reply::Cancel;
+use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 
 /// How often an arbiter beats: a fiftieth of the default limit for a blocking handler.
-pub(crate) const BEAT: Duration = Duration::from_millis(10);
+pub(crate) const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(10);
 
 /// Somebody's handler keeps the arbiter; nothing that is sent from it gets out.
 const FENCED: u8 = 1;
@@ -26,7 +26,7 @@ const LOST: u8 = 2;
 const MUTED: u8 = 4;
 
 /// One arbiter's signs of life. Written by its thread, and by whoever gives it up.
-pub(crate) struct Pulse {
+pub(crate) struct ArbiterHeartbeat {
     id: u64,
     beat: AtomicU64,
     /// 1 + the slot of the component on the thread right now; 0 between polls.
@@ -37,7 +37,7 @@ pub(crate) struct Pulse {
 }
 
 thread_local! {
-    static HERE: OnceCell<Arc<Pulse>> = const { OnceCell::new() };
+    static HERE: OnceCell<Arc<ArbiterHeartbeat>> = const { OnceCell::new() };
     static BEATS: Cell<bool> = const { Cell::new(false) };
     /// Requests that were made here and wait for a reply.
     static DEADLINES: RefCell<Deadlines> = const { RefCell::new(Deadlines::new()) };
@@ -46,18 +46,18 @@ thread_local! {
 /// Why nothing may be sent from here now, if that is so. A send that is past this check when the
 /// fence goes up may still land: to be strict would cost every message a lock.
 #[inline]
-pub(crate) fn forbidden() -> Option<Why> {
+pub(crate) fn send_refusal() -> Option<DeliveryError> {
     let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
     match gate.unwrap_or(0) {
         0 => None,
-        MUTED => Some(Why::Isolated),
-        _ => Some(Why::Fenced),
+        MUTED => Some(DeliveryError::Isolated),
+        _ => Some(DeliveryError::Fenced),
     }
 }
 
 /// The time to the precision of the beat.
 #[inline]
-pub(crate) fn rough_now() -> Instant {
+pub(crate) fn coarse_now() -> Instant {
     let beaten = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.time.load(Relaxed)));
     match beaten.unwrap_or(0) {
         0 => platform::now(),
@@ -65,10 +65,10 @@ pub(crate) fn rough_now() -> Instant {
     }
 }
 
-impl Default for Pulse {
+impl Default for ArbiterHeartbeat {
     fn default() -> Self {
         static NEXT: AtomicU64 = AtomicU64::new(1);
-        Pulse {
+        ArbiterHeartbeat {
             id: NEXT.fetch_add(1, Relaxed),
             beat: AtomicU64::new(0),
             running: AtomicU32::new(0),
@@ -78,7 +78,7 @@ impl Default for Pulse {
     }
 }
 
-impl Pulse {
+impl ArbiterHeartbeat {
     /// Tells it from every other pulse of the process.
     pub(crate) fn id(&self) -> u64 {
         self.id
@@ -94,14 +94,14 @@ impl Pulse {
     ///
     /// # Panics
     /// Outside of an actix arbiter.
-    pub(crate) fn enrol_here() -> Arc<Pulse> {
+    pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
         let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
         pulse.clone().start_beating();
         pulse
     }
 
     /// Gives this fresh thread a pulse that somebody already holds.
-    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<Loan>) {
+    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<LoopGuard>) {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
@@ -116,7 +116,7 @@ impl Pulse {
 
     fn start_beating(self: Arc<Self>) {
         /// A thread may hold one event loop after another, as tests do.
-        struct Beating(Arc<Pulse>);
+        struct Beating(Arc<ArbiterHeartbeat>);
         impl Drop for Beating {
             fn drop(&mut self) {
                 self.0.time.store(0, Relaxed);
@@ -130,7 +130,7 @@ impl Pulse {
         self.time.store(platform::now().as_nanos(), Relaxed);
         actix_rt::spawn(async move {
             let _beating = beating;
-            let mut ticks = tokio::time::interval(BEAT);
+            let mut ticks = tokio::time::interval(HEARTBEAT_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
             loop {
                 ticks.tick().await;
@@ -146,7 +146,7 @@ impl Pulse {
         self.lift();
         // Beaten on the arbiter's own thread, where its deadlines are.
         let due = DEADLINES.with_borrow_mut(|deadlines| deadlines.sweep(now));
-        due.into_iter().for_each(|slot| slot.revoke(Why::DeadlinePassed));
+        due.into_iter().for_each(|slot| slot.cancel(DeliveryError::DeadlinePassed));
     }
 
     /// How often it has beaten.
@@ -235,7 +235,7 @@ struct Deadlines {
 struct Waiting {
     number: u64,
     due: Due,
-    slot: Arc<dyn Revocable>,
+    slot: Arc<dyn Cancel>,
 }
 
 /// The first sweep after a request was made turns its span into a point in time, so that the request
@@ -251,7 +251,7 @@ impl Deadlines {
     }
 
     /// Takes out what is due, and what nobody else holds any more.
-    fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Revocable>> {
+    fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Cancel>> {
         let mut due = Vec::new();
         for (at, place) in self.waiting.iter_mut().enumerate() {
             let Some(waiting) = place else { continue };
@@ -278,7 +278,7 @@ pub(crate) struct Deadline {
 impl Deadline {
     /// To be set on an arbiter that [beats](Pulse::beats_here).
     #[inline]
-    pub(crate) fn set(span: Duration, slot: Arc<dyn Revocable>) -> Self {
+    pub(crate) fn set(span: Duration, slot: Arc<dyn Cancel>) -> Self {
         DEADLINES.with_borrow_mut(|deadlines| {
             let number = deadlines.next;
             deadlines.next += 1;
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn a_fence_is_lifted_by_the_beat_unless_the_arbiter_is_lost() {
-        let pulse = Pulse::default();
+        let pulse = ArbiterHeartbeat::default();
         assert!(!pulse.lose(), "only a fenced arbiter can be lost");
         pulse.fence();
         assert!(pulse.is_fenced() && !pulse.is_lost());
@@ -348,30 +348,30 @@ mod tests {
     #[test]
     fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
         paused(async {
-            assert_eq!(forbidden(), None);
-            let pulse = Pulse::enrol_here();
+            assert_eq!(send_refusal(), None);
+            let pulse = ArbiterHeartbeat::enrol_here();
             pulse.mute(true);
-            assert_eq!(forbidden(), Some(Why::Isolated));
+            assert_eq!(send_refusal(), Some(DeliveryError::Isolated));
             pulse.fence();
-            assert_eq!(forbidden(), Some(Why::Fenced));
+            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
             pulse.mute(false);
-            assert_eq!(forbidden(), Some(Why::Fenced));
+            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
             pulse.lift();
-            assert_eq!(forbidden(), None);
+            assert_eq!(send_refusal(), None);
         });
     }
 
     #[test]
     fn a_thread_beats_in_each_of_its_event_loops_and_not_between_them() {
         for _ in 0..2 {
-            assert!(!Pulse::beats_here());
+            assert!(!ArbiterHeartbeat::beats_here());
             paused(async {
-                let pulse = Pulse::enrol_here();
+                let pulse = ArbiterHeartbeat::enrol_here();
                 let before = pulse.beats();
                 advance(Duration::from_millis(100)).await;
                 assert!((9..=11).contains(&(pulse.beats() - before)));
-                assert!(platform::now() - rough_now() <= BEAT);
-                assert!(now() > Instant::ORIGIN && Pulse::beats_here());
+                assert!(platform::now() - coarse_now() <= HEARTBEAT_INTERVAL);
+                assert!(now() > Instant::ORIGIN && ArbiterHeartbeat::beats_here());
             });
         }
     }

@@ -1,23 +1,23 @@
 //! How a component is to be run.
 
-use super::anchor::{Anchor, Record};
-use super::child::HostedChild;
-use super::environment::HostEnvironment;
-use super::limits::Limits;
+use super::anchor::{CellCore, ComponentCell};
+use super::child::ComponentChild;
+use super::environment::ComponentEnvironment;
+use super::limits::ComponentLimits;
 use crate::claim::ClaimPolicy;
 use crate::component::Component;
 use crate::lane::WhenFull;
 use crate::panics;
-use crate::ports::{OpenPort, Ports};
+use crate::ports::{PortConstructor, Ports};
 use crate::reference::ActorRef;
 use crate::registry::NameTaken;
 use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
-use blastema_core::detection::Watch;
+use blastema_core::detection::Liveness;
 use blastema_core::detection::dependencies::DependencyError;
-use blastema_core::global_name::Wanted;
+use blastema_core::global_name::ClaimRequest;
 use blastema_core::parameters::ParameterError;
-use blastema_core::{NameError, ObjectName, Why};
+use blastema_core::{DeliveryError, NameError, ObjectName};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
@@ -42,7 +42,7 @@ pub enum SpecError {
         /// The component.
         name: ObjectName,
         /// What differs.
-        why: Why,
+        why: DeliveryError,
     },
     /// One of its variables cannot be: its default is larger than its contract allows, or refused by its own
     /// check.
@@ -51,7 +51,7 @@ pub enum SpecError {
         /// The component.
         name: ObjectName,
         /// What is wrong.
-        why: Why,
+        why: DeliveryError,
     },
     /// Its parameters are given a value that they do not take.
     #[error("parameters of {name}: {error}")]
@@ -67,7 +67,7 @@ pub enum SpecError {
         /// The component.
         name: ObjectName,
         /// What is wrong.
-        why: Why,
+        why: DeliveryError,
     },
     /// It was added to a node that runs, and depends on what does not exist there, or on itself, perhaps by
     /// way of others.
@@ -133,12 +133,12 @@ pub struct ChildSpec<C: Component> {
     factory: Box<dyn Fn() -> C + Send + Sync>,
     queue: (usize, WhenFull),
     rate_hz: Option<f64>,
-    limits: Limits,
+    limits: ComponentLimits,
     depends_on: Vec<String>,
     claims: Vec<(String, ClaimPolicy)>,
     essential: bool,
     /// Contracts of the middleware's own that it takes beside its ports.
-    beside: Vec<OpenPort<C>>,
+    beside: Vec<PortConstructor<C>>,
     more_ports: Vec<MorePorts<C>>,
 }
 
@@ -162,7 +162,7 @@ impl<C: Component> ChildSpec<C> {
             factory: Box::new(factory),
             queue: (64, WhenFull::Refuse),
             rate_hz: None,
-            limits: Limits::default(),
+            limits: ComponentLimits::default(),
             depends_on: Vec::new(),
             claims: Vec::new(),
             essential: false,
@@ -201,7 +201,7 @@ impl<C: Component> ChildSpec<C> {
     }
 
     /// How its signs of life come.
-    pub fn watch(mut self, watch: Watch) -> Self {
+    pub fn liveness(mut self, watch: Liveness) -> Self {
         self.limits.watch = watch;
         self
     }
@@ -269,9 +269,9 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put to safe rest
+    /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put into the safe state
     /// because of a fault, the supervisor ends its children and itself and leaves the decision to its parent.
-    /// Directly under the root that is the node's safe rest.
+    /// Directly under the root that is the node's safe state.
     pub fn essential(mut self) -> Self {
         self.essential = true;
         self
@@ -294,7 +294,7 @@ impl<C: Component> ChildSpec<C> {
     /// Gives the component its name and its ports. It lives when its supervisor starts it.
     pub(crate) fn into_child(
         self,
-        environment: &HostEnvironment,
+        environment: &ComponentEnvironment,
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
         limits.interval = self.interval()?;
@@ -316,22 +316,22 @@ impl<C: Component> ChildSpec<C> {
             .map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         self.more_ports.into_iter().for_each(|declare| declare(&mut ports));
         ports.check(&name)?;
-        ports.open_beside(self.beside);
+        ports.add_ports(self.beside);
         let wanted = |(claimed, policy): &(String, ClaimPolicy)| {
             let claimed = ObjectName::new(claimed)?;
-            Ok(Wanted { name: claimed, object: name.clone(), policy: *policy })
+            Ok(ClaimRequest { name: claimed, object: name.clone(), policy: *policy })
         };
         let claims: Result<Vec<_>, NameError> = self.claims.iter().map(wanted).collect();
-        let record = Record::new(name.clone(), limits, environment.clone());
+        let record = CellCore::new(name.clone(), limits, environment.clone());
         record.set_claims(claims?.into_iter());
-        let anchor = Arc::new(Anchor::new(record, self.queue, self.factory));
+        let anchor = Arc::new(ComponentCell::new(record, self.queue, self.factory));
         let variables = ports
             .take_variables(&anchor)
             .map_err(|error| SpecError::Parameters { name: name.clone(), error })?;
         let actuators = ports.take_actuators(&anchor);
-        environment.registry.claim(&name, ports.doors(&anchor), anchor.clone())?;
+        environment.registry.register(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
-        let child = HostedChild::new(anchor.clone());
+        let child = ComponentChild::new(anchor.clone());
         if !variables.is_empty() {
             let owner = anchor.clone();
             let isolated = move || owner.record.is_isolated();
@@ -340,7 +340,7 @@ impl<C: Component> ChildSpec<C> {
                 .declare(&name, variables, isolated)
                 .map_err(|why| SpecError::Variable { name: name.clone(), why })?;
             environment.registry.open(&name, port);
-            environment.variables.mourn(&name, &environment.registry);
+            environment.variables.watch_owner(&name, &environment.registry);
         }
         if !actuators.is_empty() {
             let port = environment

@@ -11,7 +11,7 @@ use std::time::Duration;
 /// What a component's pump says. A cache line each, so that two arbiters do not share one.
 #[derive(Debug, Default)]
 #[repr(align(64))]
-pub(crate) struct Stamp {
+pub(crate) struct ActivityRecord {
     /// Odd while something is in service; two per message or hook.
     turn: AtomicU64,
     /// Signs of life that the component gave.
@@ -34,7 +34,7 @@ pub(crate) struct Stamp {
 
 /// What a look at a stamp finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct StampReading {
+pub(crate) struct ActivitySample {
     pub(crate) turn: u64,
     pub(crate) alive: u64,
     pub(crate) incarnation: u64,
@@ -46,7 +46,7 @@ pub(crate) struct StampReading {
     pub(crate) expired: u64,
 }
 
-impl Stamp {
+impl ActivityRecord {
     /// One writer only, so a plain store does. It comes after the label's, also for those who read.
     #[inline]
     pub(crate) fn step(&self) {
@@ -109,8 +109,8 @@ impl Stamp {
         self.allowance.store(u64::try_from(span.as_millis()).unwrap_or(u64::MAX), Relaxed);
     }
 
-    pub(crate) fn read(&self) -> StampReading {
-        StampReading {
+    pub(crate) fn read(&self) -> ActivitySample {
+        ActivitySample {
             // First, so that the label is of this turn or of a later one: see `step`.
             turn: self.turn.load(Acquire),
             alive: self.alive.load(Relaxed),
@@ -130,7 +130,7 @@ const CHUNK: usize = 1024;
 
 /// All stamps of the process. It grows to the largest number of components that lived at one time.
 struct Table {
-    chunks: Vec<&'static [Stamp]>,
+    chunks: Vec<&'static [ActivityRecord]>,
     free: Vec<u32>,
     next: u32,
 }
@@ -143,18 +143,18 @@ fn table() -> MutexGuard<'static, Table> {
 
 /// Where a component's stamp stands, for those who only read it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place {
+pub(crate) struct ActivitySlotRef {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static Stamp,
+    pub(crate) stamp: &'static ActivityRecord,
 }
 
 /// A place in the table; given back when dropped, which a pump that hangs does not do.
-pub(crate) struct Slot {
+pub(crate) struct ActivitySlot {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static Stamp,
+    pub(crate) stamp: &'static ActivityRecord,
 }
 
-impl Slot {
+impl ActivitySlot {
     pub(crate) fn claim() -> Self {
         let mut table = table();
         let index = table.free.pop().unwrap_or_else(|| {
@@ -163,14 +163,14 @@ impl Slot {
         });
         let (chunk, place) = (index as usize / CHUNK, index as usize % CHUNK);
         if chunk == table.chunks.len() {
-            let fresh = (0..CHUNK).map(|_| Stamp::default()).collect::<Vec<_>>();
+            let fresh = (0..CHUNK).map(|_| ActivityRecord::default()).collect::<Vec<_>>();
             table.chunks.push(Vec::leak(fresh));
         }
-        Slot { index, stamp: &table.chunks[chunk][place] }
+        ActivitySlot { index, stamp: &table.chunks[chunk][place] }
     }
 }
 
-impl Drop for Slot {
+impl Drop for ActivitySlot {
     fn drop(&mut self) {
         let stamp = self.stamp;
         stamp.incarnation.store(0, Relaxed);
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_stamp_is_odd_while_something_is_in_service() {
-        let slot = Slot::claim();
+        let slot = ActivitySlot::claim();
         assert!(!slot.stamp.is_busy());
 
         slot.stamp.begin(7);
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn a_slot_that_is_given_back_is_at_rest() {
-        let slot = Slot::claim();
+        let slot = ActivitySlot::claim();
         slot.stamp.begin_life(3);
         slot.stamp.begin(1);
         slot.stamp.expect_signs(true);
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn slots_beyond_one_chunk_are_places_of_their_own() {
-        let slots: Vec<Slot> = (0..=CHUNK).map(|_| Slot::claim()).collect();
+        let slots: Vec<ActivitySlot> = (0..=CHUNK).map(|_| ActivitySlot::claim()).collect();
         for (at, slot) in slots.iter().enumerate() {
             slot.stamp.begin_life(at as u64 + 1);
         }

@@ -1,7 +1,7 @@
 //! The threads that components live on, for people.
 
-use super::arbiters::{Arbiters, Thread};
-use super::watch::{Residents, WatchList};
+use super::arbiters::{ArbiterPool, ArbiterThread};
+use super::watch::{ArbiterResidents, SampledComponents};
 use crate::platform;
 use blastema_core::ObjectName;
 use std::fmt;
@@ -82,22 +82,22 @@ impl fmt::Display for ThreadState {
 }
 
 /// All threads, in the order in which they were begun.
-pub(crate) fn rows(arbiters: &Arbiters, list: &WatchList) -> Vec<ThreadRow> {
+pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<ThreadRow> {
     let (mut residents, seen) = (list.residents(), list.seen());
     let mut threads = arbiters.threads();
     if arbiters.are_here() {
-        let starter = |of: &Residents| {
+        let starter = |of: &ArbiterResidents| {
             let (kind, pulse) = (ThreadKind::Starter, of.pulse.clone());
-            Thread { kind, pulse, lost_to: None }
+            ArbiterThread { kind, pulse, lost_to: None }
         };
         threads = residents.values().map(starter).collect();
     }
     threads.sort_by_key(|thread| thread.pulse.id());
     let now = platform::now();
-    let row = |Thread { kind, pulse, lost_to }: Thread| {
+    let row = |ArbiterThread { kind, pulse, lost_to }: ArbiterThread| {
         let number = pulse.id();
         let seen = seen.get(&number);
-        let mut lives = residents.remove(&number).unwrap_or_else(|| Residents::none(&pulse));
+        let mut lives = residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&pulse));
         lives.components.sort();
         ThreadRow {
             number,

@@ -1,21 +1,21 @@
 //! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
 //!
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is still
-//! seen. In tests it is a task under their clock. The judging is [`Scanner`]'s.
+//! seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
 
-use super::arbiters::Arbiters;
+use super::arbiters::ArbiterPool;
 use super::label;
-use super::limits::Limits;
-use super::pulse::Pulse;
-use super::stamp::Stamp;
+use super::limits::ComponentLimits;
+use super::pulse::ArbiterHeartbeat;
+use super::stamp::ActivityRecord;
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::reports::Sighted;
+use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::{
-    ArbiterSeen, Judged, Looked, MaxSilence, PulseReading, QueueReading, Scanner, ScannerConfig,
-    Sighting, SlotId, StampReading,
+    ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig, HangLimits,
+    LivenessEvent, Looked, MaxSilence, QueueReading, SlotId,
 };
-use blastema_core::detection::{Current, Pull, QueueSeen, Row, Watch};
+use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, Pull, QueueSample};
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering::Relaxed;
@@ -26,13 +26,13 @@ use std::time::Duration;
 use std::{io, thread};
 
 /// How often pulses are looked at: as often as they beat.
-const PULSES: Duration = super::pulse::BEAT;
+const PULSES: Duration = super::pulse::HEARTBEAT_INTERVAL;
 /// Every so many looks stamps are looked at too. There are many of them: at every look it would cost
 /// six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
 /// What can be told of a component without asking it.
-pub(crate) trait Glimpsed: Send + Sync {
+pub(crate) trait AliveSource: Send + Sync {
     /// The life that began last.
     fn incarnation(&self) -> Incarnation;
     /// How many messages wait, and how long the oldest of them has.
@@ -45,25 +45,25 @@ struct Glance {
     queue: QueueReading,
     missed_rounds: u64,
     /// The contract or hook in service, and since when, at least.
-    current: Option<Current>,
+    current: Option<CurrentHandler>,
     /// How long ago it gave a sign of life, if it did.
     last_sign: Option<Duration>,
 }
 
 /// One component as the watch sees it.
-pub(crate) struct Watched {
+pub(crate) struct SampledComponent {
     pub(crate) object: ObjectName,
-    pub(crate) inside: Weak<dyn Glimpsed>,
-    pub(crate) pulse: Arc<Pulse>,
-    pub(crate) stamp: &'static Stamp,
-    pub(crate) limits: Limits,
+    pub(crate) inside: Weak<dyn AliveSource>,
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) limits: ComponentLimits,
 }
 
-impl Watched {
-    fn judged(&self) -> Judged {
+impl SampledComponent {
+    fn judged(&self) -> HangLimits {
         let max_silence = match self.limits.watch {
             // Half an interval of lateness is not another lost sign.
-            Watch::Push(push) => Some(MaxSilence {
+            Liveness::Push(push) => Some(MaxSilence {
                 first: push.start_up,
                 between: push
                     .interval
@@ -74,12 +74,12 @@ impl Watched {
         };
         // It is looked at every interval, and may be found dead that much later.
         let max_unanswered = match self.limits.watch {
-            Watch::Pull(Pull { interval, within, tolerance, .. }) => {
+            Liveness::Pull(Pull { interval, within, tolerance, .. }) => {
                 Some(within.saturating_mul(tolerance).saturating_add(interval))
             }
             _ => None,
         };
-        Judged {
+        HangLimits {
             object: self.object.clone(),
             arbiter: self.pulse.id(),
             max_block: self.limits.max_block,
@@ -94,11 +94,11 @@ impl Watched {
 
 /// Everything that is to be watched: as many entries as components live. Clones share it.
 #[derive(Clone, Default)]
-pub(crate) struct WatchList(Arc<Entries>);
+pub(crate) struct SampledComponents(Arc<Entries>);
 
 #[derive(Default)]
 struct Entries {
-    by_slot: Mutex<BTreeMap<u32, Watched>>,
+    by_slot: Mutex<BTreeMap<u32, SampledComponent>>,
     /// Raised by every change.
     version: AtomicU64,
     /// What was in service at the last look: slot, turn, and since when.
@@ -109,30 +109,30 @@ struct Entries {
     /// How many rounds each slot's present life has missed, where any.
     missed: Mutex<BTreeMap<u32, u64>>,
     /// What the last look found of the arbiters.
-    arbiters: Mutex<BTreeMap<u64, ArbiterSeen>>,
+    arbiters: Mutex<BTreeMap<u64, ArbiterStatus>>,
 }
 
 /// Who lives on an arbiter.
-pub(crate) struct Residents {
-    pub(crate) pulse: Arc<Pulse>,
+pub(crate) struct ArbiterResidents {
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
     /// Who is on the thread right now.
     pub(crate) running: Option<ObjectName>,
     /// Each with the number of messages that wait for it.
     pub(crate) components: Vec<(ObjectName, usize)>,
 }
 
-impl Residents {
-    pub(crate) fn none(pulse: &Arc<Pulse>) -> Self {
-        Residents { pulse: pulse.clone(), running: None, components: Vec::new() }
+impl ArbiterResidents {
+    pub(crate) fn none(pulse: &Arc<ArbiterHeartbeat>) -> Self {
+        ArbiterResidents { pulse: pulse.clone(), running: None, components: Vec::new() }
     }
 }
 
-impl WatchList {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, Watched>> {
+impl SampledComponents {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, SampledComponent>> {
         self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn enter(&self, slot: u32, watched: Watched) {
+    pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
         self.lock().insert(slot, watched);
         self.0.version.fetch_add(1, Relaxed);
     }
@@ -143,7 +143,7 @@ impl WatchList {
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let glance = |(slot, watched): (&u32, &Watched)| {
+        let glance = |(slot, watched): (&u32, &SampledComponent)| {
             let reading = watched.stamp.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
@@ -151,7 +151,7 @@ impl WatchList {
             let is_busy = reading.turn % 2 == 1;
             let during = label::name(reading.during);
             let inside = watched.inside.upgrade()?;
-            let current = is_busy.then_some(Current { during, age });
+            let current = is_busy.then_some(CurrentHandler { during, age });
             let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
             let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
                 (Some(sign), _) => sign.map(|at| now - at),
@@ -171,12 +171,12 @@ impl WatchList {
     }
 
     /// Who lives on which arbiter now.
-    pub(crate) fn residents(&self) -> BTreeMap<u64, Residents> {
+    pub(crate) fn residents(&self) -> BTreeMap<u64, ArbiterResidents> {
         let mut residents = BTreeMap::new();
         for (slot, watched) in self.lock().iter() {
             let Some(inside) = watched.inside.upgrade() else { continue };
             let pulse = &watched.pulse;
-            let on = residents.entry(pulse.id()).or_insert_with(|| Residents::none(pulse));
+            let on = residents.entry(pulse.id()).or_insert_with(|| ArbiterResidents::none(pulse));
             if pulse.running() == Some(*slot) {
                 on.running = Some(watched.object.clone());
             }
@@ -186,12 +186,12 @@ impl WatchList {
     }
 
     /// What the last look found of the arbiters.
-    pub(crate) fn seen(&self) -> BTreeMap<u64, ArbiterSeen> {
+    pub(crate) fn seen(&self) -> BTreeMap<u64, ArbiterStatus> {
         self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Completes the rows of this node's components by what they are doing now, also if they are stuck.
-    pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [Row]) {
+    pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
         let glances = self.glances();
         for row in rows {
             let Place::Object(address) = &row.place else { continue };
@@ -202,7 +202,7 @@ impl WatchList {
             let QueueReading { queued, oldest } = glance.queue;
             if row.incarnation == glance.incarnation {
                 row.missed_rounds = glance.missed_rounds;
-                row.queue = Some(QueueSeen { queued, oldest, age: Duration::ZERO });
+                row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
                 row.current = glance.current;
                 // The monitor knows of reports, and the watch of everything else.
                 row.last_sign = row.last_sign.into_iter().chain(glance.last_sign).min();
@@ -219,7 +219,7 @@ impl WatchList {
 
 /// Tells from outside which component is on a thread of a node; it keeps nothing of the node.
 #[derive(Clone)]
-pub struct Running(pub(crate) WatchList);
+pub struct Running(pub(crate) SampledComponents);
 
 impl std::fmt::Debug for Running {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -230,7 +230,7 @@ impl std::fmt::Debug for Running {
 impl Running {
     /// The components that are on a thread now, each with what it does and the number of its turn.
     pub fn components(&self) -> Vec<(ObjectName, &'static str, u64)> {
-        let on_thread = |(slot, watched): (&u32, &Watched)| {
+        let on_thread = |(slot, watched): (&u32, &SampledComponent)| {
             let reading = watched.stamp.read();
             let running = watched.pulse.running() == Some(*slot);
             running.then(|| (watched.object.clone(), label::name(reading.during), reading.turn))
@@ -240,12 +240,12 @@ impl Running {
 }
 
 /// Ends the watch when dropped.
-pub(crate) struct WatchGuard {
+pub(crate) struct SamplerGuard {
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Drop for WatchGuard {
+impl Drop for SamplerGuard {
     fn drop(&mut self) {
         self.ended.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -260,11 +260,11 @@ impl Drop for WatchGuard {
 /// # Errors
 /// The operating system has no thread left.
 pub(crate) fn start_thread(
-    list: WatchList,
-    arbiters: Arbiters,
-    config: ScannerConfig,
-    monitor: Recipient<Sighted>,
-) -> io::Result<WatchGuard> {
+    list: SampledComponents,
+    arbiters: ArbiterPool,
+    config: HangDetectorConfig,
+    monitor: Recipient<LivenessReported>,
+) -> io::Result<SamplerGuard> {
     let ended = Arc::new(AtomicBool::new(false));
     let mut eyes = Eyes::new(list, arbiters, config, monitor);
     let told = ended.clone();
@@ -274,17 +274,17 @@ pub(crate) fn start_thread(
             eyes.look(platform::now());
         }
     })?;
-    Ok(WatchGuard { ended, thread: Some(thread) })
+    Ok(SamplerGuard { ended, thread: Some(thread) })
 }
 
 /// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but not
 /// who hangs.
 pub(crate) fn start_task(
-    list: WatchList,
-    arbiters: Arbiters,
-    config: ScannerConfig,
-    monitor: Recipient<Sighted>,
-) -> WatchGuard {
+    list: SampledComponents,
+    arbiters: ArbiterPool,
+    config: HangDetectorConfig,
+    monitor: Recipient<LivenessReported>,
+) -> SamplerGuard {
     let ended = Arc::new(AtomicBool::new(false));
     let mut eyes = Eyes::new(list, arbiters, config, monitor);
     let told = ended.clone();
@@ -294,26 +294,26 @@ pub(crate) fn start_task(
             eyes.look(platform::now());
         }
     });
-    WatchGuard { ended, thread: None }
+    SamplerGuard { ended, thread: None }
 }
 
 /// What the watch knows between two looks.
 struct Eyes {
-    list: WatchList,
+    list: SampledComponents,
     version: u64,
-    scanner: Scanner,
+    scanner: HangDetector,
     looks: u64,
     stamps: Stamps,
-    pulses: BTreeMap<u64, Arc<Pulse>>,
-    arbiters: Arbiters,
-    monitor: Recipient<Sighted>,
+    pulses: BTreeMap<u64, Arc<ArbiterHeartbeat>>,
+    arbiters: ArbiterPool,
+    monitor: Recipient<LivenessReported>,
 }
 
 struct Known {
     object: ObjectName,
     arbiter: u64,
-    stamp: &'static Stamp,
-    inside: Weak<dyn Glimpsed>,
+    stamp: &'static ActivityRecord,
+    inside: Weak<dyn AliveSource>,
 }
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
@@ -343,7 +343,7 @@ impl Stamps {
 }
 
 impl Looked for Stamps {
-    fn stamp(&self, slot: SlotId) -> StampReading {
+    fn stamp(&self, slot: SlotId) -> ComponentSample {
         read(self.get(slot))
     }
 
@@ -355,15 +355,15 @@ impl Looked for Stamps {
 
 impl Eyes {
     fn new(
-        list: WatchList,
-        arbiters: Arbiters,
-        config: ScannerConfig,
-        monitor: Recipient<Sighted>,
+        list: SampledComponents,
+        arbiters: ArbiterPool,
+        config: HangDetectorConfig,
+        monitor: Recipient<LivenessReported>,
     ) -> Self {
         Eyes {
             list,
             version: u64::MAX,
-            scanner: Scanner::new(config),
+            scanner: HangDetector::new(config),
             looks: 0,
             stamps: Stamps::default(),
             pulses: BTreeMap::new(),
@@ -382,7 +382,7 @@ impl Eyes {
         for (id, pulse) in &self.pulses {
             let running = pulse.running();
             let known = running.and_then(|slot| self.stamps.get(slot));
-            let reading = PulseReading {
+            let reading = ArbiterSample {
                 beat: pulse.beats(),
                 running,
                 stamp: known.map(|known| read(Some(known))),
@@ -447,49 +447,60 @@ impl Eyes {
         });
     }
 
-    fn translate(&self, sighting: Sighting) -> Option<Sighted> {
+    fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
         let during = |slot| {
             let known = self.stamps.get(slot);
             label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
         };
         Some(match sighting {
-            Sighting::Hangs { slot, object, age, victims } => Sighted::Hangs {
+            LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
                 object,
                 incarnation: read(self.stamps.get(slot)).incarnation,
                 during: during(slot),
                 age,
                 victims: victims.into(),
             },
-            Sighting::Waits { slot, object, incarnation, age } => {
-                Sighted::Waits { object, incarnation, during: during(slot), age }
+            LivenessEvent::Waits { slot, object, incarnation, age } => {
+                LivenessReported::Waits { object, incarnation, during: during(slot), age }
             }
-            Sighting::Overloaded { object, incarnation, figures, victims } => {
-                Sighted::Overloaded { object, incarnation, figures, victims: victims.into() }
+            LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
+                LivenessReported::Overloaded {
+                    object,
+                    incarnation,
+                    figures,
+                    victims: victims.into(),
+                }
             }
-            Sighting::Stuck { object, incarnation, queue } => {
-                Sighted::Stuck { object, incarnation, queue }
+            LivenessEvent::Stuck { object, incarnation, queue } => {
+                LivenessReported::Stuck { object, incarnation, queue }
             }
-            Sighting::Flows { object, incarnation } => Sighted::Flows { object, incarnation },
-            Sighting::Silent { object, incarnation, silent_for } => {
-                Sighted::Silent { object, incarnation, silent_for }
+            LivenessEvent::Flows { object, incarnation } => {
+                LivenessReported::Flows { object, incarnation }
             }
-            Sighting::Spoke { object, incarnation } => Sighted::Spoke { object, incarnation },
-            Sighting::Resumed { objects } => Sighted::Resumed { objects: objects.into() },
-            Sighting::Lost { arbiter, culprit, victims } => {
+            LivenessEvent::Silent { object, incarnation, silent_for } => {
+                LivenessReported::Silent { object, incarnation, silent_for }
+            }
+            LivenessEvent::Spoke { object, incarnation } => {
+                LivenessReported::Spoke { object, incarnation }
+            }
+            LivenessEvent::Resumed { objects } => {
+                LivenessReported::Resumed { objects: objects.into() }
+            }
+            LivenessEvent::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then nobody has to move.
-                if !self.arbiters.lose(self.pulses.get(&arbiter)?, &culprit) {
+                if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?, &culprit) {
                     return None;
                 }
-                Sighted::Lost { culprit, victims: victims.into() }
+                LivenessReported::Lost { culprit, victims: victims.into() }
             }
-            Sighting::Stalled { gap } => Sighted::Stalled { gap },
+            LivenessEvent::Stalled { gap } => LivenessReported::Stalled { gap },
         })
     }
 }
 
-fn read(known: Option<&Known>) -> StampReading {
+fn read(known: Option<&Known>) -> ComponentSample {
     let reading = known.map(|known| known.stamp.read()).unwrap_or_default();
-    StampReading {
+    ComponentSample {
         turn: reading.turn,
         alive: reading.alive,
         incarnation: Incarnation(reading.incarnation),

@@ -4,11 +4,11 @@ use super::WallTime;
 use super::lock::{JournalLock, beside};
 use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
 use crate::guardian::answers_the_monitor;
-use crate::host::environment::Reports;
+use crate::host::environment::FaultReports;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, ReadRecord};
-use blastema_core::detection::{Entry, Turn};
+use blastema_core::detection::{FaultEntry, FaultTransition};
 use blastema_core::{Incarnation, Instant, NodeName};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -39,7 +39,7 @@ pub(crate) struct JournalSetup {
     pub(crate) node: NodeName,
     pub(crate) incarnation: Incarnation,
     pub(crate) record: Recipient<ReadRecord>,
-    pub(crate) reports: Reports,
+    pub(crate) reports: FaultReports,
 }
 
 /// Work for the thread.
@@ -72,7 +72,7 @@ pub(crate) struct JournalActor {
     path: PathBuf,
     queue: SyncSender<Work>,
     record: Recipient<ReadRecord>,
-    reports: Reports,
+    reports: FaultReports,
     /// Steps are missing in the journal: the whole record is to be written.
     behind: bool,
     /// The last write failed, and that was told.
@@ -249,20 +249,20 @@ impl Now {
         let over = fault.is_repaired_by_recovery();
         let mut line = self.blank(fault);
         match turn {
-            Turn::Decided { measure } => line.measure = Some(measure),
-            Turn::Recovered => {
+            FaultTransition::Decided { measure } => line.measure = Some(measure),
+            FaultTransition::Recovered => {
                 line.recovered = Some(at);
                 line.repaired = over.then_some(at);
             }
-            Turn::Cleared => line.repaired = Some(at),
-            Turn::GaveUp { reason } => line.given_up = Some(reason),
+            FaultTransition::Cleared => line.repaired = Some(at),
+            FaultTransition::GaveUp { reason } => line.given_up = Some(reason),
             _ => {}
         }
         line
     }
 
-    fn line_of_entry(&self, entry: Entry) -> Line {
-        let Entry { fault, decided, recovered_at, repaired_at, given_up } = entry;
+    fn line_of_entry(&self, entry: FaultEntry) -> Line {
+        let FaultEntry { fault, decided, recovered_at, repaired_at, given_up } = entry;
         Line {
             measure: decided.map(|(_, measure)| measure),
             recovered: recovered_at.map(|at| self.moment(at)),

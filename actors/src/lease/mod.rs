@@ -9,14 +9,16 @@ mod order;
 mod yard;
 
 pub use yard::ActuatorRow;
-pub(crate) use yard::{Declared, Yard};
+pub(crate) use yard::{ActuatorTable, DeclaredActuator};
 
 use crate::platform;
 use crate::registry::Registry;
 use crate::sender::Sender;
 use blastema_core::contract::codec;
-use blastema_core::{Contract, ContractIdentity, Incarnation, Instant, PeerIdentity, Why};
-use order::{Order, Ordered, Wish};
+use blastema_core::{
+    Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
+};
+use order::{ActuatorCommand, Ordered, Wish};
 use std::fmt;
 use std::future::Future;
 use std::marker::PhantomData;
@@ -43,7 +45,7 @@ const CLAIM_AGAIN: RangeInclusive<Duration> =
 pub struct ActuatorSpec<M: Contract> {
     safe: M,
     span: Duration,
-    cut_off: Option<yard::CutOff>,
+    cut_off: Option<yard::SafeOutputFn>,
 }
 
 impl<M: Contract> ActuatorSpec<M> {
@@ -72,14 +74,14 @@ impl<M: Contract> ActuatorSpec<M> {
         self
     }
 
-    pub(crate) fn declared(self) -> Declared {
+    pub(crate) fn declared(self) -> DeclaredActuator {
         let mut bytes = Vec::new();
         let safe = match codec::encode(&self.safe, &mut bytes) {
             Ok(()) => Ok(bytes.into()),
-            Err(_) => Err(Why::TooLarge { limit: M::MAX_SIZE }),
+            Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
         };
         let identity = ContractIdentity::of::<M>();
-        Declared { identity, span: self.span, safe, cut_off: self.cut_off }
+        DeclaredActuator { identity, span: self.span, safe, cut_off: self.cut_off }
     }
 }
 
@@ -95,7 +97,7 @@ pub struct Commander<M: Contract>(Arc<Helm>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
 struct Helm {
-    sender: Sender<Order>,
+    sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
     name: String,
     life: Incarnation,
@@ -128,29 +130,29 @@ pub(crate) fn commander<M: Contract>(
     registry: &Registry,
     actuator: &str,
     (name, life): (String, Incarnation),
-) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), Why> {
+) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
     let helm = Arc::new(Helm {
-        sender: registry.sender::<Order>(actuator)?,
+        sender: registry.sender::<ActuatorCommand>(actuator)?,
         identity: ContractIdentity::of::<M>().brief().encode(),
         name,
         life,
         held: Mutex::default(),
         claimed: Notify::new(),
     });
-    let renewing = keep(Arc::downgrade(&helm));
+    let renewing = renew_lease(Arc::downgrade(&helm));
     Ok((Commander(helm, PhantomData), renewing))
 }
 
 /// Renews the lease, a quarter of it after the last time, so that three that are lost in a row are
 /// tolerated.
-async fn keep(helm: Weak<Helm>) {
+async fn renew_lease(helm: Weak<Helm>) {
     loop {
         let Some(present) = helm.upgrade() else { return };
         let held = present.held();
         match held {
             Some(Held { epoch, span, .. }) => {
                 let asked = platform::now();
-                let renewed = present.order(Wish::Renew { epoch }, span).await;
+                let renewed = present.send_command(Wish::Renew { epoch }, span).await;
                 present.take_note(epoch, asked, renewed.map(|_| ()));
                 drop(present);
                 tokio::time::sleep(span / 4).await;
@@ -174,22 +176,22 @@ impl Helm {
         *self.lock()
     }
 
-    async fn order(&self, wish: Wish, within: Duration) -> Result<Ordered, Why> {
-        let order = Order { identity: self.identity.clone(), wish };
+    async fn send_command(&self, wish: Wish, within: Duration) -> Result<Ordered, DeliveryError> {
+        let order = ActuatorCommand { identity: self.identity.clone(), wish };
         let asked = self.sender.ask_within(order, within).await;
-        match asked.map_err(|error| error.why)? {
+        match asked.map_err(|error| error.kind)? {
             Ordered::Refused { why } => Err(Ordered::why(&why)),
             ordered => Ok(ordered),
         }
     }
 
     /// The actuator's node has taken, or refused, something that was asked then.
-    fn take_note(&self, epoch: u64, asked: Instant, result: Result<(), Why>) {
+    fn take_note(&self, epoch: u64, asked: Instant, result: Result<(), DeliveryError>) {
         let mut held = self.lock();
         let Some(own) = held.as_mut().filter(|held| held.epoch == epoch) else { return };
         match result {
             Ok(()) => own.until = own.until.max(asked + own.span),
-            Err(Why::LeaseEnded | Why::Superseded { .. }) => *held = None,
+            Err(DeliveryError::LeaseEnded | DeliveryError::Superseded { .. }) => *held = None,
             // It may have arrived all the same. What counts is when it was last known to.
             Err(_) if platform::now() >= own.until => *held = None,
             Err(_) => {}
@@ -200,7 +202,8 @@ impl Helm {
 impl Drop for Helm {
     fn drop(&mut self) {
         if let Some(Held { epoch, .. }) = self.held() {
-            let order = Order { identity: self.identity.clone(), wish: Wish::Release { epoch } };
+            let order =
+                ActuatorCommand { identity: self.identity.clone(), wish: Wish::Release { epoch } };
             // Where it does not get through, the lease ends by itself.
             let _ = self.sender.tell(order);
         }
@@ -213,7 +216,7 @@ impl<M: Contract> Commander<M> {
     ///
     /// # Errors
     /// As [`claim_within`](Self::claim_within).
-    pub async fn claim(&self) -> Result<u64, Why> {
+    pub async fn claim(&self) -> Result<u64, DeliveryError> {
         self.claim_within(CLAIM_WITHIN).await
     }
 
@@ -224,10 +227,10 @@ impl<M: Contract> Commander<M> {
     /// actuator is one of them, [spawn](crate::Context::spawn) the claim.
     ///
     /// # Errors
-    /// [`Why::Held`] while somebody else commands, and [`Why::ContractDiffers`], at once. [`Why::Restarting`],
-    /// [`Why::Unknown`] and [`Why::Unreachable`] where the actuator did not come in time; from other nodes, what
+    /// [`DeliveryError::Held`] while somebody else commands, and [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
+    /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not come in time; from other nodes, what
     /// any request may meet with.
-    pub async fn claim_within(&self, limit: Duration) -> Result<u64, Why> {
+    pub async fn claim_within(&self, limit: Duration) -> Result<u64, DeliveryError> {
         let due = platform::now() + limit;
         let mut pause = *CLAIM_AGAIN.start();
         loop {
@@ -246,11 +249,11 @@ impl<M: Contract> Commander<M> {
         }
     }
 
-    async fn try_claim(&self, within: Duration) -> Result<u64, Why> {
+    async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
         let Helm { name, life, .. } = &*self.0;
         let asked = platform::now();
         let wish = Wish::Claim { commander: name.clone(), life: life.0 };
-        match self.0.order(wish, within).await? {
+        match self.0.send_command(wish, within).await? {
             Ordered::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);
                 *self.0.lock() = Some(Held { epoch, span, until: asked + span });
@@ -270,21 +273,22 @@ impl<M: Contract> Commander<M> {
     /// command is under way at a time.
     ///
     /// # Errors
-    /// [`Why::LeaseEnded`] where no lease holds any more, [`Why::Superseded`] where somebody else's
-    /// does: the command was not carried out. [`Why::Full`] where one is still under way. Everything
+    /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`] where somebody else's
+    /// does: the command was not carried out. [`DeliveryError::Full`] where one is still under way. Everything
     /// else as for any [request](crate::Sender::ask).
-    pub async fn command(&self, message: M) -> Result<M::Reply, Why> {
+    pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
         let now = platform::now();
         let Held { epoch, span, .. } =
-            self.0.held().filter(|held| now < held.until).ok_or(Why::LeaseEnded)?;
+            self.0.held().filter(|held| now < held.until).ok_or(DeliveryError::LeaseEnded)?;
         let mut bytes = Vec::new();
-        codec::encode(&message, &mut bytes).map_err(|_| Why::TooLarge { limit: M::MAX_SIZE })?;
-        let done = self.0.order(Wish::Command { epoch, message: bytes }, span).await;
+        codec::encode(&message, &mut bytes)
+            .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;
+        let done = self.0.send_command(Wish::Command { epoch, message: bytes }, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
         match done? {
             Ordered::Done(reply) => codec::decode_reply::<M>(&reply)
-                .map_err(|error| Why::Undecodable { reason: error.to_string() }),
+                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() }),
             other => Err(odd::<M>(other)),
         }
     }
@@ -293,11 +297,11 @@ impl<M: Contract> Commander<M> {
     ///
     /// # Errors
     /// Where this does not get through, the lease ends by itself.
-    pub async fn release(&self) -> Result<(), Why> {
+    pub async fn release(&self) -> Result<(), DeliveryError> {
         let held = self.0.lock().take();
         match held {
             Some(Held { epoch, .. }) => {
-                self.0.order(Wish::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
+                self.0.send_command(Wish::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
             }
             None => Ok(()),
         }
@@ -305,23 +309,27 @@ impl<M: Contract> Commander<M> {
 }
 
 /// Whether an actuator that refuses so may be there a little later.
-fn comes_later(why: &Why) -> bool {
-    use Why::{DeadlinePassed, Full, PeerDied, Restarting, Unknown, Unreachable};
+fn comes_later(why: &DeliveryError) -> bool {
+    use DeliveryError::{DeadlinePassed, Full, PeerDied, Restarting, Unknown, Unreachable};
     matches!(
         why,
         Restarting | Full | DeadlinePassed | PeerDied { .. } | Unknown { .. } | Unreachable { .. }
     )
 }
 
-fn odd<M: Contract>(ordered: Ordered) -> Why {
+fn odd<M: Contract>(ordered: Ordered) -> DeliveryError {
     let Ordered::Differs { identity } = ordered else {
-        return Why::Undecodable { reason: format!("an answer to another order: {ordered:?}") };
+        return DeliveryError::Undecodable {
+            reason: format!("an answer to another order: {ordered:?}"),
+        };
     };
     match PeerIdentity::decode(&identity) {
         Ok(theirs) => match ContractIdentity::of::<M>().check(&theirs) {
-            Err(difference) => Why::ContractDiffers { difference: difference.to_string() },
-            Ok(()) => Why::ContractDiffers { difference: "the actuator says so".into() },
+            Err(difference) => {
+                DeliveryError::ContractDiffers { difference: difference.to_string() }
+            }
+            Ok(()) => DeliveryError::ContractDiffers { difference: "the actuator says so".into() },
         },
-        Err(error) => Why::Undecodable { reason: error.to_string() },
+        Err(error) => DeliveryError::Undecodable { reason: error.to_string() },
     }
 }

@@ -1,6 +1,6 @@
 //! What a commander says to an actuator's node, and hears.
 
-use blastema_core::Why;
+use blastema_core::DeliveryError;
 use blastema_core::contract::codec;
 use blastema_macros::{Request, Structure};
 
@@ -16,7 +16,7 @@ const WHY_MAX: usize = 16 * 1024;
     reply = Ordered,
     max_size = 1024 * 1024
 )]
-pub(crate) struct Order {
+pub(crate) struct ActuatorCommand {
     /// Name, version and fingerprint of the actuator's contract.
     pub(crate) identity: Vec<u8>,
     pub(crate) wish: Wish,
@@ -51,7 +51,7 @@ pub(crate) enum Ordered {
 }
 
 impl Ordered {
-    pub(crate) fn refused(why: &Why) -> Self {
+    pub(crate) fn refused(why: &DeliveryError) -> Self {
         let mut bytes = Vec::new();
         if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
             bytes.clear();
@@ -60,8 +60,8 @@ impl Ordered {
     }
 
     /// Reads an error that [`refused`](Self::refused) wrote.
-    pub(crate) fn why(bytes: &[u8]) -> Why {
-        codec::decode_bounded::<Why, WHY_MAX>(bytes)
-            .unwrap_or_else(|error| Why::Undecodable { reason: error.to_string() })
+    pub(crate) fn why(bytes: &[u8]) -> DeliveryError {
+        codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
+            .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
 }

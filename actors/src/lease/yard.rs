@@ -3,19 +3,19 @@
 //! Orders are served on the thread of whoever brings them. One actor of the middleware's own watches
 //! the time, on the fault chain's arbiter: a component that hangs keeps nobody from being safe.
 
-use super::order::{Order, Ordered, Wish};
+use super::order::{ActuatorCommand, Ordered, Wish};
 use crate::chain::callbacks::{CallOutcome, Callbacks};
-use crate::desk::Desk;
+use crate::desk::ServiceFn;
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
-use crate::registry::{Doorway, Port, Postmark, ReplyTo};
-use crate::reply::Answer;
+use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
+use crate::reply::Responder;
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
-use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStanding};
+use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStatus};
 use blastema_core::{
-    ContractIdentity, FaultKind, Incarnation, Instant, Machine, ObjectName, Parcel, PeerIdentity,
-    Why,
+    ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
+    ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -26,15 +26,15 @@ use std::time::Duration;
 use tracing::{error, info, warn};
 
 /// Brings outputs to rest without the component.
-pub(crate) type CutOff = Arc<dyn Fn() + Send + Sync>;
+pub(crate) type SafeOutputFn = Arc<dyn Fn() + Send + Sync>;
 
 /// An actuator as its component declares it.
-pub(crate) struct Declared {
+pub(crate) struct DeclaredActuator {
     pub(crate) identity: ContractIdentity,
     pub(crate) span: Duration,
     /// The command that brings it to rest, encoded.
-    pub(crate) safe: Result<Bytes, Why>,
-    pub(crate) cut_off: Option<CutOff>,
+    pub(crate) safe: Result<Bytes, DeliveryError>,
+    pub(crate) cut_off: Option<SafeOutputFn>,
 }
 
 /// An actuator and who commands it, for people.
@@ -45,7 +45,7 @@ pub struct ActuatorRow {
     /// The contract of its commands.
     pub contract: &'static str,
     /// Who commands, under which epoch, and for how long unless the lease is renewed.
-    pub standing: LeaseStanding,
+    pub standing: LeaseStatus,
 }
 
 /// One actuator: one contract of commands to one component.
@@ -54,8 +54,8 @@ struct Actuator {
     identity: ContractIdentity,
     lease: Mutex<Lease>,
     safe: Bytes,
-    cut_off: Option<CutOff>,
-    doorway: Arc<dyn Doorway>,
+    cut_off: Option<SafeOutputFn>,
+    doorway: Arc<dyn Skeleton>,
     /// Its commander has gone, and nobody has claimed it since.
     lost: AtomicBool,
     /// A command has been handed over and not been answered.
@@ -70,20 +70,20 @@ type Actuators = BTreeMap<(ObjectName, &'static str), Arc<Actuator>>;
 
 /// The actuators of a node. Clones share them.
 #[derive(Clone, Default)]
-pub(crate) struct Yard {
+pub(crate) struct ActuatorTable {
     /// As many as its components declare.
     actuators: Arc<Mutex<Actuators>>,
     timekeeper: Arc<OnceLock<Recipient<Look>>>,
     /// Calls cut-offs.
     callbacks: Callbacks,
-    /// The node is at safe rest: nobody commands.
+    /// The node is in the safe state: nobody commands.
     rests: Arc<AtomicBool>,
 }
 
-impl Yard {
+impl ActuatorTable {
     /// A yard whose cut-offs are called so.
     pub(crate) fn new(callbacks: Callbacks) -> Self {
-        Yard { callbacks, ..Yard::default() }
+        ActuatorTable { callbacks, ..ActuatorTable::default() }
     }
 
     /// Watches the time from now on. Says where the one who does can be asked whether it lives.
@@ -105,9 +105,9 @@ impl Yard {
     pub(crate) fn declare(
         &self,
         object: &ObjectName,
-        declared: Vec<(Declared, Arc<dyn Doorway>)>,
-    ) -> Result<Port, Why> {
-        for (Declared { identity, span, safe, cut_off }, doorway) in declared {
+        declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
+    ) -> Result<ContractPort, DeliveryError> {
+        for (DeclaredActuator { identity, span, safe, cut_off }, doorway) in declared {
             // Above every epoch of any earlier process of this node.
             let lease = Lease::new(span, platform::node_incarnation().0 << 20);
             let actuator = Actuator {
@@ -124,8 +124,10 @@ impl Yard {
             lock(&self.actuators).insert(key, Arc::new(actuator));
         }
         let (yard, object) = (self.clone(), object.clone());
-        let serve = move |order: Order, answer: Answer<Order>| yard.serve(&object, order, answer);
-        Ok(Port::of_desk(Desk::<Order>(Arc::new(serve))))
+        let serve = move |order: ActuatorCommand, answer: Responder<ActuatorCommand>| {
+            yard.serve(&object, order, answer)
+        };
+        Ok(ContractPort::of_desk(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
     }
 
     /// The object is gone, and its actuators with it.
@@ -145,7 +147,7 @@ impl Yard {
         let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
         for actuator in all {
             let mut lease = lock(&actuator.lease);
-            if let LeaseStanding::Held { epoch, .. } = lease.standing(now) {
+            if let LeaseStatus::Held { epoch, .. } = lease.standing(now) {
                 lease.handle_release(epoch);
             }
             drop(lease);
@@ -163,7 +165,7 @@ impl Yard {
     pub(crate) fn are_at_rest(&self) -> bool {
         let now = platform::now();
         let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        all.iter().all(|actuator| lock(&actuator.lease).standing(now) == LeaseStanding::Free)
+        all.iter().all(|actuator| lock(&actuator.lease).standing(now) == LeaseStatus::Free)
     }
 
     /// The node goes to work again.
@@ -190,17 +192,22 @@ impl Yard {
         own.next().map(|(_, actuator)| actuator.clone())
     }
 
-    fn serve(&self, object: &ObjectName, order: Order, answer: Answer<Order>) {
-        let Order { identity, wish } = order;
+    fn serve(
+        &self,
+        object: &ObjectName,
+        order: ActuatorCommand,
+        answer: Responder<ActuatorCommand>,
+    ) {
+        let ActuatorCommand { identity, wish } = order;
         let theirs = match PeerIdentity::decode(&identity) {
             Ok(theirs) => theirs,
             Err(error) => {
-                let why = Why::Undecodable { reason: error.to_string() };
+                let why = DeliveryError::Undecodable { reason: error.to_string() };
                 return answer.give(Ordered::refused(&why));
             }
         };
         let Some(actuator) = self.find(object, &theirs) else {
-            let why = Why::Unknown { name: format!("{} of {object}", theirs.name) };
+            let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
             return answer.give(Ordered::refused(&why));
         };
         if actuator.identity.check(&theirs).is_err() {
@@ -212,11 +219,11 @@ impl Yard {
         // Looked at under the lease's lock: who comes later finds that it has ended.
         if self.rests.load(SeqCst) {
             drop(lease);
-            return answer.give(Ordered::refused(&Why::Stopped));
+            return answer.give(Ordered::refused(&DeliveryError::Stopped));
         }
         let done = match wish {
             // Its first command would wait, perhaps for longer than the lease.
-            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(Why::Restarting),
+            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(DeliveryError::Restarting),
             Wish::Claim { commander, life } => {
                 let commander = CommanderId { name: commander, life: Incarnation(life) };
                 lease.handle_claim(commander, now).map(|grant| {
@@ -299,12 +306,13 @@ impl Yard {
                 actuator.cut_off(&self.callbacks);
             }
             let (yard, applied_at) = (self.clone(), actuator.clone());
-            let applied: ReplyTo = Box::new(move |result: Result<Parcel, Why>| {
+            let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
                 lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
                 yard.look();
             });
             // What came of it is told to the closure in every case.
-            let _ = actuator.doorway.deliver(&actuator.safe, Postmark::default(), Some(applied));
+            let _ =
+                actuator.doorway.deliver(&actuator.safe, MessageMetadata::default(), Some(applied));
         }
     }
 }
@@ -334,12 +342,12 @@ impl Actuator {
 
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
     /// carried out after its lease has ended.
-    fn command(&self, message: Vec<u8>, answer: Answer<Order>) {
+    fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
         if self.busy.swap(true, Relaxed) {
-            return answer.give(Ordered::refused(&Why::Full));
+            return answer.give(Ordered::refused(&DeliveryError::Full));
         }
         let busy = self.busy.clone();
-        let reply_to: ReplyTo = Box::new(move |result: Result<Parcel, Why>| {
+        let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
             busy.store(false, Relaxed);
             answer.give(match result {
                 Ok(reply) => Ordered::Done(reply.into_bytes().into()),
@@ -347,7 +355,7 @@ impl Actuator {
             });
         });
         // What came of it is told to the closure in every case.
-        let _ = self.doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
+        let _ = self.doorway.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
     }
 }
 
@@ -358,7 +366,7 @@ struct Look;
 
 /// Sees that leases end in time.
 struct Timekeeper {
-    yard: Yard,
+    yard: ActuatorTable,
     armed: Option<(Instant, SpawnHandle)>,
 }
 

@@ -67,23 +67,23 @@ impl Interface {
 }
 
 /// An interface, and who is to know of its carrier.
-pub(crate) struct Watched {
+pub(crate) struct MonitoredInterface {
     pub(crate) interface: Interface,
     pub(crate) told: Recipient<CarrierChanged>,
 }
 
 /// Ends the watch when dropped, or told to.
-pub(crate) struct CarrierWatch {
+pub(crate) struct CarrierMonitor {
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl CarrierWatch {
+impl CarrierMonitor {
     /// Watches these interfaces; without any, no thread is started.
-    pub(crate) fn start(watched: Vec<Watched>) -> CarrierWatch {
+    pub(crate) fn start(watched: Vec<MonitoredInterface>) -> CarrierMonitor {
         let ended = Arc::new(AtomicBool::new(false));
         if watched.is_empty() {
-            return CarrierWatch { ended, thread: None };
+            return CarrierMonitor { ended, thread: None };
         }
         let mut eyes: Vec<Eye> = watched.into_iter().map(Eye::new).collect();
         let told = ended.clone();
@@ -99,7 +99,7 @@ impl CarrierWatch {
         };
         // Without the thread, hellos find a pulled cable as they find everything else.
         let thread = platform::start_thread("carrier", watch).ok();
-        CarrierWatch { ended, thread }
+        CarrierMonitor { ended, thread }
     }
 
     /// Ends it with the present look.
@@ -108,7 +108,7 @@ impl CarrierWatch {
     }
 }
 
-impl Drop for CarrierWatch {
+impl Drop for CarrierMonitor {
     fn drop(&mut self) {
         self.end();
         if let Some(thread) = self.thread.take() {
@@ -120,7 +120,7 @@ impl Drop for CarrierWatch {
 
 /// What is known of one interface.
 struct Eye {
-    watched: Watched,
+    watched: MonitoredInterface,
     name: Option<String>,
     /// Says how it is whenever it is read from its beginning, and nothing any more once the interface was
     /// taken out, also if another of that name is there.
@@ -130,7 +130,7 @@ struct Eye {
 }
 
 impl Eye {
-    fn new(watched: Watched) -> Self {
+    fn new(watched: MonitoredInterface) -> Self {
         Eye { watched, name: None, file: None, present: None }
     }
 
@@ -267,7 +267,7 @@ mod tests {
             fs::create_dir(&folder).unwrap();
             let told = Probe::<CarrierChanged>::start();
             let interface = Interface::Named("eth7".into());
-            let mut eye = Eye::new(Watched { interface, told: told.recipient() });
+            let mut eye = Eye::new(MonitoredInterface { interface, told: told.recipient() });
             let mut reads = |text: Option<&str>| {
                 fs::write(folder.join("carrier"), text.unwrap_or_default()).unwrap();
                 eye.look(interfaces.path(), true);

@@ -1,21 +1,22 @@
 //! The body of the claims: names of the whole robot, as this node knows them.
 
-use super::fault_reporter::OwnFaults;
-use super::peer_messages::{LetterArrived, Letters};
-use crate::claim::{ClaimState, Names, Wish};
-use crate::drive::{Body, Wake};
+use super::fault_reporter::FaultReporter;
+use super::peer_messages::{ActorMessageReceived, PeerChannel};
+use crate::claim::{ClaimCommand, ClaimState, GlobalNameTable};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::platform;
 use crate::registry::Registry;
 use actix::prelude::*;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
-use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::PeerSeen;
+use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::PeerStatusChanged;
 use blastema_core::global_name::{
-    ClaimRefused, Claims, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted, Without,
+    ClaimRefused, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput, Holder,
+    NameHeld, UnmetClaims,
 };
-use blastema_core::net::active_alarms::Latch;
-use blastema_core::net::refusal_alarms::Complaints;
+use blastema_core::net::active_alarms::ActiveAlarms;
+use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
@@ -31,7 +32,7 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// What the body is made of.
 #[derive(Clone)]
-pub(crate) struct ClaimsSetup {
+pub(crate) struct GlobalNamesSetup {
     pub(crate) node: NodeName,
     pub(crate) incarnation: Incarnation,
     /// How long nothing is granted after the start.
@@ -39,73 +40,73 @@ pub(crate) struct ClaimsSetup {
     /// Nodes after whose word that is over.
     pub(crate) expected: Vec<NodeName>,
     pub(crate) registry: Registry,
-    pub(crate) names: Names,
+    pub(crate) names: GlobalNameTable,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<FaultMended>>,
+    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 /// A name that is claimed here.
 struct Own {
-    wanted: Wanted,
+    wanted: ClaimRequest,
     number: u64,
     told: watch::Sender<ClaimState>,
     unattended: bool,
 }
 
 /// The body.
-pub(crate) struct ClaimsBody {
-    setup: ClaimsSetup,
-    machine: Claims,
-    wake: Wake,
-    letters: Letters,
+pub(crate) struct GlobalNamesActor {
+    setup: GlobalNamesSetup,
+    machine: GlobalNames,
+    wake: WakeTimer,
+    letters: PeerChannel,
     own: BTreeMap<ObjectName, Own>,
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
-    complaints: Complaints<NodeName>,
-    faults: OwnFaults,
+    complaints: RefusalAlarms<NodeName>,
+    faults: FaultReporter,
     /// Names that were lost to others, who had claimed them out of sight: as many as are claimed here.
-    lost: Latch<(ObjectName, u64)>,
+    lost: ActiveAlarms<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
-    without: Without,
+    without: UnmetClaims,
     said: Option<String>,
 }
 
 /// Where the body is told and asked.
-pub(crate) struct ClaimsPorts {
-    pub(crate) peers: Recipient<PeerSeen>,
+pub(crate) struct GlobalNamesRecipients {
+    pub(crate) peers: Recipient<PeerStatusChanged>,
     pub(crate) inquiries: Recipient<AreYouAlive>,
     #[cfg(test)]
-    panic: Recipient<PanicOnPurpose>,
+    panic: Recipient<InjectPanic>,
 }
 
-impl ClaimsBody {
+impl GlobalNamesActor {
     /// Starts it under the guardian, and leads those who claim to it.
     pub(crate) fn start(
-        setup: ClaimsSetup,
+        setup: GlobalNamesSetup,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
-    ) -> ClaimsPorts {
+    ) -> GlobalNamesRecipients {
         let names = setup.names.clone();
-        setup.registry.look_up_in(names.clone());
+        setup.registry.set_name_resolver(names.clone());
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
-            ClaimsBody {
-                machine: Claims::new(config(&setup), platform::now()),
-                wake: Wake::default(),
-                letters: Letters::at(super::named("claims"), &setup.registry, reader),
+            GlobalNamesActor {
+                machine: GlobalNames::new(config(&setup), platform::now()),
+                wake: WakeTimer::default(),
+                letters: PeerChannel::at(super::named("claims"), &setup.registry, reader),
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
-                complaints: Complaints::default(),
-                faults: OwnFaults::of("claims", setup.faults.clone(), setup.mended.clone()),
-                lost: Latch::default(),
-                without: Without::default(),
+                complaints: RefusalAlarms::default(),
+                faults: FaultReporter::of("claims", setup.faults.clone(), setup.mended.clone()),
+                lost: ActiveAlarms::default(),
+                without: UnmetClaims::default(),
                 said: None,
                 setup,
             }
         };
         let body = guardian.start(super::named("claims"), arbiter, make);
         names.lead_to(body.clone().recipient());
-        ClaimsPorts {
+        GlobalNamesRecipients {
             #[cfg(test)]
             panic: body.clone().recipient(),
             peers: body.clone().recipient(),
@@ -166,7 +167,7 @@ impl ClaimsBody {
     /// A claim is granted, or given back.
     fn has_its_name(&mut self, name: ObjectName, number: u64) {
         self.without.handle_end(&name, number);
-        if self.lost.end(&(name, number)) {
+        if self.lost.clear(&(name, number)) {
             self.mend();
         }
         self.say_who_goes_without();
@@ -202,8 +203,8 @@ impl ClaimsBody {
     }
 }
 
-fn config(setup: &ClaimsSetup) -> ClaimsConfig {
-    ClaimsConfig {
+fn config(setup: &GlobalNamesSetup) -> GlobalNamesConfig {
+    GlobalNamesConfig {
         node: setup.node.clone(),
         incarnation: setup.incarnation,
         lease: LEASE,
@@ -212,9 +213,9 @@ fn config(setup: &ClaimsSetup) -> ClaimsConfig {
     }
 }
 
-answers_the_monitor!(ClaimsBody);
+answers_the_monitor!(GlobalNamesActor);
 
-impl Actor for ClaimsBody {
+impl Actor for GlobalNamesActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -223,7 +224,7 @@ impl Actor for ClaimsBody {
     }
 }
 
-impl Supervised for ClaimsBody {
+impl Supervised for GlobalNamesActor {
     /// What is claimed here stays so; what others claim, they are asked for.
     fn restarting(&mut self, context: &mut Context<Self>) {
         let (now, mut own) = (platform::now(), Vec::new());
@@ -235,42 +236,42 @@ impl Supervised for ClaimsBody {
             own.push((wanted.clone(), epoch));
         }
         self.setup.names.forget_all();
-        self.machine = Claims::reborn(config(&self.setup), own, now);
+        self.machine = GlobalNames::reborn(config(&self.setup), own, now);
         for (node, incarnation) in self.peers.values() {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.started(context);
     }
 }
 
-impl Body for ClaimsBody {
-    type Machine = Claims;
+impl MachineActor for GlobalNamesActor {
+    type Machine = GlobalNames;
 
-    fn machine(&mut self) -> &mut Claims {
+    fn machine(&mut self) -> &mut GlobalNames {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
-    fn carry_out(&mut self, output: ClaimsOutput, _: &mut Context<Self>) {
+    fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {
         match output {
-            ClaimsOutput::Send { to, message } => self.letters.send(&to, &message),
-            ClaimsOutput::Granted { name, epoch } => {
+            GlobalNamesOutput::Send { to, message } => self.letters.send(&to, &message),
+            GlobalNamesOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
                 if let Some(number) = self.own.get(&name).map(|own| own.number) {
                     self.has_its_name(name, number);
                 }
             }
-            ClaimsOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
-            ClaimsOutput::Refused(held) => {
+            GlobalNamesOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
+            GlobalNamesOutput::Refused(held) => {
                 let name = held.name.clone();
                 self.refused(&name, held.into());
             }
-            ClaimsOutput::Lost { name, to, epoch, stands_by } => {
+            GlobalNamesOutput::Lost { name, to, epoch, stands_by } => {
                 let what = if stands_by {
                     "it stands by for it from now on"
                 } else {
@@ -283,13 +284,13 @@ impl Body for ClaimsBody {
                 self.declare(FaultKind::NameTaken, detail);
                 // Each of the two knows it now, and what becomes of it.
                 let number = self.own.get(&name).map_or(0, |own| own.number);
-                self.lost.begin((name.clone(), number), platform::now());
+                self.lost.raise((name.clone(), number), platform::now());
                 match stands_by {
                     true => self.tell(&name, ClaimState::StandsBy),
                     false => self.end(&name, ClaimState::Lost { to, epoch }),
                 }
             }
-            ClaimsOutput::Held { name, holder } => {
+            GlobalNamesOutput::Held { name, holder } => {
                 self.without.handle_holder(&name, holder.as_ref());
                 self.say_who_goes_without();
                 let life = |holder: Holder| {
@@ -302,12 +303,12 @@ impl Body for ClaimsBody {
     }
 }
 
-impl Handler<Wish> for ClaimsBody {
+impl Handler<ClaimCommand> for GlobalNamesActor {
     type Result = ();
 
-    fn handle(&mut self, wish: Wish, context: &mut Context<Self>) {
+    fn handle(&mut self, wish: ClaimCommand, context: &mut Context<Self>) {
         match wish {
-            Wish::Claim { wanted, number, told, unattended } => {
+            ClaimCommand::Claim { wanted, number, told, unattended } => {
                 let name = wanted.name.clone();
                 match self.own.get(&name) {
                     // The next life of the same component.
@@ -333,7 +334,7 @@ impl Handler<Wish> for ClaimsBody {
                     self.refused(&name, refused);
                 }
             }
-            Wish::Withdraw { name, number } => {
+            ClaimCommand::Withdraw { name, number } => {
                 if self.own.get(&name).is_some_and(|own| own.number == number) {
                     self.own.remove(&name);
                     self.machine.handle_withdrawn(&name);
@@ -346,30 +347,30 @@ impl Handler<Wish> for ClaimsBody {
     }
 }
 
-impl Handler<PeerSeen> for ClaimsBody {
+impl Handler<PeerStatusChanged> for GlobalNamesActor {
     type Result = ();
 
-    fn handle(&mut self, seen: PeerSeen, context: &mut Context<Self>) {
+    fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
         let now = platform::now();
         match seen {
-            PeerSeen::Opened { node, incarnation } => {
+            PeerStatusChanged::Opened { node, incarnation } => {
                 self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
                 self.machine.handle_opened(node, incarnation, now);
             }
-            PeerSeen::Ended { node } => {
+            PeerStatusChanged::Ended { node } => {
                 self.peers.remove(&NodeId::of(&node));
                 self.machine.handle_ended(&node);
             }
-            PeerSeen::Left { node } => self.machine.handle_left(&node, now),
+            PeerStatusChanged::Left { node } => self.machine.handle_left(&node, now),
         }
         self.drive(context);
     }
 }
 
-impl Handler<LetterArrived> for ClaimsBody {
+impl Handler<ActorMessageReceived> for GlobalNamesActor {
     type Result = ();
 
-    fn handle(&mut self, letter: LetterArrived, context: &mut Context<Self>) {
+    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
         self.letters.read_one();
         if let Some((node, _)) = self.peers.get(&letter.from) {
             self.machine.handle_message(node, &letter.bytes, platform::now());
@@ -378,10 +379,10 @@ impl Handler<LetterArrived> for ClaimsBody {
     }
 }
 
-impl Handler<PanicOnPurpose> for ClaimsBody {
+impl Handler<InjectPanic> for GlobalNamesActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the claims panic on purpose");
     }
 }
@@ -393,12 +394,12 @@ mod tests {
     use blastema_core::global_name::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 
-    fn wanted() -> Wanted {
-        Wanted::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
+    fn wanted() -> ClaimRequest {
+        ClaimRequest::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
     }
 
-    fn setup(names: &Names) -> ClaimsSetup {
-        ClaimsSetup {
+    fn setup(names: &GlobalNameTable) -> GlobalNamesSetup {
+        GlobalNamesSetup {
             node: NodeName::new("a").unwrap(),
             incarnation: Incarnation(1),
             settle: Duration::ZERO,
@@ -414,11 +415,11 @@ mod tests {
     fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
         paused(async {
             let (declared, mended) =
-                (Probe::<FaultDeclared>::start(), Probe::<FaultMended>::start());
+                (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
             let (faults, over) = (Some(declared.recipient()), Some(mended.recipient()));
-            let names = Names::default();
-            let setup = ClaimsSetup { faults, mended: over, ..setup(&names) };
-            let _ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let names = GlobalNameTable::default();
+            let setup = GlobalNamesSetup { faults, mended: over, ..setup(&names) };
+            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
             names.claim_unattended(wanted(), 98);
@@ -438,10 +439,10 @@ mod tests {
     #[test]
     fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
         paused(async {
-            let mended = Probe::<FaultMended>::start();
-            let names = Names::default();
-            let setup = ClaimsSetup { mended: Some(mended.recipient()), ..setup(&names) };
-            let _ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let mended = Probe::<DeclaredFaultCleared>::start();
+            let names = GlobalNameTable::default();
+            let setup = GlobalNamesSetup { mended: Some(mended.recipient()), ..setup(&names) };
+            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
             names.claim_unattended(wanted(), 98);
             names.claim_unattended(wanted(), 99);
@@ -457,13 +458,13 @@ mod tests {
     #[test]
     fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
         paused(async {
-            let names = Names::default();
+            let names = GlobalNameTable::default();
             let setup = setup(&names);
-            let ports = ClaimsBody::start(setup, &Guardian::default(), None);
+            let ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
             let epoch = claim.epoch().unwrap();
 
-            ports.panic.do_send(PanicOnPurpose);
+            ports.panic.do_send(InjectPanic);
             settle().await;
 
             assert_eq!(claim.epoch(), Some(epoch));

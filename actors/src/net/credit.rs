@@ -1,8 +1,8 @@
 //! What shares room on the way from the objects of this node to a peer's session, and how much may be there.
 
-use blastema_contract::session::{Credit, Lender};
+use blastema_contract::session::{Credit, CreditPool};
 use blastema_core::Delivery;
-use blastema_core::net::Load;
+use blastema_core::net::SizeClass;
 use blastema_core::net::wire::segment::Stream;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -17,15 +17,15 @@ const BYTES_MAX: usize = 1 << 20;
 
 /// What decides which messages share room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Freight {
+pub(super) struct CreditClass {
     pub(super) delivery: Delivery,
-    pub(super) load: Load,
+    pub(super) load: SizeClass,
 }
 
-impl Freight {
+impl CreditClass {
     /// That of a message of so many bytes, which is to travel so.
     pub(super) fn of(delivery: Delivery, bytes: usize) -> Self {
-        Freight { delivery, load: Load::of(bytes) }
+        CreditClass { delivery, load: SizeClass::of(bytes) }
     }
 
     /// By which stream it goes.
@@ -39,7 +39,7 @@ impl Freight {
 
 /// The ways to one peer: `redundant` messages, such as stops, have room that nothing else takes, and so has
 /// what is small beside bulk.
-pub(super) struct Ways {
+pub(super) struct SendCredits {
     /// By stream, and by load.
     rooms: [[Arc<Pool>; 2]; 2],
 }
@@ -52,30 +52,30 @@ struct Pool {
     changed: Arc<Notify>,
 }
 
-impl Ways {
+impl SendCredits {
     pub(super) fn new(changed: &Arc<Notify>) -> Self {
         let none = AtomicUsize::default;
         let room = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
-        Ways { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
+        SendCredits { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
     }
 
-    fn room(&self, freight: Freight) -> &Arc<Pool> {
+    fn room(&self, freight: CreditClass) -> &Arc<Pool> {
         let redundant = usize::from(freight.stream() == Stream::Redundant);
         &self.rooms[redundant][freight.load as usize]
     }
 
     /// More may be under way.
-    pub(super) fn have_room(&self, freight: Freight) -> bool {
+    pub(super) fn have_room(&self, freight: CreditClass) -> bool {
         self.room(freight).is_open(1)
     }
 
     /// Takes room for so many bytes; it is given back when the credit is dropped.
-    pub(super) fn lend(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+    pub(super) fn take_credit(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
         self.room(freight).lend(bytes)
     }
 
     /// Takes room for an event, which never waits, and leaves half to what does.
-    pub(super) fn lend_to_event(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+    pub(super) fn lend_to_event(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
         let room = self.room(freight);
         if room.is_open(2) { room.lend(bytes) } else { None }
     }
@@ -97,7 +97,7 @@ impl Pool {
     }
 }
 
-impl Lender for Pool {
+impl CreditPool for Pool {
     fn give_back(&self, bytes: usize) {
         let messages = self.messages.fetch_sub(1, Relaxed);
         let before = self.bytes.fetch_sub(bytes, Relaxed);
@@ -115,16 +115,17 @@ mod tests {
 
     #[test]
     fn what_fills_one_room_leaves_the_others_theirs_and_gives_it_back() {
-        let ways = Ways::new(&Arc::new(Notify::new()));
+        let ways = SendCredits::new(&Arc::new(Notify::new()));
         let all = [Delivery::Reliable, Delivery::Redundant]
-            .map(|delivery| Load::ALL.map(|load| Freight { delivery, load }));
+            .map(|delivery| SizeClass::ALL.map(|load| CreditClass { delivery, load }));
         for full in all.concat() {
-            let each = if full.load == Load::Bulk { 1 << 19 } else { 64 };
-            let fill = || -> Vec<_> { (0..9_999).map_while(|_| ways.lend(each, full)).collect() };
+            let each = if full.load == SizeClass::Bulk { 1 << 19 } else { 64 };
+            let fill =
+                || -> Vec<_> { (0..9_999).map_while(|_| ways.take_credit(each, full)).collect() };
 
             let credits = fill();
 
-            assert_eq!(credits.len(), if full.load == Load::Bulk { 2 } else { MESSAGES_MAX });
+            assert_eq!(credits.len(), if full.load == SizeClass::Bulk { 2 } else { MESSAGES_MAX });
             for freight in all.concat() {
                 assert_eq!(ways.have_room(freight), freight != full, "{full:?}, {freight:?}");
             }
@@ -136,12 +137,12 @@ mod tests {
 
     #[test]
     fn events_leave_half_of_their_room_to_what_waits() {
-        let ways = Ways::new(&Arc::new(Notify::new()));
-        let freight = Freight::of(Delivery::Reliable, 64);
+        let ways = SendCredits::new(&Arc::new(Notify::new()));
+        let freight = CreditClass::of(Delivery::Reliable, 64);
 
         let events: Vec<_> = (0..9_999).map_while(|_| ways.lend_to_event(64, freight)).collect();
 
         assert_eq!(events.len(), MESSAGES_MAX / 2);
-        assert!(ways.lend(64, freight).is_some());
+        assert!(ways.take_credit(64, freight).is_some());
     }
 }

@@ -1,24 +1,24 @@
 //! The body of discovery: neighbours that nobody has described.
 
 use super::LinkSpec;
-use super::fault_reporter::OwnFaults;
-use super::links::{Forget, Learn, Seen, TellNeighbours};
-use super::peer_messages::{LetterArrived, Letters};
-use crate::drive::{Body, Wake};
+use super::fault_reporter::FaultReporter;
+use super::links::{AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours};
+use super::peer_messages::{ActorMessageReceived, PeerChannel};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use crate::registry::Registry;
 use actix::prelude::*;
-use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::PeerSeen;
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::PeerStatusChanged;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, Transmit, Transport, TransportReport,
 };
 use blastema_core::net::discovery::{
-    Admission, Discovery, DiscoveryConfig, DiscoveryOutput, Ground,
+    Discovery, DiscoveryAdmission, DiscoveryConfig, DiscoveryDomain, DiscoveryOutput,
 };
-use blastema_core::net::refusal_alarms::Complaints;
-use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::net::{LinkId, NodeId};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
@@ -42,7 +42,7 @@ const BEACON_MARK: &[u8] = b"BLB\x01";
 pub(crate) struct DiscoverySpec {
     /// What it is made of, such as `udp`.
     pub(crate) medium: &'static str,
-    pub(crate) admission: Admission,
+    pub(crate) admission: DiscoveryAdmission,
     /// How often hellos are said on a link that is learned.
     pub(crate) hello_interval: Duration,
     /// Where beacons are sent and heard, and to whom they go.
@@ -50,62 +50,65 @@ pub(crate) struct DiscoverySpec {
 }
 
 /// A network that discovers, as the body sees it.
-pub(super) struct Field {
+pub(super) struct DiscoveryNetwork {
     pub(super) network: Arc<str>,
     pub(super) spec: DiscoverySpec,
     /// The numbers of links that it may make there.
-    pub(super) numbers: Vec<LinkNumber>,
+    pub(super) numbers: Vec<LinkId>,
     /// Neighbours that were described.
     pub(super) described: Vec<(NodeName, MediumAddress)>,
 }
 
 /// Who stands around it.
-pub(super) struct Wiring {
+pub(super) struct DiscoveryRecipients {
     pub(super) node: NodeName,
     pub(super) registry: Registry,
-    pub(super) fields: Vec<Field>,
-    pub(super) faults: OwnFaults,
+    pub(super) fields: Vec<DiscoveryNetwork>,
+    pub(super) faults: FaultReporter,
 }
 
 /// The links of the networks that discover, in their order. They are made after the body.
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
-pub(super) struct AddFields(pub(super) Vec<FieldLinks>);
+pub(super) struct AddNetworks(pub(super) Vec<NetworkLinks>);
 
 /// The links of one network.
 #[derive(Clone)]
-pub(super) struct FieldLinks {
-    pub(super) learn: Recipient<Learn>,
-    pub(super) forget: Recipient<Forget>,
-    pub(super) tell: Recipient<TellNeighbours>,
+pub(super) struct NetworkLinks {
+    pub(super) learn: Recipient<AddDiscoveredLink>,
+    pub(super) forget: Recipient<RemoveDiscoveredLink>,
+    pub(super) tell: Recipient<ReportNeighbours>,
 }
 
 /// The body.
-pub(super) struct DiscoveryBody {
-    wiring: Wiring,
-    links: Vec<FieldLinks>,
+pub(super) struct DiscoveryActor {
+    wiring: DiscoveryRecipients,
+    links: Vec<NetworkLinks>,
     machine: Discovery,
-    wake: Wake,
-    letters: Letters,
+    wake: WakeTimer,
+    letters: PeerChannel,
     /// Links that were made: at most so many for each network as it has numbers.
-    made: BTreeMap<(usize, NodeName), (LinkNumber, MediumAddress)>,
+    made: BTreeMap<(usize, NodeName), (LinkId, MediumAddress)>,
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, NodeName>,
-    complaints: Complaints<Option<NodeName>>,
+    complaints: RefusalAlarms<Option<NodeName>>,
     /// The ports at which our networks are open, for beacons.
     ports: BTreeMap<usize, u16>,
 }
 
-impl DiscoveryBody {
-    pub(super) fn new(wiring: Wiring, reader: Recipient<LetterArrived>) -> Self {
-        DiscoveryBody {
+impl DiscoveryActor {
+    pub(super) fn new(
+        wiring: DiscoveryRecipients,
+        reader: Recipient<ActorMessageReceived>,
+    ) -> Self {
+        DiscoveryActor {
             machine: begin(&wiring),
             links: Vec::new(),
-            wake: Wake::default(),
-            letters: Letters::at(super::named("discovery"), &wiring.registry, reader),
+            wake: WakeTimer::default(),
+            letters: PeerChannel::at(super::named("discovery"), &wiring.registry, reader),
             made: BTreeMap::new(),
             peers: BTreeMap::new(),
-            complaints: Complaints::default(),
+            complaints: RefusalAlarms::default(),
             ports: BTreeMap::new(),
             wiring,
         }
@@ -132,14 +135,14 @@ impl DiscoveryBody {
             expected_within: None,
         };
         self.made.insert((ground, node), (number, remote));
-        links.learn.do_send(Learn { number, spec });
+        links.learn.do_send(AddDiscoveredLink { number, spec });
     }
 
     fn disconnect(&mut self, ground: usize, node: NodeName) {
         info!(%node, "a neighbour that was learned of is given up");
         let made = self.made.remove(&(ground, node));
         if let (Some((number, _)), Some(links)) = (made, self.links.get(ground)) {
-            links.forget.do_send(Forget { number });
+            links.forget.do_send(RemoveDiscoveredLink { number });
         }
     }
 
@@ -188,8 +191,8 @@ impl DiscoveryBody {
     }
 }
 
-fn begin(wiring: &Wiring) -> Discovery {
-    let ground = |field: &Field| Ground {
+fn begin(wiring: &DiscoveryRecipients) -> Discovery {
+    let ground = |field: &DiscoveryNetwork| DiscoveryDomain {
         name: field.network.to_string(),
         medium: field.spec.medium.to_owned(),
         admission: field.spec.admission.clone(),
@@ -241,7 +244,7 @@ fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
 /// Hears the beacons of one network.
 struct Ears {
     ground: usize,
-    body: Addr<DiscoveryBody>,
+    body: Addr<DiscoveryActor>,
     /// So many are still listened to until the next look.
     left: u32,
 }
@@ -276,9 +279,9 @@ struct Beacon {
     frame: Bytes,
 }
 
-answers_the_monitor!(DiscoveryBody);
+answers_the_monitor!(DiscoveryActor);
 
-impl Actor for DiscoveryBody {
+impl Actor for DiscoveryActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -291,7 +294,7 @@ impl Actor for DiscoveryBody {
     }
 }
 
-impl Supervised for DiscoveryBody {
+impl Supervised for DiscoveryActor {
     /// The links that it has made stay; who is up, it is told again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.machine = begin(&self.wiring);
@@ -299,21 +302,21 @@ impl Supervised for DiscoveryBody {
             let (node, address) = (node.clone(), address.to_string());
             self.machine.handle_learned(*ground, node, address, platform::now());
         }
-        self.links.iter().for_each(|links| links.tell.do_send(TellNeighbours));
-        self.wake = Wake::default();
-        self.complaints = Complaints::default();
+        self.links.iter().for_each(|links| links.tell.do_send(ReportNeighbours));
+        self.wake = WakeTimer::default();
+        self.complaints = RefusalAlarms::default();
         self.started(context);
     }
 }
 
-impl Body for DiscoveryBody {
+impl MachineActor for DiscoveryActor {
     type Machine = Discovery;
 
     fn machine(&mut self) -> &mut Discovery {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -333,20 +336,20 @@ impl Body for DiscoveryBody {
     }
 }
 
-impl Handler<AddFields> for DiscoveryBody {
+impl Handler<AddNetworks> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, AddFields(links): AddFields, _: &mut Context<Self>) {
+    fn handle(&mut self, AddNetworks(links): AddNetworks, _: &mut Context<Self>) {
         self.links = links;
     }
 }
 
-impl Handler<Seen> for DiscoveryBody {
+impl Handler<NeighbourChange> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, seen: Seen, context: &mut Context<Self>) {
+    fn handle(&mut self, seen: NeighbourChange, context: &mut Context<Self>) {
         match seen {
-            Seen::Neighbour { ground, node, remote, up } => {
+            NeighbourChange::Neighbour { ground, node, remote, up } => {
                 let (address, now) = (remote.to_string(), platform::now());
                 match up {
                     true => self.machine.handle_up(ground, node, address, now),
@@ -354,7 +357,7 @@ impl Handler<Seen> for DiscoveryBody {
                 }
                 self.drive(context);
             }
-            Seen::Open { ground, port } => {
+            NeighbourChange::Open { ground, port } => {
                 self.ports.insert(ground, port);
                 self.say_beacons();
             }
@@ -362,16 +365,16 @@ impl Handler<Seen> for DiscoveryBody {
     }
 }
 
-impl Handler<PeerSeen> for DiscoveryBody {
+impl Handler<PeerStatusChanged> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, seen: PeerSeen, context: &mut Context<Self>) {
+    fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
         match seen {
-            PeerSeen::Opened { node, .. } => {
+            PeerStatusChanged::Opened { node, .. } => {
                 self.peers.insert(NodeId::of(&node), node);
                 self.machine.handle_opened(platform::now());
             }
-            PeerSeen::Ended { node } | PeerSeen::Left { node } => {
+            PeerStatusChanged::Ended { node } | PeerStatusChanged::Left { node } => {
                 self.peers.remove(&NodeId::of(&node));
             }
         }
@@ -379,10 +382,10 @@ impl Handler<PeerSeen> for DiscoveryBody {
     }
 }
 
-impl Handler<LetterArrived> for DiscoveryBody {
+impl Handler<ActorMessageReceived> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, letter: LetterArrived, context: &mut Context<Self>) {
+    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
         self.letters.read_one();
         if let Some(node) = self.peers.get(&letter.from) {
             self.machine.handle_message(node, &letter.bytes, platform::now());
@@ -391,7 +394,7 @@ impl Handler<LetterArrived> for DiscoveryBody {
     }
 }
 
-impl Handler<Beacon> for DiscoveryBody {
+impl Handler<Beacon> for DiscoveryActor {
     type Result = ();
 
     fn handle(&mut self, beacon: Beacon, context: &mut Context<Self>) {
@@ -407,7 +410,7 @@ impl Handler<Beacon> for DiscoveryBody {
     }
 }
 
-impl Handler<TransportReport> for DiscoveryBody {
+impl Handler<TransportReport> for DiscoveryActor {
     type Result = ();
 
     fn handle(&mut self, report: TransportReport, _: &mut Context<Self>) {
@@ -423,10 +426,10 @@ impl Handler<TransportReport> for DiscoveryBody {
     }
 }
 
-impl Handler<PanicOnPurpose> for DiscoveryBody {
+impl Handler<InjectPanic> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the discovery panics on purpose");
     }
 }

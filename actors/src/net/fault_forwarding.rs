@@ -1,6 +1,6 @@
 //! Faults on their way to another node's recoverer.
 
-use super::gateway::Notify;
+use super::gateway::ForwardFault;
 use crate::platform;
 use actix::dev::{MessageResponse, OneshotSender};
 use actix::prelude::*;
@@ -55,39 +55,39 @@ pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
 }
 
 /// Stands in for the recoverer of one other node.
-pub(super) struct Port {
+pub(super) struct RemoteRecoverer {
     peer: NodeId,
-    gateway: Recipient<Notify>,
+    gateway: Recipient<ForwardFault>,
 }
 
-impl Port {
-    pub(super) fn new(peer: NodeId, gateway: Recipient<Notify>) -> Self {
-        Port { peer, gateway }
+impl RemoteRecoverer {
+    pub(super) fn new(peer: NodeId, gateway: Recipient<ForwardFault>) -> Self {
+        RemoteRecoverer { peer, gateway }
     }
 }
 
-impl Actor for Port {
+impl Actor for RemoteRecoverer {
     type Context = Context<Self>;
 }
 
-impl Supervised for Port {}
+impl Supervised for RemoteRecoverer {}
 
-impl Handler<Recover> for Port {
-    type Result = Later;
+impl Handler<Recover> for RemoteRecoverer {
+    type Result = DeferredAnswer;
 
-    fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> Later {
+    fn handle(&mut self, message: Recover, _: &mut Context<Self>) -> DeferredAnswer {
         let payload = encode(message.fault, platform::now());
         let (confirm, confirmed) = oneshot::channel();
-        self.gateway.do_send(Notify { peer: self.peer, payload, confirm });
-        Later(confirmed)
+        self.gateway.do_send(ForwardFault { peer: self.peer, payload, confirm });
+        DeferredAnswer(confirmed)
     }
 }
 
 /// An answer that comes later. If it does not come, the asker's request fails instead of waiting.
-pub(super) struct Later(oneshot::Receiver<Confirmed>);
+pub(super) struct DeferredAnswer(oneshot::Receiver<Confirmed>);
 
-impl MessageResponse<Port, Recover> for Later {
-    fn handle(self, _: &mut Context<Port>, answer: Option<OneshotSender<Confirmed>>) {
+impl MessageResponse<RemoteRecoverer, Recover> for DeferredAnswer {
+    fn handle(self, _: &mut Context<RemoteRecoverer>, answer: Option<OneshotSender<Confirmed>>) {
         actix_rt::spawn(async move {
             if let (Ok(confirmed), Some(answer)) = (self.0.await, answer) {
                 // Whoever asked may have given up.

@@ -2,25 +2,25 @@
 
 use crate::guardian::alive;
 use actix::prelude::*;
-use blastema_contract::reports::{FaultDeclared, FaultMended};
+use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
 use blastema_core::{FaultKind, ObjectName};
 
 /// Where one object of the network tells what is wrong. Where nobody is named, nobody is told.
 #[derive(Clone)]
-pub(super) struct OwnFaults {
+pub(super) struct FaultReporter {
     object: ObjectName,
     declared: Option<Recipient<FaultDeclared>>,
-    mended: Option<Recipient<FaultMended>>,
+    mended: Option<Recipient<DeclaredFaultCleared>>,
 }
 
-impl OwnFaults {
+impl FaultReporter {
     /// Of the object with this name within the network.
     pub(super) fn of(
         object: &str,
         declared: Option<Recipient<FaultDeclared>>,
-        mended: Option<Recipient<FaultMended>>,
+        mended: Option<Recipient<DeclaredFaultCleared>>,
     ) -> Self {
-        OwnFaults { object: super::named(object), declared, mended }
+        FaultReporter { object: super::named(object), declared, mended }
     }
 
     /// Something is wrong.
@@ -35,7 +35,7 @@ impl OwnFaults {
     pub(super) fn mend(&self, kind: FaultKind) {
         if let Some(mended) = &self.mended {
             let (object, incarnation) = (self.object.clone(), alive().incarnation);
-            mended.do_send(FaultMended { object, incarnation, kind });
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }

@@ -5,43 +5,48 @@ mod inputs;
 mod peer;
 mod undelivered;
 
-pub(super) use super::gateway_messages::{Notify, Ship};
+pub(super) use super::gateway_messages::{ForwardFault, SendToPeer};
 
-use super::credit::Freight;
-use super::fault_reporter::OwnFaults;
-use super::gateway_messages::{Answered, Interested, Noticed, Published};
-use super::isolation::{Told, Wardens};
-use super::stub::{Condition, Doors, Gate};
+use super::credit::CreditClass;
+use super::fault_reporter::FaultReporter;
+use super::gateway_messages::{FaultForwarded, LocalEvent, LocalReply, TopicInterestChanged};
+use super::isolation::{IsolationControl, IsolationObservers};
+use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
 use crate::guardian::answers_the_monitor;
-use crate::host::office::DeadLetterOffice;
+use crate::host::office::DeadLetterLog;
 use crate::platform;
-use crate::registry::{Postmark, Registry, ReplyTo};
-use crate::topic::{Forward, ForwardId, TopicKey, Topics};
+use crate::registry::{MessageMetadata, Registry, ReplyTo};
+use crate::topic::{ForwardId, RemoteForward, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::Recover;
-use blastema_contract::router::KeepOut;
-use blastema_contract::session::{BeginAnew, Credit, Leave, PeerSeen, Say, SayNewest};
+use blastema_contract::router::SetIsolation;
+use blastema_contract::session::{
+    CloseSessions, Credit, PeerStatusChanged, ResetSession, SendLatest, SendReliable,
+};
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::isolation::Isolation;
-use blastema_core::net::peer_protocol::naming::Naming;
-use blastema_core::net::peer_protocol::{Epoch, Exchange, ExchangeOutput, TopicContract};
+use blastema_core::net::peer_protocol::naming::NodeDirectory;
+use blastema_core::net::peer_protocol::{
+    PeerProtocol, PeerProtocolOutput, SessionEpoch, TopicContract,
+};
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{NodeId, Strand};
+use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::{
-    ContractIdentity, Delivery, FaultKind, NodeName, Parcel, PeerIdentity, Place, Why,
+    ContractIdentity, Delivery, DeliveryError, FaultKind, GatherBuffer, NodeName, PeerIdentity,
+    Place,
 };
 use bytes::Bytes;
-use inbound::{Bound, LOOK, Queues};
-use peer::Peer;
+use inbound::{InboundBacklog, LOOK, PeerBinding};
+use peer::GatewayPeer;
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
-use undelivered::{Losses, Past};
+use undelivered::{EndedSubscription, UndeliveredEvents};
 
 /// How often the registry is looked at for objects that came or went, and what was lost is brought together.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
@@ -54,39 +59,39 @@ struct Wiring {
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
     nodes: Option<Recipient<NodeReported>>,
-    faults: OwnFaults,
-    sessions: SessionPorts,
-    doors: Arc<Doors>,
-    wardens: Wardens,
-    dead_letters: DeadLetterOffice,
+    faults: FaultReporter,
+    sessions: SessionRecipients,
+    doors: Arc<PeerStubs>,
+    wardens: IsolationControl,
+    dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
-    envoys: Vec<Recipient<PeerSeen>>,
+    envoys: Vec<Recipient<PeerStatusChanged>>,
 }
 
 /// What the gateway asks of the sessions.
-pub(super) struct SessionPorts {
-    pub(super) say: Recipient<Say>,
-    pub(super) say_newest: Recipient<SayNewest>,
-    pub(super) leave: Recipient<Leave>,
-    pub(super) begin_anew: Recipient<BeginAnew>,
+pub(super) struct SessionRecipients {
+    pub(super) say: Recipient<SendReliable>,
+    pub(super) say_newest: Recipient<SendLatest>,
+    pub(super) leave: Recipient<CloseSessions>,
+    pub(super) begin_anew: Recipient<ResetSession>,
 }
 
 /// Speaks for the objects of this node.
-pub(super) struct Gateway {
+pub(super) struct GatewayActor {
     wiring: Wiring,
-    exchange: Exchange,
-    naming: Naming,
-    peers: BTreeMap<NodeId, Peer>,
+    exchange: PeerProtocol,
+    naming: NodeDirectory,
+    peers: BTreeMap<NodeId, GatewayPeer>,
     /// Where replies go, by our number of the request.
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
-    doorways: BTreeMap<(NodeId, u32), Bound>,
+    doorways: BTreeMap<(NodeId, u32), PeerBinding>,
     /// What waits for room with objects here.
-    queues: Queues,
+    queues: InboundBacklog,
     /// What peers listen to here.
     forwards: BTreeMap<(NodeId, u32), Forwarded>,
     /// What they listened to, until their next session.
-    past: BTreeMap<(NodeId, u32), Past>,
+    past: BTreeMap<(NodeId, u32), EndedSubscription>,
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
@@ -106,16 +111,16 @@ struct Forwarded {
     unverified: Option<Vec<PeerIdentity>>,
     /// Under which number they go, and how.
     by: (u32, Delivery),
-    losses: Arc<Losses>,
+    losses: Arc<UndeliveredEvents>,
 }
 
-impl Gateway {
+impl GatewayActor {
     pub(super) fn maker(
         environment: &NetEnvironment,
-        sessions: SessionPorts,
-        doors: Arc<Doors>,
-        router: Recipient<KeepOut>,
-        told: Arc<OnceLock<Wardens>>,
+        sessions: SessionRecipients,
+        doors: Arc<PeerStubs>,
+        router: Recipient<SetIsolation>,
+        told: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
             node,
@@ -132,17 +137,17 @@ impl Gateway {
         let faults = environment.own_faults("gateway");
         move |context| {
             let machine = Isolation::new(node, incarnation, judges);
-            let told_of = Told {
+            let told_of = IsolationObservers {
                 doors: doors.clone(),
                 registry: registry.clone(),
                 gateway: context.address().recipient(),
                 router,
                 monitor: nodes.clone(),
             };
-            let wardens = Wardens::new(machine, told_of);
+            let wardens = IsolationControl::new(machine, told_of);
             // A gateway is made once.
             let _ = told.set(wardens.clone());
-            Gateway::wired(Wiring {
+            GatewayActor::wired(Wiring {
                 registry,
                 topics,
                 recoverer,
@@ -158,14 +163,14 @@ impl Gateway {
     }
 
     fn wired(wiring: Wiring) -> Self {
-        Gateway {
+        GatewayActor {
             wiring,
-            exchange: Exchange::default(),
-            naming: Naming::default(),
+            exchange: PeerProtocol::default(),
+            naming: NodeDirectory::default(),
             peers: BTreeMap::new(),
             replies: BTreeMap::new(),
             doorways: BTreeMap::new(),
-            queues: Queues::default(),
+            queues: InboundBacklog::default(),
             forwards: BTreeMap::new(),
             past: BTreeMap::new(),
             notices: BTreeMap::new(),
@@ -181,7 +186,7 @@ impl Gateway {
     fn take_interest(&mut self, context: &mut Context<Self>) {
         let gateway = context.address();
         let interest = move |key: &TopicKey, more| {
-            gateway.do_send(Interested { key: key.clone(), more });
+            gateway.do_send(TopicInterestChanged { key: key.clone(), more });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
@@ -203,96 +208,108 @@ impl Gateway {
         }
     }
 
-    fn say(&mut self, peer: NodeId, (stream, strand): (Stream, Strand), message: Parcel) {
+    fn say(
+        &mut self,
+        peer: NodeId,
+        (stream, strand): (Stream, OrderingKey),
+        message: GatherBuffer,
+    ) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
-        self.wiring.sessions.say.do_send(Say { peer, session, stream, strand, message, credit });
+        self.wiring.sessions.say.do_send(SendReliable {
+            peer,
+            session,
+            stream,
+            strand,
+            message,
+            credit,
+        });
     }
 
-    fn say_newest(&mut self, peer: NodeId, channel: u32, message: Parcel) {
+    fn say_newest(&mut self, peer: NodeId, channel: u32, message: GatherBuffer) {
         let session = self.peers.get(&peer).map_or(0, |peer| peer.session);
         let credit = self.credit.take();
-        let say = SayNewest { peer, session, channel, message, credit };
+        let say = SendLatest { peer, session, channel, message, credit };
         self.wiring.sessions.say_newest.do_send(say);
     }
 
     fn leave(&mut self) {
         if std::mem::take(&mut self.leaving) {
             self.exchange.handle_leave();
-            while let Some(ExchangeOutput::Send { peer, stream, strand, message }) =
+            while let Some(PeerProtocolOutput::Send { peer, stream, strand, message }) =
                 self.exchange.poll_output()
             {
                 self.say(peer, (stream, strand), message);
             }
-            self.wiring.sessions.leave.do_send(Leave);
+            self.wiring.sessions.leave.do_send(CloseSessions);
         }
     }
 
-    fn carry_out(&mut self, output: ExchangeOutput, context: &mut Context<Self>) {
+    fn carry_out(&mut self, output: PeerProtocolOutput, context: &mut Context<Self>) {
         match output {
-            ExchangeOutput::Send { peer, stream, strand, message } => {
+            PeerProtocolOutput::Send { peer, stream, strand, message } => {
                 self.say(peer, (stream, strand), message);
             }
-            ExchangeOutput::SendNewest { peer, channel, message } => {
+            PeerProtocolOutput::SendNewest { peer, channel, message } => {
                 self.say_newest(peer, channel, message);
             }
-            ExchangeOutput::Bind { peer, epoch, binding, object, identity } => {
+            PeerProtocolOutput::Bind { peer, epoch, binding, object, identity } => {
                 self.bind(peer, epoch, binding, &object, &identity);
             }
-            ExchangeOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
+            PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                let postmark = Postmark { id, age, until, from: Some(peer) };
+                let postmark = MessageMetadata { id, age, until, from: Some(peer) };
                 self.serve((peer, binding), &payload, postmark, reply_to, context);
             }
-            ExchangeOutput::Resolve { reply_as, result } => {
+            PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
-                    reply_to(result.map(Parcel::from));
+                    reply_to(result.map(GatherBuffer::from));
                 }
             }
-            ExchangeOutput::Lost { peer, to, why } => self.bury(peer, to, &why),
-            ExchangeOutput::Full { peer, load } => {
+            PeerProtocolOutput::Lost { peer, to, why } => self.bury(peer, to, &why),
+            PeerProtocolOutput::Full { peer, load } => {
                 self.at_gate(peer, |gate| gate.hall_is_full(load))
             }
-            ExchangeOutput::Room { peer, load } => {
+            PeerProtocolOutput::Room { peer, load } => {
                 self.at_gate(peer, |gate| gate.hall_has_room(load))
             }
-            ExchangeOutput::ObjectFull { peer, object } => {
+            PeerProtocolOutput::ObjectFull { peer, object } => {
                 self.at_gate(peer, |gate| gate.object_is_full(object))
             }
-            ExchangeOutput::ObjectRoom { peer, object } => {
+            PeerProtocolOutput::ObjectRoom { peer, object } => {
                 self.at_gate(peer, |gate| gate.object_has_room(&object))
             }
-            ExchangeOutput::Differs { peer, difference } => {
+            PeerProtocolOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
             }
-            ExchangeOutput::Subscribe { peer, subscription, topic, identities } => {
+            PeerProtocolOutput::Subscribe { peer, subscription, topic, identities } => {
                 self.subscribe(peer, subscription, &topic, identities, context);
             }
-            ExchangeOutput::Unsubscribe { peer, subscription } => {
+            PeerProtocolOutput::Unsubscribe { peer, subscription } => {
                 self.end_forward((peer, subscription));
             }
-            ExchangeOutput::Event { topic, form, age, payload } => {
+            PeerProtocolOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
                 // What cannot be read is among the topic's dead letters; what nobody knows has no listeners.
                 if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
             }
-            ExchangeOutput::Notice { peer, epoch, number, payload } => {
+            PeerProtocolOutput::Notice { peer, epoch, number, payload } => {
                 self.pass_notice(peer, epoch, number, &payload, context);
             }
-            ExchangeOutput::Noticed { number, arrived } => {
+            PeerProtocolOutput::Noticed { number, arrived } => {
                 // Dropped unanswered, the notifier knows that it has to try again.
                 if let (Some(confirm), true) = (self.notices.remove(&number), arrived) {
                     let _ = confirm.send(Confirmed);
                 }
             }
-            ExchangeOutput::Names { peer, announcement } => {
+            PeerProtocolOutput::Names { peer, announcement } => {
                 self.naming.handle_announcement(peer, announcement);
             }
-            ExchangeOutput::Bye { peer } => self.handle_bye(peer),
-            ExchangeOutput::Forget { peer, why } => self.forget(peer, &why),
+            PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
+            PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
         }
     }
 
@@ -313,7 +330,7 @@ impl Gateway {
                 Ok(form) => ((subscription + form, ours.delivery), None),
                 Err(difference) => {
                     self.differs(peer, &difference);
-                    let why = Why::ContractDiffers { difference };
+                    let why = DeliveryError::ContractDiffers { difference };
                     self.exchange.handle_subscribe_refused(peer, subscription, why);
                     return;
                 }
@@ -323,15 +340,15 @@ impl Gateway {
         let (gate, gateway) = (known.gate.clone(), context.address());
         let (delivery, losses) = (by.1, self.losses(known, &key));
         let unsent = losses.clone();
-        let forward: Forward = Arc::new(move |event: &Parcel, sent| {
-            let freight = Freight::of(delivery, event.len());
+        let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
+            let freight = CreditClass::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
             let open = if newest { gate.has_session() } else { gate.is_open(freight) };
             match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
                 Some(credit) => {
                     let event = event.clone();
-                    gateway.do_send(Published { peer, subscription, event, sent, credit });
+                    gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
                 }
                 None => unsent.take(gate.why_not()),
             }
@@ -350,15 +367,15 @@ impl Gateway {
 
     /// Under which number, and how, an event goes to this peer. The first event may find that the topic
     /// had no contract here when the peer subscribed.
-    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(u32, Delivery), Why> {
+    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(u32, Delivery), DeliveryError> {
         let Some(known) = self.forwards.get_mut(&forward) else {
-            return Err(Why::Unknown { name: "subscription".into() });
+            return Err(DeliveryError::Unknown { name: "subscription".into() });
         };
         if let Some(theirs) = known.unverified.take()
             && let Some(ours) = self.wiring.topics.identities(&known.key).first()
         {
             let form = version_of(ours, &theirs);
-            let form = form.map_err(|difference| Why::ContractDiffers { difference })?;
+            let form = form.map_err(|difference| DeliveryError::ContractDiffers { difference })?;
             known.by = (forward.1 + form, ours.delivery);
         }
         Ok(known.by)
@@ -388,7 +405,7 @@ impl Gateway {
     fn pass_notice(
         &mut self,
         peer: NodeId,
-        epoch: Epoch,
+        epoch: SessionEpoch,
         number: u64,
         payload: &Bytes,
         context: &mut Context<Self>,
@@ -412,7 +429,7 @@ impl Gateway {
         let (taken, gateway) = (recoverer.send(Recover { fault }), context.address());
         actix_rt::spawn(async move {
             if taken.await.is_ok() {
-                gateway.do_send(Noticed { peer, epoch, number });
+                gateway.do_send(FaultForwarded { peer, epoch, number });
             }
         });
     }
@@ -421,30 +438,32 @@ impl Gateway {
     fn handle_bye(&mut self, peer: NodeId) {
         let Some(known) = self.peers.get_mut(&peer) else { return };
         known.left = true;
-        known.gate.set(Condition::Left);
+        known.gate.set(PeerCondition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
-        self.tell_envoys(&PeerSeen::Left { node: node.clone() });
+        self.tell_envoys(&PeerStatusChanged::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
-    fn tell_envoys(&self, seen: &PeerSeen) {
+    fn tell_envoys(&self, seen: &PeerStatusChanged) {
         self.wiring.envoys.iter().for_each(|envoy| envoy.do_send(seen.clone()));
     }
 
     /// Why the session with a peer has ended, as its callers are told.
-    fn because(&self, peer: NodeId, why: Why) -> Why {
+    fn because(&self, peer: NodeId, why: DeliveryError) -> DeliveryError {
         match self.peers.get(&peer) {
-            Some(Peer { node, left: true, .. }) => Why::Left { node: node.to_string() },
+            Some(GatewayPeer { node, left: true, .. }) => {
+                DeliveryError::Left { node: node.to_string() }
+            }
             _ => why,
         }
     }
 
     /// The session is over: what the peer had here goes with it.
-    fn forget(&mut self, peer: NodeId, why: &Why) {
+    fn forget(&mut self, peer: NodeId, why: &DeliveryError) {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
             peer.gate.forget_rooms();
@@ -456,21 +475,21 @@ impl Gateway {
         forwards.into_iter().for_each(|key| self.retire(key, why));
     }
 
-    fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<Gate>) {
+    fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<PeerSendState>) {
         let peer = NodeId::of(node);
         let gate = self.wiring.doors.gate(node);
-        let known = Peer::new(node.clone(), gate.clone());
+        let known = GatewayPeer::new(node.clone(), gate.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, gate)
     }
 
-    fn at_gate(&self, peer: NodeId, act: impl FnOnce(&Gate)) {
+    fn at_gate(&self, peer: NodeId, act: impl FnOnce(&PeerSendState)) {
         if let Some(peer) = self.peers.get(&peer) {
             act(&peer.gate);
         }
     }
 
-    fn set(&self, peer: NodeId, condition: Condition) {
+    fn set(&self, peer: NodeId, condition: PeerCondition) {
         if let Some(peer) = self.peers.get(&peer)
             && !peer.left
         {
@@ -510,13 +529,18 @@ fn topic(key: &TopicKey) -> TopicContract {
 }
 
 /// Brings an answer back to the gateway, whichever thread gives it.
-fn reply_to(peer: NodeId, epoch: Epoch, call: u64, gateway: Recipient<Answered>) -> ReplyTo {
-    Box::new(move |result| gateway.do_send(Answered { peer, epoch, call, result }))
+fn reply_to(
+    peer: NodeId,
+    epoch: SessionEpoch,
+    call: u64,
+    gateway: Recipient<LocalReply>,
+) -> ReplyTo {
+    Box::new(move |result| gateway.do_send(LocalReply { peer, epoch, call, result }))
 }
 
-answers_the_monitor!(Gateway);
+answers_the_monitor!(GatewayActor);
 
-impl Actor for Gateway {
+impl Actor for GatewayActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -532,15 +556,15 @@ impl Actor for Gateway {
     }
 }
 
-impl Supervised for Gateway {
+impl Supervised for GatewayActor {
     /// Every promise is resolved, and every session begins anew, so that both ends agree again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
             let reason = format!("the way to {node} began anew");
-            reply_to(Err(Why::OutcomeUnknown { reason }));
+            reply_to(Err(DeliveryError::OutcomeUnknown { reason }));
         }
         let peers: Vec<_> = self.peers.keys().copied().collect();
-        let why = Why::OutcomeUnknown { reason: "the gateway began anew".to_owned() };
+        let why = DeliveryError::OutcomeUnknown { reason: "the gateway began anew".to_owned() };
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
@@ -549,12 +573,12 @@ impl Supervised for Gateway {
         self.notices.clear();
         self.credit = None;
         self.exchange = self.exchange.reborn(&why);
-        self.naming = Naming::default();
+        self.naming = NodeDirectory::default();
         self.revision = None;
-        self.peers.keys().for_each(|peer| self.set(*peer, Condition::Opening));
+        self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));
         let peers: Vec<_> = self.peers.keys().copied().collect();
         peers.into_iter().for_each(|peer| self.exchange.handle_reachable(peer));
-        self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: None });
+        self.wiring.sessions.begin_anew.do_send(ResetSession { peer: None });
         self.started(context);
     }
 }

@@ -6,15 +6,17 @@ use actix::Message;
 use blastema_contract::Confirmed;
 use blastema_contract::session::Credit;
 use blastema_core::net::NodeId;
-use blastema_core::net::peer_protocol::Epoch;
-use blastema_core::{ContractIdentity, Instant, MessageId, ObjectAddress, Parcel, Why};
+use blastema_core::net::peer_protocol::SessionEpoch;
+use blastema_core::{
+    ContractIdentity, DeliveryError, GatherBuffer, Instant, MessageId, ObjectAddress,
+};
 use bytes::Bytes;
 use tokio::sync::oneshot;
 
 /// An object here sends a message to one of another node.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(in crate::net) struct Ship {
+pub(in crate::net) struct SendToPeer {
     pub(in crate::net) to: ObjectAddress,
     pub(in crate::net) contract: ContractIdentity,
     pub(in crate::net) id: Option<MessageId>,
@@ -22,7 +24,7 @@ pub(in crate::net) struct Ship {
     pub(in crate::net) sent: Instant,
     /// When its answer is no use any more.
     pub(in crate::net) until: Option<Instant>,
-    pub(in crate::net) payload: Parcel,
+    pub(in crate::net) payload: GatherBuffer,
     pub(in crate::net) reply_to: Option<ReplyTo>,
     pub(in crate::net) credit: Credit,
 }
@@ -30,20 +32,20 @@ pub(in crate::net) struct Ship {
 /// An object here has answered another node's request.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Answered {
+pub(super) struct LocalReply {
     pub(super) peer: NodeId,
-    pub(super) epoch: Epoch,
+    pub(super) epoch: SessionEpoch,
     pub(super) call: u64,
-    pub(super) result: Result<Parcel, Why>,
+    pub(super) result: Result<GatherBuffer, DeliveryError>,
 }
 
 /// An event was published here that a peer listens to.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Published {
+pub(super) struct LocalEvent {
     pub(super) peer: NodeId,
     pub(super) subscription: u32,
-    pub(super) event: Parcel,
+    pub(super) event: GatherBuffer,
     pub(super) sent: Instant,
     pub(super) credit: Credit,
 }
@@ -51,7 +53,7 @@ pub(super) struct Published {
 /// A topic got its first listener here, or lost its last.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Interested {
+pub(super) struct TopicInterestChanged {
     pub(super) key: TopicKey,
     pub(super) more: bool,
 }
@@ -59,7 +61,7 @@ pub(super) struct Interested {
 /// A fault is to be told to a peer's recoverer.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(in crate::net) struct Notify {
+pub(in crate::net) struct ForwardFault {
     pub(in crate::net) peer: NodeId,
     pub(in crate::net) payload: Bytes,
     pub(in crate::net) confirm: oneshot::Sender<Confirmed>,
@@ -68,8 +70,8 @@ pub(in crate::net) struct Notify {
 /// Our recoverer has taken a peer's fault.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Noticed {
+pub(super) struct FaultForwarded {
     pub(super) peer: NodeId,
-    pub(super) epoch: Epoch,
+    pub(super) epoch: SessionEpoch,
     pub(super) number: u64,
 }

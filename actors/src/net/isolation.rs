@@ -1,15 +1,15 @@
 //! Keeps nodes out that were isolated: the body of the machine in the core.
 
-use super::stub::Doors;
-use crate::desk::Desk;
-use crate::registry::{Doorway, Port, Postmark, Registry, ReplyTo};
+use super::stub::PeerStubs;
+use crate::desk::ServiceFn;
+use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::KeepOut;
+use blastema_contract::router::SetIsolation;
 use blastema_core::contract::codec;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::isolation::{Decision, Isolation, IsolationOutput, NoSay};
-use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName, Why};
+use blastema_core::net::isolation::{Isolation, IsolationDecision, IsolationOutput, VoteRefused};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName, ObjectName};
 use blastema_macros::Event;
 use bytes::Bytes;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -28,35 +28,36 @@ struct Votes {
 /// A node is kept out from now on, or let in again.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct KeptOut {
+pub(super) struct IsolationChanged {
     pub(super) node: NodeName,
     pub(super) isolated: bool,
 }
 
 /// Who is told of it.
-pub(super) struct Told {
-    pub(super) doors: Arc<Doors>,
+pub(super) struct IsolationObservers {
+    pub(super) doors: Arc<PeerStubs>,
     pub(super) registry: Registry,
-    pub(super) gateway: Recipient<KeptOut>,
-    pub(super) router: Recipient<KeepOut>,
+    pub(super) gateway: Recipient<IsolationChanged>,
+    pub(super) router: Recipient<SetIsolation>,
     pub(super) monitor: Option<Recipient<NodeReported>>,
 }
 
 /// Who is kept out. Clones are the same.
 #[derive(Clone)]
-pub(crate) struct Wardens {
+pub(crate) struct IsolationControl {
     machine: Arc<Mutex<Isolation>>,
-    told: Arc<Told>,
+    told: Arc<IsolationObservers>,
 }
 
-impl Wardens {
-    pub(super) fn new(machine: Isolation, told: Told) -> Self {
-        let wardens = Wardens { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
+impl IsolationControl {
+    pub(super) fn new(machine: Isolation, told: IsolationObservers) -> Self {
+        let wardens =
+            IsolationControl { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
         // This node's own votes do not go this way.
-        let desk = Desk::<Votes>(Arc::new(|_, answer| answer.give(())));
-        let port = Port::of_peers(desk, Arc::new(BallotBox(wardens.clone())));
+        let desk = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
+        let port = ContractPort::of_peers(desk, Arc::new(BallotBox(wardens.clone())));
         let place = ObjectName::new(PLACE).expect("a name of letters");
-        wardens.told.registry.hide(place, port);
+        wardens.told.registry.register_hidden(place, port);
         wardens
     }
 
@@ -70,7 +71,7 @@ impl Wardens {
     }
 
     /// This node decides.
-    pub(super) fn decide(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+    pub(super) fn decide(&self, decision: IsolationDecision<'_>) -> Result<(), VoteRefused> {
         let mut machine = self.lock();
         let said = machine.handle_decision(decision);
         self.carry_out(machine);
@@ -78,7 +79,10 @@ impl Wardens {
     }
 
     /// A strategy decides. What the others have decided already it does not make its own.
-    pub(super) fn carry_decision_out(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+    pub(super) fn carry_decision_out(
+        &self,
+        decision: IsolationDecision<'_>,
+    ) -> Result<(), VoteRefused> {
         if self.lock().is_isolated(decision.node) == decision.isolated {
             return Ok(());
         }
@@ -124,15 +128,15 @@ impl Wardens {
 
     fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
         warn!(%node, isolated, "isolated, or admitted again, {reason}");
-        let Told { doors, gateway, router, monitor, .. } = &*self.told;
+        let IsolationObservers { doors, gateway, router, monitor, .. } = &*self.told;
         let gate = doors.gate(&node);
         if isolated {
             gate.isolate()
         } else {
             gate.admit()
         }
-        router.do_send(KeepOut { node: node.clone(), isolated });
-        gateway.do_send(KeptOut { node: node.clone(), isolated });
+        router.do_send(SetIsolation { node: node.clone(), isolated });
+        gateway.do_send(IsolationChanged { node: node.clone(), isolated });
         if let Some(monitor) = monitor {
             let condition = match isolated {
                 true => NodeCondition::Isolated { reason },
@@ -145,17 +149,17 @@ impl Wardens {
 }
 
 /// Takes votes. Whose they are, the session says that they come over.
-struct BallotBox(Wardens);
+struct BallotBox(IsolationControl);
 
-impl Doorway for BallotBox {
+impl Skeleton for BallotBox {
     fn deliver(
         &self,
         message: &Bytes,
-        Postmark { from: peer, .. }: Postmark,
+        MessageMetadata { from: peer, .. }: MessageMetadata,
         _: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         let votes = codec::decode::<Votes>(message)
-            .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
         let mut machine = self.0.lock();
         if let Some(from) = peer.and_then(|peer| machine.peer(peer)) {
             machine.handle_told(&from, &votes.message);

@@ -2,31 +2,34 @@
 
 mod discovered;
 
-pub(super) use discovered::{Forget, Learn, Seen, TellNeighbours};
+pub(super) use discovered::{
+    AddDiscoveredLink, NeighbourChange, RemoveDiscoveredLink, ReportNeighbours,
+};
 
 use super::LinkSpec;
-use super::fault_reporter::OwnFaults;
-use crate::drive::{Body, Wake};
+use super::fault_reporter::FaultReporter;
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::link::{
-    Arrived, CarrierChanged, Carry, GivenUp, LinkChanged, LinkRow, Load, ReadLinks, ReportLinks,
+    CarrierChanged, LinkChanged, LinkPayload, LinkRow, ReadLinks, ReceivedOnLink, RemoteLinkDown,
+    ReportLinks, TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
-use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
-    Attach, Lane, MediumAddress, Received, Transmit, Transport, TransportReport,
+    Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
 };
 use blastema_core::detection::LinkCondition;
-use blastema_core::net::link::LinkRefusal;
-use blastema_core::net::refusal_alarms::Complaints;
-use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::link::PeerRefusal;
+use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::wire::frame::{is_hello, is_urgent};
 use blastema_core::net::{
-    Bundle, BundleOutput, Link, LinkConfig, LinkNumber, LinkOutput, LinkState, Quality, Refusals,
+    Link, LinkConfig, LinkId, LinkOutput, LinkSet, LinkSetOutput, LinkState, Quality, Refusals,
 };
-use blastema_core::{FaultKind, Incarnation, Instant, NodeName, Parcel};
+use blastema_core::{FaultKind, GatherBuffer, Incarnation, Instant, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,11 +43,11 @@ const SLOW_COST: u64 = 1000;
 const DISTRUSTED: u64 = 8;
 
 /// A link as it is described; the bundle tells it of the medium.
-fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
-    let Wiring { node, incarnation, .. } = wiring;
+fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
+    let LinksRecipients { node, incarnation, .. } = wiring;
     let config = LinkConfig {
         expected: spec.neighbour.clone(),
-        expected_within: spec.expected_within.unwrap_or(Duration::MAX),
+        peer_timeout: spec.expected_within.unwrap_or(Duration::MAX),
         hello_interval: spec.hello_interval,
         ..LinkConfig::new(node.clone(), *incarnation)
     };
@@ -55,26 +58,26 @@ fn link(wiring: &Wiring, spec: &LinkSpec, now: Instant) -> Link {
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
-pub(super) struct Wiring {
+pub(super) struct LinksRecipients {
     pub(super) node: NodeName,
     pub(super) incarnation: Incarnation,
     pub(super) network: Arc<str>,
     pub(super) transport: Transport,
     pub(super) router_changes: Recipient<LinkChanged>,
-    pub(super) router_loads: Recipient<Arrived>,
+    pub(super) router_loads: Recipient<ReceivedOnLink>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
     /// Who tells others of our neighbours, and which network this is to it.
-    pub(super) discovery: Option<(usize, Recipient<Seen>)>,
-    pub(super) faults: OwnFaults,
+    pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
+    pub(super) faults: FaultReporter,
 }
 
 /// The links of one network.
-pub(super) struct Links {
-    wiring: Wiring,
-    specs: BTreeMap<LinkNumber, LinkSpec>,
-    by_remote: BTreeMap<MediumAddress, LinkNumber>,
-    bundle: Bundle,
-    wake: Wake,
+pub(super) struct LinksActor {
+    wiring: LinksRecipients,
+    specs: BTreeMap<LinkId, LinkSpec>,
+    by_remote: BTreeMap<MediumAddress, LinkId>,
+    bundle: LinkSet,
+    wake: WakeTimer,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
     /// How much the medium carries; `None` where it is plenty.
@@ -82,39 +85,39 @@ pub(super) struct Links {
     /// Where all are reached at once, if the medium is a bus.
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the links begin anew.
-    told: BTreeMap<LinkNumber, LinkStatus>,
+    told: BTreeMap<LinkId, LinkStatus>,
     /// Those that were never heard while the medium could not be opened.
-    unheard: BTreeSet<LinkNumber>,
+    unheard: BTreeSet<LinkId>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
-    complaints: Complaints<Option<LinkNumber>>,
+    complaints: RefusalAlarms<Option<LinkId>>,
 }
 
-impl Links {
-    pub(super) fn new(wiring: Wiring, specs: BTreeMap<LinkNumber, LinkSpec>) -> Self {
+impl LinksActor {
+    pub(super) fn new(wiring: LinksRecipients, specs: BTreeMap<LinkId, LinkSpec>) -> Self {
         let by_remote = specs.iter().map(|(n, spec)| (spec.remote.clone(), *n)).collect();
-        let mut links = Links {
+        let mut links = LinksActor {
             wiring,
             specs,
             by_remote,
-            bundle: Bundle::default(),
-            wake: Wake::default(),
+            bundle: LinkSet::default(),
+            wake: WakeTimer::default(),
             mtu: None,
             bytes_per_second: None,
             bus: None,
             told: BTreeMap::new(),
             unheard: BTreeSet::new(),
             strangers: Refusals::default(),
-            complaints: Complaints::default(),
+            complaints: RefusalAlarms::default(),
         };
         links.build(platform::now());
         links
     }
 
     fn build(&mut self, now: Instant) {
-        self.bundle = Bundle::default();
+        self.bundle = LinkSet::default();
         self.unheard.clear();
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         for (number, spec) in &self.specs {
             let link = link(&self.wiring, spec, now);
             self.bundle.insert(*number, link);
@@ -134,7 +137,7 @@ impl Links {
     }
 
     /// What a link costs at present.
-    fn cost(&self, number: LinkNumber, link: &Link) -> u16 {
+    fn cost(&self, number: LinkId, link: &Link) -> u16 {
         if link.is_given_up() {
             return u16::MAX;
         }
@@ -149,15 +152,15 @@ impl Links {
         u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
     }
 
-    fn tell_router(&mut self, number: LinkNumber) {
+    fn tell_router(&mut self, number: LinkId) {
         let Some(link) = self.bundle.get(number) else { return };
         let Some(neighbour) = link.neighbour().cloned() else { return };
         let cost = self.cost(number, link);
         let health = match (link.state(), self.mtu) {
-            (LinkState::Up, Some(_)) => Health::Up,
-            (LinkState::Suspect, Some(_)) if link.is_proving() => Health::Proving,
-            (LinkState::Suspect, Some(_)) => Health::Suspect,
-            _ => Health::Down,
+            (LinkState::Up, Some(_)) => LinkHealth::Up,
+            (LinkState::Suspect, Some(_)) if link.is_proving() => LinkHealth::Proving,
+            (LinkState::Suspect, Some(_)) => LinkHealth::Suspect,
+            _ => LinkHealth::Down,
         };
         let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
         self.told.insert(number, status.clone());
@@ -190,7 +193,7 @@ impl Links {
         monitor.do_send(LinkReported { node, link, neighbour: None, condition });
     }
 
-    fn tell_monitor(&self, number: LinkNumber, condition: LinkCondition) {
+    fn tell_monitor(&self, number: LinkId, condition: LinkCondition) {
         let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
             return;
         };
@@ -200,7 +203,7 @@ impl Links {
         monitor.do_send(LinkReported { node, link, neighbour, condition });
     }
 
-    fn changed(&mut self, number: LinkNumber, state: LinkState, reason: &'static str) {
+    fn changed(&mut self, number: LinkId, state: LinkState, reason: &'static str) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         info!(network = %self.wiring.network, %link, %state, reason, "link");
         self.tell_router(number);
@@ -215,7 +218,7 @@ impl Links {
         }
     }
 
-    fn quality(&mut self, number: LinkNumber, quality: Quality) {
+    fn quality(&mut self, number: LinkId, quality: Quality) {
         self.tell_router(number);
         let Quality { round_trip, loss_permille, degraded, .. } = quality;
         let condition = if degraded {
@@ -261,11 +264,11 @@ impl Links {
         }
     }
 
-    fn transmit(&self, to: MediumAddress, frame: Parcel) {
+    fn transmit(&self, to: MediumAddress, frame: GatherBuffer) {
         let lane = match &frame {
-            frame if is_hello(frame) => Lane::Hello,
-            frame if is_urgent(frame) => Lane::Urgent,
-            _ => Lane::Usual,
+            frame if is_hello(frame) => TrafficClass::Hello,
+            frame if is_urgent(frame) => TrafficClass::Urgent,
+            _ => TrafficClass::Usual,
         };
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
@@ -277,7 +280,7 @@ impl Links {
     }
 
     /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
-    fn missing(&mut self, number: LinkNumber, heard: bool) {
+    fn missing(&mut self, number: LinkId, heard: bool) {
         if self.mtu.is_none() {
             // Why nothing is heard was told, and is found here.
             self.unheard.insert(number);
@@ -298,16 +301,16 @@ impl Links {
         self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
-    fn refused(&self, number: LinkNumber, refusal: &LinkRefusal) {
+    fn refused(&self, number: LinkId, refusal: &PeerRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         error!(network = %self.wiring.network, %link, "{refusal}");
         self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
     }
 }
 
-answers_the_monitor!(Links);
+answers_the_monitor!(LinksActor);
 
-impl Actor for Links {
+impl Actor for LinksActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -317,10 +320,10 @@ impl Actor for Links {
     }
 }
 
-impl Supervised for Links {
+impl Supervised for LinksActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         for (link, status) in std::mem::take(&mut self.told) {
-            let status = LinkStatus { health: Health::Down, ..status };
+            let status = LinkStatus { health: LinkHealth::Down, ..status };
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
         self.build(platform::now());
@@ -328,36 +331,36 @@ impl Supervised for Links {
     }
 }
 
-impl Body for Links {
-    type Machine = Bundle;
+impl MachineActor for LinksActor {
+    type Machine = LinkSet;
 
     fn machine(&mut self) -> &mut Self::Machine {
         &mut self.bundle
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
-    fn carry_out(&mut self, output: BundleOutput, _: &mut Context<Self>) {
+    fn carry_out(&mut self, output: LinkSetOutput, _: &mut Context<Self>) {
         let (link, output) = match output {
-            BundleOutput::Of(link, output) => (link, output),
-            BundleOutput::Greet(frame) => {
+            LinkSetOutput::Of(link, output) => (link, output),
+            LinkSetOutput::Greet(frame) => {
                 if let Some(to) = self.bus.clone() {
                     self.transmit(to, frame);
                 }
                 return;
             }
         };
-        let arrived = |load| self.wiring.router_loads.do_send(Arrived { link, load });
+        let arrived = |load| self.wiring.router_loads.do_send(ReceivedOnLink { link, load });
         match output {
             LinkOutput::Transmit(frame) => {
                 if let Some(spec) = self.specs.get(&link) {
                     self.transmit(spec.remote.clone(), frame);
                 }
             }
-            LinkOutput::Routing(bytes) => arrived(Load::Routing(bytes)),
-            LinkOutput::Packet(bytes) => arrived(Load::Packet(bytes.into())),
+            LinkOutput::Routing(bytes) => arrived(LinkPayload::Routing(bytes)),
+            LinkOutput::Packet(bytes) => arrived(LinkPayload::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
             LinkOutput::Missing { heard } => self.missing(link, heard),
             LinkOutput::Quality(quality) => self.quality(link, quality),
@@ -366,7 +369,7 @@ impl Body for Links {
     }
 }
 
-impl Handler<Received> for Links {
+impl Handler<Received> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, message: Received, context: &mut Context<Self>) {
@@ -384,7 +387,7 @@ impl Handler<Received> for Links {
     }
 }
 
-impl Handler<TransportReport> for Links {
+impl Handler<TransportReport> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, message: TransportReport, context: &mut Context<Self>) {
@@ -431,7 +434,7 @@ impl Handler<TransportReport> for Links {
     }
 }
 
-impl Handler<CarrierChanged> for Links {
+impl Handler<CarrierChanged> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, message: CarrierChanged, context: &mut Context<Self>) {
@@ -444,24 +447,24 @@ impl Handler<CarrierChanged> for Links {
     }
 }
 
-impl Handler<Carry> for Links {
+impl Handler<TransmitOnLink> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, message: Carry, context: &mut Context<Self>) {
-        let Carry { link, load } = message;
+    fn handle(&mut self, message: TransmitOnLink, context: &mut Context<Self>) {
+        let TransmitOnLink { link, load } = message;
         let Some(link) = self.bundle.get_mut(link) else { return };
         match load {
-            Load::Routing(bytes) => link.handle_routing(bytes),
-            Load::Packet(packet) => link.handle_packet(packet),
+            LinkPayload::Routing(bytes) => link.handle_routing(bytes),
+            LinkPayload::Packet(packet) => link.handle_packet(packet),
         }
         self.drive_soon(context);
     }
 }
 
-impl Handler<GivenUp> for Links {
+impl Handler<RemoteLinkDown> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, message: GivenUp, context: &mut Context<Self>) {
+    fn handle(&mut self, message: RemoteLinkDown, context: &mut Context<Self>) {
         if let Some(link) = self.bundle.get_mut(message.link) {
             link.handle_given_up(platform::now());
         }
@@ -469,7 +472,7 @@ impl Handler<GivenUp> for Links {
     }
 }
 
-impl Handler<ReportLinks> for Links {
+impl Handler<ReportLinks> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, _: ReportLinks, _: &mut Context<Self>) {
@@ -477,12 +480,12 @@ impl Handler<ReportLinks> for Links {
     }
 }
 
-impl Handler<ReadLinks> for Links {
+impl Handler<ReadLinks> for LinksActor {
     type Result = MessageResult<ReadLinks>;
 
     fn handle(&mut self, _: ReadLinks, _: &mut Context<Self>) -> Self::Result {
         let now = platform::now();
-        let row = |(number, link): (LinkNumber, &Link)| {
+        let row = |(number, link): (LinkId, &Link)| {
             let spec = self.specs.get(&number)?;
             Some(LinkRow {
                 network: self.wiring.network.clone(),
@@ -501,10 +504,10 @@ impl Handler<ReadLinks> for Links {
     }
 }
 
-impl Handler<PanicOnPurpose> for Links {
+impl Handler<InjectPanic> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the links panic on purpose");
     }
 }

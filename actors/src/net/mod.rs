@@ -38,10 +38,10 @@ mod tests;
 pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
 
-use self::fault_reporter::OwnFaults;
+use self::fault_reporter::FaultReporter;
 use crate::guardian::Guardian;
-use crate::host::office::DeadLetterOffice;
-use crate::registry::{Registry, RemoteDoors};
+use crate::host::office::DeadLetterLog;
+use crate::registry::{Registry, StubFactory};
 use crate::topic::Topics;
 use crate::{platform, remote_watch};
 use actix::prelude::*;
@@ -50,16 +50,18 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{AreYouAlive, FaultDeclared, FaultMended};
-use blastema_contract::router::{AddSessions, PanicOnPurpose, ReadRoutes, Routes};
-use blastema_contract::session::{AddGateway, Leave, PeerSeen, ReadSessions, SessionRow};
+use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::router::{AddSessions, InjectPanic, ReadRoutes, Routes};
+use blastema_contract::session::{
+    AddGateway, CloseSessions, PeerStatusChanged, ReadSessions, SessionRow,
+};
 use blastema_contract::strategy::{IsolateNode, Reroute};
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::LEARNED_MAX;
-use blastema_core::net::isolation::{Decision, Judges, NoSay};
-use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::net::isolation::{IsolationAuthority, IsolationDecision, VoteRefused};
+use blastema_core::net::{LinkId, NodeId};
 use blastema_core::{Incarnation, NodeName, ObjectName};
-use discovery::{AddFields, DiscoveryBody, Field, FieldLinks};
+use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
 use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -128,7 +130,7 @@ pub(crate) struct NetEnvironment {
     /// Its topics.
     pub(crate) topics: Topics,
     /// Gets what was accepted and did not arrive.
-    pub(crate) dead_letters: DeadLetterOffice,
+    pub(crate) dead_letters: DeadLetterLog,
     /// Gets faults that other nodes tell us of.
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.
@@ -136,18 +138,18 @@ pub(crate) struct NetEnvironment {
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
     /// Whose word isolates a node.
-    pub(crate) judges: Judges,
+    pub(crate) judges: IsolationAuthority,
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
-    pub(crate) mended: Option<Recipient<FaultMended>>,
+    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
-    pub(crate) envoys: Vec<Recipient<PeerSeen>>,
+    pub(crate) envoys: Vec<Recipient<PeerStatusChanged>>,
 }
 
 impl NetEnvironment {
-    fn own_faults(&self, object: &str) -> OwnFaults {
-        OwnFaults::of(object, self.faults.clone(), self.mended.clone())
+    fn own_faults(&self, object: &str) -> FaultReporter {
+        FaultReporter::of(object, self.faults.clone(), self.mended.clone())
     }
 }
 
@@ -173,16 +175,16 @@ pub(crate) enum NetError {
 /// A started network. Clones are the same network.
 #[derive(Clone)]
 pub(crate) struct NetHandle {
-    gateway: Addr<gateway::Gateway>,
-    sessions: Addr<sessions::Sessions>,
-    router: Addr<router::Router>,
-    networks: Vec<(ObjectName, Addr<links::Links>)>,
-    discovery: Option<Addr<DiscoveryBody>>,
+    gateway: Addr<gateway::GatewayActor>,
+    sessions: Addr<sessions::SessionsActor>,
+    router: Addr<router::RouterActor>,
+    networks: Vec<(ObjectName, Addr<links::LinksActor>)>,
+    discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
-    doors: Arc<stub::Doors>,
-    wardens: Arc<OnceLock<isolation::Wardens>>,
-    carrier: Arc<carrier::CarrierWatch>,
+    doors: Arc<stub::PeerStubs>,
+    wardens: Arc<OnceLock<isolation::IsolationControl>>,
+    carrier: Arc<carrier::CarrierMonitor>,
 }
 
 /// Starts the network of a node, and connects the registry and the topics to it.
@@ -200,7 +202,7 @@ pub(crate) fn start(
     let (life, place) = ((node.clone(), incarnation), arbiter.as_ref());
 
     let (numbers, fields) = number(&networks);
-    let wiring = discovery::Wiring {
+    let wiring = discovery::DiscoveryRecipients {
         node: node.clone(),
         registry: environment.registry.clone(),
         fields,
@@ -208,33 +210,33 @@ pub(crate) fn start(
     };
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
-            |context: &mut Context<_>| DiscoveryBody::new(wiring, context.address().recipient());
+            |context: &mut Context<_>| DiscoveryActor::new(wiring, context.address().recipient());
         guardian.start(named("discovery"), place, make)
     });
     if discovery.is_none() {
-        peer_messages::read_by_nobody(named("discovery"), &environment.registry);
+        peer_messages::register_sink(named("discovery"), &environment.registry);
     }
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
     let outcast = outcast::Outcast::new(node.clone());
     let told = (environment.nodes.clone(), outcast.clone());
-    let make = router::Router::maker(life.clone(), told, faults);
+    let make = router::RouterActor::maker(life.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.own_faults("sessions"), environment.nodes.clone());
     let to_router = (router.clone().recipient(), life.clone(), told);
     let sessions = guardian.start(named("sessions"), place, move |_| {
         let (router, (node, incarnation), faults) = to_router;
-        sessions::Sessions::new(node, incarnation, router, faults)
+        sessions::SessionsActor::new(node, incarnation, router, faults)
     });
     router.do_send(AddSessions {
         segments: sessions.clone().recipient(),
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(stub::Doors::new(outcast));
-    let to_sessions = gateway::SessionPorts {
+    let doors = Arc::new(stub::PeerStubs::new(outcast));
+    let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),
         leave: sessions.clone().recipient(),
@@ -242,11 +244,12 @@ pub(crate) fn start(
     };
     let wardens = Arc::new(OnceLock::new());
     let (kept_out, told) = (router.clone().recipient(), wardens.clone());
-    let make = gateway::Gateway::maker(&environment, to_sessions, doors.clone(), kept_out, told);
+    let make =
+        gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), kept_out, told);
     let gateway = guardian.start(named("gateway"), place, make);
-    doors.lead_to(gateway.clone().recipient());
+    doors.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
-    let remote: Arc<dyn RemoteDoors> = doors.clone();
+    let remote: Arc<dyn StubFactory> = doors.clone();
     environment.registry.connect(node, Some(remote));
     remote_watch::serve(&environment.registry);
 
@@ -256,7 +259,7 @@ pub(crate) fn start(
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
         let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
-        let wiring = links::Wiring {
+        let wiring = links::LinksRecipients {
             node: life.0.clone(),
             incarnation: life.1,
             network: spec.name,
@@ -268,14 +271,15 @@ pub(crate) fn start(
             faults,
         };
         let address =
-            guardian.start(name.clone(), place, move |_| links::Links::new(wiring, links));
-        grounds.extend(told.map(|_| FieldLinks {
+            guardian.start(name.clone(), place, move |_| links::LinksActor::new(wiring, links));
+        grounds.extend(told.map(|_| NetworkLinks {
             learn: address.clone().recipient(),
             forget: address.clone().recipient(),
             tell: address.clone().recipient(),
         }));
         if let Some(interface) = spec.interface {
-            watched.push(carrier::Watched { interface, told: address.clone().recipient() });
+            watched
+                .push(carrier::MonitoredInterface { interface, told: address.clone().recipient() });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         let given_up = address.clone().recipient();
@@ -284,9 +288,9 @@ pub(crate) fn start(
     });
     let networks = networks.collect();
     if let Some(discovery) = &discovery {
-        discovery.do_send(AddFields(grounds));
+        discovery.do_send(AddNetworks(grounds));
     }
-    let carrier = Arc::new(carrier::CarrierWatch::start(watched));
+    let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
     Ok(NetHandle {
         gateway,
         sessions,
@@ -302,13 +306,13 @@ pub(crate) fn start(
 }
 
 /// Gives every link its number; a network that discovers has some left for those that are learned.
-fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkNumber>>, Vec<Field>) {
+fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>) {
     let (mut next, mut all, mut fields) = (0, Vec::new(), Vec::new());
     for NetworkSpec { name, links, discovery, .. } in networks {
-        let mut take = |count: usize| -> Vec<LinkNumber> {
+        let mut take = |count: usize| -> Vec<LinkId> {
             let first = next;
             next += count as u16;
-            (first..next).map(LinkNumber).collect()
+            (first..next).map(LinkId).collect()
         };
         let mut numbers = take(links.len());
         if let Some(spec) = discovery {
@@ -317,7 +321,7 @@ fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkNumber>>, Vec<Field>) {
             let known = |link: &LinkSpec| Some((link.neighbour.clone()?, link.remote.clone()));
             let described = links.iter().filter_map(known).collect();
             let (network, spec) = (name.clone(), spec.clone());
-            fields.push(Field { network, spec, numbers: learned, described });
+            fields.push(DiscoveryNetwork { network, spec, numbers: learned, described });
         }
         all.push(numbers);
     }
@@ -354,8 +358,8 @@ impl NetHandle {
     pub(crate) fn recoverer_of(&self, node: &NodeName) -> Recipient<Recover> {
         let (peer, gateway) = (NodeId::of(node), self.gateway.clone().recipient());
         let name = named(&format!("port/{node}"));
-        let make = move |_: &mut Context<fault_forwarding::Port>| {
-            fault_forwarding::Port::new(peer, gateway)
+        let make = move |_: &mut Context<fault_forwarding::RemoteRecoverer>| {
+            fault_forwarding::RemoteRecoverer::new(peer, gateway)
         };
         self.guardian.start(name, self.arbiter.as_ref(), make).recipient()
     }
@@ -409,7 +413,7 @@ impl NetHandle {
     ///
     /// # Errors
     /// This node has no say on it.
-    pub(crate) fn decide(&self, decision: Decision<'_>) -> Result<(), NoSay> {
+    pub(crate) fn decide(&self, decision: IsolationDecision<'_>) -> Result<(), VoteRefused> {
         self.wardens.get().map_or(Ok(()), |wardens| wardens.decide(decision))
     }
 
@@ -423,14 +427,14 @@ impl NetHandle {
         self.gateway.clone().recipient()
     }
 
-    /// Takes [`PanicOnPurpose`], for the demonstration and tests.
-    pub(crate) fn router(&self) -> Recipient<PanicOnPurpose> {
+    /// Takes [`InjectPanic`], for the demonstration and tests.
+    pub(crate) fn router(&self) -> Recipient<InjectPanic> {
         self.router.clone().recipient()
     }
 
     /// Every actor of the network, to see what becomes of a panic in it.
     #[cfg(test)]
-    pub(crate) fn victims(&self) -> Vec<Recipient<PanicOnPurpose>> {
+    pub(crate) fn victims(&self) -> Vec<Recipient<InjectPanic>> {
         let (router, sessions) = (self.router.clone(), self.sessions.clone());
         let mut all =
             vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
@@ -469,6 +473,6 @@ impl NetHandle {
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
         self.doors.end();
-        self.gateway.do_send(Leave);
+        self.gateway.do_send(CloseSessions);
     }
 }

@@ -1,6 +1,6 @@
 //! That another node had this one's name before, and this one is kept out by all.
 
-use blastema_core::{Incarnation, NodeName, Why};
+use blastema_core::{DeliveryError, Incarnation, NodeName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -29,12 +29,13 @@ impl Outcast {
     }
 
     /// Why no session begins.
-    pub(super) fn why(&self) -> Why {
+    pub(super) fn why(&self) -> DeliveryError {
         match self.other.load(Relaxed) {
-            0 => Why::Restarting,
-            life => {
-                Why::NameTaken { name: self.node.to_string(), by: Incarnation(life).to_string() }
-            }
+            0 => DeliveryError::Restarting,
+            life => DeliveryError::NameTaken {
+                name: self.node.to_string(),
+                by: Incarnation(life).to_string(),
+            },
         }
     }
 }

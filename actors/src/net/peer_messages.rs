@@ -4,12 +4,12 @@
 //! order. What cannot be sent, or comes too fast, is dropped and counted: machines that talk like this
 //! find out by themselves what is missing.
 
-use crate::registry::{Doorway, Port, Postmark, Registry, ReplyTo};
+use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
 use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
-use blastema_core::{FaultKind, NodeName, ObjectName, Why};
+use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
 use blastema_macros::Event;
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -32,13 +32,13 @@ struct Letter {
 /// A letter from another node.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) struct LetterArrived {
+pub(crate) struct ActorMessageReceived {
     pub(crate) from: NodeId,
     pub(crate) bytes: Bytes,
 }
 
 /// Writes letters, and takes those of its like.
-pub(crate) struct Letters {
+pub(crate) struct PeerChannel {
     registry: Registry,
     place: ObjectName,
     senders: BTreeMap<NodeName, Sender<Letter>>,
@@ -47,23 +47,23 @@ pub(crate) struct Letters {
 
 /// Where letters come in.
 struct Slot {
-    reader: Recipient<LetterArrived>,
+    reader: Recipient<ActorMessageReceived>,
     unread: AtomicUsize,
     dropped: AtomicU64,
 }
 
-impl Letters {
+impl PeerChannel {
     /// Letters to and from this place, which is called the same on every node.
     pub(crate) fn at(
         place: ObjectName,
         registry: &Registry,
-        reader: Recipient<LetterArrived>,
+        reader: Recipient<ActorMessageReceived>,
     ) -> Self {
         let (unread, dropped) = (AtomicUsize::new(0), AtomicU64::new(0));
         let slot = Arc::new(Slot { reader, unread, dropped });
-        let doorway: Arc<dyn Doorway> = slot.clone();
-        registry.hide(place.clone(), Port::of_doorway::<Letter>(doorway));
-        Letters { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
+        let doorway: Arc<dyn Skeleton> = slot.clone();
+        registry.register_hidden(place.clone(), ContractPort::of_doorway::<Letter>(doorway));
+        PeerChannel { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
     }
 
     /// Sends one. It is dropped where the node takes none now.
@@ -90,16 +90,21 @@ impl Letters {
 }
 
 /// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown object.
-pub(crate) fn read_by_nobody(place: ObjectName, registry: &Registry) {
-    registry.hide(place, Port::of_doorway::<Letter>(Arc::new(Nobody)));
+pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
+    registry.register_hidden(place, ContractPort::of_doorway::<Letter>(Arc::new(Nobody)));
 }
 
 struct Nobody;
 
-impl Doorway for Nobody {
-    fn deliver(&self, _: &Bytes, _: Postmark, reply_to: Option<ReplyTo>) -> Result<(), Why> {
+impl Skeleton for Nobody {
+    fn deliver(
+        &self,
+        _: &Bytes,
+        _: MessageMetadata,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), DeliveryError> {
         if let Some(reply_to) = reply_to {
-            reply_to(Err(Why::Stopped));
+            reply_to(Err(DeliveryError::Stopped));
         }
         Ok(())
     }
@@ -109,24 +114,24 @@ impl Doorway for Nobody {
     }
 }
 
-impl Doorway for Slot {
+impl Skeleton for Slot {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: Postmark,
+        postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         let read = codec::decode::<Letter>(message)
-            .map_err(|error| Why::Undecodable { reason: error.to_string() });
+            .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
         let delivered = read.and_then(|letter| {
             let Some(from) = postmark.from else {
-                return Err(Why::Unknown { name: "the node that writes".to_owned() });
+                return Err(DeliveryError::Unknown { name: "the node that writes".to_owned() });
             };
             if self.unread.fetch_add(1, Relaxed) >= UNREAD_MAX {
                 self.unread.fetch_sub(1, Relaxed);
-                return Err(Why::Full);
+                return Err(DeliveryError::Full);
             }
-            self.reader.do_send(LetterArrived { from, bytes: letter.bytes.into() });
+            self.reader.do_send(ActorMessageReceived { from, bytes: letter.bytes.into() });
             Ok(())
         });
         if delivered.is_err() {

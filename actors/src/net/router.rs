@@ -1,60 +1,62 @@
 //! The router's body.
 
-use super::fault_reporter::OwnFaults;
+use super::fault_reporter::FaultReporter;
 use super::outcast::Outcast;
-use crate::drive::{Body, Wake};
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::link::{AddLinks, Arrived, Carry, GivenUp, LinkChanged, Load, ReportLinks};
+use blastema_contract::link::{
+    AddLinks, LinkChanged, LinkPayload, ReceivedOnLink, RemoteLinkDown, ReportLinks, TransmitOnLink,
+};
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::{
-    AddSessions, KeepOut, PanicOnPurpose, PathReported, ReadRoutes, Routes, SegmentArrived,
-    SendSegment,
+    AddSessions, InjectPanic, PathReported, ReadRoutes, Routes, SegmentArrived, SendSegment,
+    SetIsolation,
 };
 use blastema_contract::strategy::Reroute;
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::routing::Trouble;
-use blastema_core::net::{self, LinkNumber, NodeId, RouterConfig, RouterOutput};
-use blastema_core::recovery::{Done, Failed};
+use blastema_core::net::routing::RouterAlarm;
+use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::{FaultKind, Incarnation, NodeName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use tokio::sync::oneshot;
 use tracing::{debug, error, info};
 
 /// Forwards for this node.
-pub(super) struct Router {
+pub(super) struct RouterActor {
     config: RouterConfig,
     machine: net::Router,
-    wake: Wake,
-    links: BTreeMap<LinkNumber, (Recipient<Carry>, Recipient<GivenUp>)>,
+    wake: WakeTimer,
+    links: BTreeMap<LinkId, (Recipient<TransmitOnLink>, Recipient<RemoteLinkDown>)>,
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
-    faults: OwnFaults,
+    faults: FaultReporter,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as the
     /// recoverer has under way, which gives each two seconds.
-    inquirers: Vec<(NodeName, oneshot::Sender<Result<Done, Failed>>)>,
+    inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
     /// Who is isolated: a router that begins anew must know.
     kept_out: BTreeSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     outcast: Outcast,
 }
 
-impl Router {
+impl RouterActor {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
         (monitor, outcast): (Option<Recipient<NodeReported>>, Outcast),
-        faults: OwnFaults,
+        faults: FaultReporter,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
-            Router {
+            RouterActor {
                 machine: net::Router::new(config.clone(), platform::now()),
                 config,
-                wake: Wake::default(),
+                wake: WakeTimer::default(),
                 links: BTreeMap::new(),
                 networks: Vec::new(),
                 sessions: None,
@@ -74,10 +76,10 @@ impl Router {
         self.faults.declare(kind, detail);
     }
 
-    fn mend(&self, trouble: Trouble) {
+    fn mend(&self, trouble: RouterAlarm) {
         let kind = match trouble {
-            Trouble::Forged => FaultKind::CheckFailed,
-            Trouble::NameTaken => FaultKind::NameTaken,
+            RouterAlarm::Forged => FaultKind::CheckFailed,
+            RouterAlarm::NameTaken => FaultKind::NameTaken,
         };
         info!(fault = %kind, "nothing more of it was heard for a minute");
         self.faults.mend(kind);
@@ -116,7 +118,7 @@ impl Router {
         for (node, inquirer) in std::mem::take(&mut self.inquirers) {
             // Nobody minds an answer that is not waited for any more.
             let _ = match self.machine.verdict(NodeId::of(&node), platform::now()) {
-                Some(true) => inquirer.send(Ok(Done::default())),
+                Some(true) => inquirer.send(Ok(RecoveryDone::default())),
                 Some(false) => inquirer.send(Err(format!("no other way leads to {node}").into())),
                 None => {
                     self.inquirers.push((node, inquirer));
@@ -136,50 +138,50 @@ impl Router {
     }
 }
 
-answers_the_monitor!(Router);
+answers_the_monitor!(RouterActor);
 
-impl Actor for Router {
+impl Actor for RouterActor {
     type Context = Context<Self>;
 }
 
-impl Supervised for Router {
+impl Supervised for RouterActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         // What goes on is told anew.
         self.machine.troubles().for_each(|trouble| self.mend(trouble));
         let reached = self.reached.clone();
-        self.machine = net::Router::reborn(self.config.clone(), reached, platform::now());
+        self.machine = net::Router::restarted(self.config.clone(), reached, platform::now());
         for node in &self.kept_out {
             self.machine.handle_isolation(node, true, platform::now());
         }
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.networks.iter().for_each(|network| network.do_send(ReportLinks));
         self.drive(context);
     }
 }
 
-impl Body for Router {
+impl MachineActor for RouterActor {
     type Machine = net::Router;
 
     fn machine(&mut self) -> &mut net::Router {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
     fn carry_out(&mut self, output: RouterOutput, _: &mut Context<Self>) {
         let carry = |link, load| {
             if let Some((links, _)) = self.links.get(&link) {
-                links.do_send(Carry { link, load });
+                links.do_send(TransmitOnLink { link, load });
             }
         };
         match output {
-            RouterOutput::Routing { link, bytes } => carry(link, Load::Routing(bytes)),
-            RouterOutput::Packet { link, packet } => carry(link, Load::Packet(packet)),
+            RouterOutput::Routing { link, bytes } => carry(link, LinkPayload::Routing(bytes)),
+            RouterOutput::Packet { link, packet } => carry(link, LinkPayload::Packet(packet)),
             RouterOutput::GivenUp { link } => {
                 if let Some((_, links)) = self.links.get(&link) {
-                    links.do_send(GivenUp { link });
+                    links.do_send(RemoteLinkDown { link });
                 }
             }
             RouterOutput::Segment { source, segment, direct } => {
@@ -205,7 +207,7 @@ impl Body for Router {
                 self.declare(FaultKind::CheckFailed, detail);
             }
             RouterOutput::Over(trouble) => {
-                if trouble == Trouble::NameTaken {
+                if trouble == RouterAlarm::NameTaken {
                     self.outcast.let_in();
                 }
                 self.mend(trouble);
@@ -235,7 +237,7 @@ impl Body for Router {
     }
 }
 
-impl Handler<AddLinks> for Router {
+impl Handler<AddLinks> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: AddLinks, _: &mut Context<Self>) {
@@ -247,7 +249,7 @@ impl Handler<AddLinks> for Router {
     }
 }
 
-impl Handler<AddSessions> for Router {
+impl Handler<AddSessions> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: AddSessions, _: &mut Context<Self>) {
@@ -255,7 +257,7 @@ impl Handler<AddSessions> for Router {
     }
 }
 
-impl Handler<LinkChanged> for Router {
+impl Handler<LinkChanged> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: LinkChanged, context: &mut Context<Self>) {
@@ -266,21 +268,23 @@ impl Handler<LinkChanged> for Router {
     }
 }
 
-impl Handler<Arrived> for Router {
+impl Handler<ReceivedOnLink> for RouterActor {
     type Result = ();
 
-    fn handle(&mut self, message: Arrived, context: &mut Context<Self>) {
-        let Arrived { link, load } = message;
+    fn handle(&mut self, message: ReceivedOnLink, context: &mut Context<Self>) {
+        let ReceivedOnLink { link, load } = message;
         let now = platform::now();
         match load {
-            Load::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
-            Load::Packet(packet) => self.machine.handle_packet(link, packet.into_bytes(), now),
+            LinkPayload::Routing(bytes) => self.machine.handle_routing(link, bytes, now),
+            LinkPayload::Packet(packet) => {
+                self.machine.handle_packet(link, packet.into_bytes(), now)
+            }
         }
         self.drive_soon(context);
     }
 }
 
-impl Handler<SendSegment> for Router {
+impl Handler<SendSegment> for RouterActor {
     type Result = ();
 
     fn handle(&mut self, message: SendSegment, context: &mut Context<Self>) {
@@ -293,11 +297,11 @@ impl Handler<SendSegment> for Router {
     }
 }
 
-impl Handler<KeepOut> for Router {
+impl Handler<SetIsolation> for RouterActor {
     type Result = ();
 
-    fn handle(&mut self, message: KeepOut, context: &mut Context<Self>) {
-        let KeepOut { node, isolated } = message;
+    fn handle(&mut self, message: SetIsolation, context: &mut Context<Self>) {
+        let SetIsolation { node, isolated } = message;
         self.machine.handle_isolation(&node, isolated, platform::now());
         if isolated {
             self.kept_out.insert(node);
@@ -308,7 +312,7 @@ impl Handler<KeepOut> for Router {
     }
 }
 
-impl Handler<ReadRoutes> for Router {
+impl Handler<ReadRoutes> for RouterActor {
     type Result = Routes;
 
     fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
@@ -318,18 +322,18 @@ impl Handler<ReadRoutes> for Router {
     }
 }
 
-impl Handler<PanicOnPurpose> for Router {
+impl Handler<InjectPanic> for RouterActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the router panics on purpose");
     }
 }
 
 /// The alternative was chosen before it was needed: what is left to do is to say whether there is one.
 /// Where the only one may have failed as well, the answer waits until its link says so or recovers.
-impl Handler<Reroute> for Router {
-    type Result = ResponseFuture<Result<Done, Failed>>;
+impl Handler<Reroute> for RouterActor {
+    type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
         let Reroute { place } = message;

@@ -1,16 +1,16 @@
-//! Who of the nodes is at safe rest: this one tells all others, and hears it of them.
+//! Who of the nodes is in the safe state: this one tells all others, and hears it of them.
 //!
 //! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without this its
 //! peers would find out only by what does not come.
 
-use super::peer_messages::{LetterArrived, Letters};
+use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::guardian::{Guardian, answers_the_monitor};
 use crate::registry::Registry;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::recoverer::NodeRests;
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::session::PeerSeen;
+use blastema_contract::session::PeerStatusChanged;
 use blastema_core::contract::codec;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
@@ -31,17 +31,17 @@ pub(crate) struct RestSetup {
 }
 
 /// Where the body is told and asked.
-pub(crate) struct RestPorts {
+pub(crate) struct SafeStateRecipients {
     /// How this node is.
-    pub(crate) own: Recipient<NodeRests>,
+    pub(crate) own: Recipient<SafeStateChanged>,
     /// Who can be talked to.
-    pub(crate) peers: Recipient<PeerSeen>,
+    pub(crate) peers: Recipient<PeerStatusChanged>,
     pub(crate) inquiries: Recipient<AreYouAlive>,
 }
 
 /// Tells, and hears.
-pub(crate) struct RestBody {
-    letters: Letters,
+pub(crate) struct SafeStateActor {
+    letters: PeerChannel,
     /// Why this node is at rest, as all peers were told; nothing where it was never at rest.
     said: Option<Option<String>>,
     /// Nodes that a session is open with.
@@ -49,21 +49,21 @@ pub(crate) struct RestBody {
     nodes: Recipient<NodeReported>,
 }
 
-impl RestBody {
+impl SafeStateActor {
     /// Starts it under the guardian.
     pub(crate) fn start(
         setup: RestSetup,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
-    ) -> RestPorts {
+    ) -> SafeStateRecipients {
         let RestSetup { registry, nodes } = setup;
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
-            let letters = Letters::at(super::named("rest"), &registry, reader);
-            RestBody { letters, said: None, peers: BTreeMap::new(), nodes }
+            let letters = PeerChannel::at(super::named("rest"), &registry, reader);
+            SafeStateActor { letters, said: None, peers: BTreeMap::new(), nodes }
         };
         let body = guardian.start(super::named("rest"), arbiter, make);
-        RestPorts {
+        SafeStateRecipients {
             own: body.clone().recipient(),
             peers: body.clone().recipient(),
             inquiries: body.recipient(),
@@ -82,46 +82,46 @@ impl RestBody {
     }
 }
 
-answers_the_monitor!(RestBody);
+answers_the_monitor!(SafeStateActor);
 
-impl Actor for RestBody {
+impl Actor for SafeStateActor {
     type Context = Context<Self>;
 }
 
-impl Supervised for RestBody {
+impl Supervised for SafeStateActor {
     // What it has said, and to whom it can talk, are plain facts.
 }
 
-impl Handler<NodeRests> for RestBody {
+impl Handler<SafeStateChanged> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, NodeRests { reason }: NodeRests, _: &mut Context<Self>) {
+    fn handle(&mut self, SafeStateChanged { reason }: SafeStateChanged, _: &mut Context<Self>) {
         self.said = Some(reason);
         let peers: Vec<_> = self.peers.values().map(|(node, _)| node.clone()).collect();
         peers.iter().for_each(|node| self.tell(node));
     }
 }
 
-impl Handler<PeerSeen> for RestBody {
+impl Handler<PeerStatusChanged> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, seen: PeerSeen, _: &mut Context<Self>) {
+    fn handle(&mut self, seen: PeerStatusChanged, _: &mut Context<Self>) {
         match seen {
-            PeerSeen::Opened { node, incarnation } => {
+            PeerStatusChanged::Opened { node, incarnation } => {
                 self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
                 self.tell(&node);
             }
-            PeerSeen::Ended { node } | PeerSeen::Left { node } => {
+            PeerStatusChanged::Ended { node } | PeerStatusChanged::Left { node } => {
                 self.peers.remove(&NodeId::of(&node));
             }
         }
     }
 }
 
-impl Handler<LetterArrived> for RestBody {
+impl Handler<ActorMessageReceived> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, letter: LetterArrived, _: &mut Context<Self>) {
+    fn handle(&mut self, letter: ActorMessageReceived, _: &mut Context<Self>) {
         self.letters.read_one();
         let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
         let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {

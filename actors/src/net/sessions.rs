@@ -1,20 +1,21 @@
 //! The body of all sessions of this node.
 
-use super::fault_reporter::OwnFaults;
-use crate::drive::{Body, Wake};
+use super::fault_reporter::FaultReporter;
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::answers_the_monitor;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::router::{PanicOnPurpose, PathReported, SegmentArrived, SendSegment};
+use blastema_contract::router::{InjectPanic, PathReported, SegmentArrived, SendSegment};
 use blastema_contract::session::{
-    AddGateway, BeginAnew, Leave, ReadSessions, Say, SayNewest, SessionReported, SessionRow,
+    AddGateway, CloseSessions, ReadSessions, ResetSession, SendLatest, SendReliable,
+    SessionReported, SessionRow,
 };
 use blastema_core::detection::NodeCondition;
-use blastema_core::net::refusal_alarms::{Complaints, MANY};
+use blastema_core::net::refusal_alarms::{MANY, RefusalAlarms};
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{Crowd, NodeId, Refusals, Session, SessionConfig, SessionOutput};
-use blastema_core::{FaultKind, Incarnation, NodeName, Why};
+use blastema_core::net::{MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -29,17 +30,17 @@ const LOOK: Duration = Duration::from_secs(1);
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
 /// One session per peer node.
-pub(super) struct Sessions {
+pub(super) struct SessionsActor {
     node: NodeName,
     incarnation: Incarnation,
-    crowd: Crowd<NodeId, Session>,
-    wake: Wake,
+    crowd: MachineSet<NodeId, Session>,
+    wake: WakeTimer,
     peers: BTreeMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
-    faults: OwnFaults,
+    faults: FaultReporter,
     nodes: Option<Recipient<NodeReported>>,
-    complaints: Complaints<Option<NodeId>>,
+    complaints: RefusalAlarms<Option<NodeId>>,
     /// What came from nodes that no route leads to.
     strangers: Refusals,
 }
@@ -54,24 +55,24 @@ struct Peer {
     relayed: bool,
 }
 
-impl Sessions {
+impl SessionsActor {
     pub(super) fn new(
         node: NodeName,
         incarnation: Incarnation,
         router: Recipient<SendSegment>,
-        (faults, nodes): (OwnFaults, Option<Recipient<NodeReported>>),
+        (faults, nodes): (FaultReporter, Option<Recipient<NodeReported>>),
     ) -> Self {
-        Sessions {
+        SessionsActor {
             node,
             incarnation,
-            crowd: Crowd::default(),
-            wake: Wake::default(),
+            crowd: MachineSet::default(),
+            wake: WakeTimer::default(),
             peers: BTreeMap::new(),
             router,
             gateway: None,
             faults,
             nodes,
-            complaints: Complaints::default(),
+            complaints: RefusalAlarms::default(),
             strangers: Refusals::default(),
         }
     }
@@ -102,7 +103,7 @@ impl Sessions {
         if let Some(id) = gone {
             let why = self.unreachable(id);
             if let Some(mut session) = self.crowd.remove(id) {
-                self.give_all_back(id, session.surrender(), &why);
+                self.give_all_back(id, session.take_unacknowledged(), &why);
             }
             self.peers.remove(&id);
             self.complaints.forget(&Some(id));
@@ -121,14 +122,14 @@ impl Sessions {
         }
     }
 
-    fn give_back(&self, peer: NodeId, refused: Result<(), (Why, Bytes)>) {
+    fn give_back(&self, peer: NodeId, refused: Result<(), (DeliveryError, Bytes)>) {
         if let Err((why, message)) = refused {
             self.report(SessionReported::Returned { peer, message, why, sent: false });
         }
     }
 
     /// A session's machine goes with all that it held.
-    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes, bool)>, why: &Why) {
+    fn give_all_back(&self, peer: NodeId, held: Vec<(Stream, Bytes, bool)>, why: &DeliveryError) {
         for (_, message, sent) in held {
             let why = why.clone();
             self.report(SessionReported::Returned { peer, message, why, sent });
@@ -167,15 +168,15 @@ impl Sessions {
         }
     }
 
-    fn unreachable(&self, peer: NodeId) -> Why {
+    fn unreachable(&self, peer: NodeId) -> DeliveryError {
         let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
-        Why::Unreachable { node }
+        DeliveryError::Unreachable { node }
     }
 }
 
-answers_the_monitor!(Sessions);
+answers_the_monitor!(SessionsActor);
 
-impl Actor for Sessions {
+impl Actor for SessionsActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
@@ -183,17 +184,18 @@ impl Actor for Sessions {
     }
 }
 
-impl Supervised for Sessions {
+impl Supervised for SessionsActor {
     /// The session that was being served is built anew; the others have not noticed.
     fn restarting(&mut self, context: &mut Context<Self>) {
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.started(context);
         if let Some(id) = self.crowd.last()
             && let Some(mut broken) = self.crowd.remove(id)
         {
             let why = self.unreachable(id);
             // What it still holds is given back, if it can be read at all.
-            let held = catch_unwind(AssertUnwindSafe(|| broken.surrender())).unwrap_or_default();
+            let held =
+                catch_unwind(AssertUnwindSafe(|| broken.take_unacknowledged())).unwrap_or_default();
             self.give_all_back(id, held, &why);
             self.report(SessionReported::Ended { peer: id, why });
             if let Some(peer) = self.peers.get_mut(&id) {
@@ -210,14 +212,14 @@ impl Supervised for Sessions {
     }
 }
 
-impl Body for Sessions {
-    type Machine = Crowd<NodeId, Session>;
+impl MachineActor for SessionsActor {
+    type Machine = MachineSet<NodeId, Session>;
 
     fn machine(&mut self) -> &mut Self::Machine {
         &mut self.crowd
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -257,7 +259,7 @@ impl Body for Sessions {
     }
 }
 
-impl Handler<AddGateway> for Sessions {
+impl Handler<AddGateway> for SessionsActor {
     type Result = ();
 
     fn handle(&mut self, message: AddGateway, _: &mut Context<Self>) {
@@ -265,7 +267,7 @@ impl Handler<AddGateway> for Sessions {
     }
 }
 
-impl Handler<PathReported> for Sessions {
+impl Handler<PathReported> for SessionsActor {
     type Result = ();
 
     fn handle(&mut self, message: PathReported, context: &mut Context<Self>) {
@@ -314,7 +316,7 @@ impl Handler<PathReported> for Sessions {
     }
 }
 
-impl Handler<SegmentArrived> for Sessions {
+impl Handler<SegmentArrived> for SessionsActor {
     type Result = ();
 
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
@@ -332,11 +334,11 @@ impl Handler<SegmentArrived> for Sessions {
     }
 }
 
-impl Handler<Say> for Sessions {
+impl Handler<SendReliable> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, say: Say, context: &mut Context<Self>) {
-        let Say { peer, session, stream, strand, message, credit } = say;
+    fn handle(&mut self, say: SendReliable, context: &mut Context<Self>) {
+        let SendReliable { peer, session, stream, strand, message, credit } = say;
         // The session has it from here on.
         drop(credit);
         let sent = match self.present(peer, session) {
@@ -348,11 +350,11 @@ impl Handler<Say> for Sessions {
     }
 }
 
-impl Handler<SayNewest> for Sessions {
+impl Handler<SendLatest> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, say: SayNewest, context: &mut Context<Self>) {
-        let SayNewest { peer, session, channel, message, credit } = say;
+    fn handle(&mut self, say: SendLatest, context: &mut Context<Self>) {
+        let SendLatest { peer, session, channel, message, credit } = say;
         drop(credit);
         let sent = match self.present(peer, session) {
             Some(session) => session.handle_send_newest(channel, message, platform::now()),
@@ -363,25 +365,25 @@ impl Handler<SayNewest> for Sessions {
     }
 }
 
-impl Handler<BeginAnew> for Sessions {
+impl Handler<ResetSession> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, message: BeginAnew, context: &mut Context<Self>) {
+    fn handle(&mut self, message: ResetSession, context: &mut Context<Self>) {
         let all = || self.peers.keys().copied().collect();
         let ids: Vec<_> = message.peer.map_or_else(all, |peer| vec![peer]);
         for session in ids {
             if let Some(session) = self.crowd.get_mut(session) {
-                session.handle_begin_anew(platform::now());
+                session.handle_restart(platform::now());
             }
         }
         self.drive(context);
     }
 }
 
-impl Handler<Leave> for Sessions {
+impl Handler<CloseSessions> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
+    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         let ids: Vec<_> = self.peers.keys().copied().collect();
         for session in ids {
             if let Some(session) = self.crowd.get_mut(session) {
@@ -392,7 +394,7 @@ impl Handler<Leave> for Sessions {
     }
 }
 
-impl Handler<ReadSessions> for Sessions {
+impl Handler<ReadSessions> for SessionsActor {
     type Result = MessageResult<ReadSessions>;
 
     fn handle(&mut self, _: ReadSessions, _: &mut Context<Self>) -> Self::Result {
@@ -408,10 +410,10 @@ impl Handler<ReadSessions> for Sessions {
     }
 }
 
-impl Handler<PanicOnPurpose> for Sessions {
+impl Handler<InjectPanic> for SessionsActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the sessions panic on purpose");
     }
 }

@@ -1,17 +1,19 @@
 //! The ways out of this node: what stands behind a `Sender` of a remote object.
 
-use super::credit::{Freight, Ways};
-use super::gateway::Ship;
+use super::credit::{CreditClass, SendCredits};
+use super::gateway::SendToPeer;
 use super::outcast::Outcast;
 use crate::platform;
-use crate::registry::{Asked, RemoteDoor, RemoteDoors};
+use crate::registry::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
 use blastema_contract::session::Credit;
 use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::net::Load;
+use blastema_core::net::SizeClass;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::{ContractIdentity, Delivery, NodeName, ObjectAddress, ObjectName, Parcel, Why};
+use blastema_core::{
+    ContractIdentity, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
@@ -21,9 +23,9 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
 
 /// Makes doors, and tells those behind them how their peer is.
-pub(super) struct Doors {
-    gateway: OnceLock<Recipient<Ship>>,
-    gates: Mutex<BTreeMap<NodeName, Arc<Gate>>>,
+pub(super) struct PeerStubs {
+    gateway: OnceLock<Recipient<SendToPeer>>,
+    gates: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
     outcast: Outcast,
     ended: Ended,
 }
@@ -32,7 +34,7 @@ pub(super) struct Doors {
 type Ended = Arc<AtomicBool>;
 
 /// What all doors to one peer share.
-pub(super) struct Gate {
+pub(super) struct PeerSendState {
     node: NodeName,
     outcast: Outcast,
     ended: Ended,
@@ -47,7 +49,7 @@ pub(super) struct Gate {
     /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to do with what
     /// the session holds.
     full_hall: AtomicU8,
-    ways: Ways,
+    ways: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
     full: Mutex<BTreeSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
@@ -56,14 +58,14 @@ pub(super) struct Gate {
 }
 
 /// The bit of what a stream carries of this load.
-fn bit(stream: Stream, load: Load) -> u8 {
+fn bit(stream: Stream, load: SizeClass) -> u8 {
     1 << (2 * stream as u8 + load as u8)
 }
 
 /// How sending to a peer stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Condition {
+pub(super) enum PeerCondition {
     /// No path leads there.
     Unreachable,
     /// There is a path; the session is about to begin.
@@ -74,17 +76,17 @@ pub(super) enum Condition {
     Left,
 }
 
-impl Gate {
-    fn condition(&self) -> Condition {
+impl PeerSendState {
+    fn condition(&self) -> PeerCondition {
         match self.condition.load(Relaxed) {
-            0 => Condition::Unreachable,
-            1 => Condition::Opening,
-            2 => Condition::Open,
-            _ => Condition::Left,
+            0 => PeerCondition::Unreachable,
+            1 => PeerCondition::Opening,
+            2 => PeerCondition::Open,
+            _ => PeerCondition::Left,
         }
     }
 
-    pub(super) fn set(&self, condition: Condition) {
+    pub(super) fn set(&self, condition: PeerCondition) {
         self.condition.store(condition as u8, Relaxed);
         self.changed.notify_waiters();
     }
@@ -95,15 +97,15 @@ impl Gate {
         self.met.store(true, Relaxed);
         self.full_hall.store(0, Relaxed);
         self.full_streams.store(0, Relaxed);
-        self.set(Condition::Open);
+        self.set(PeerCondition::Open);
     }
 
     /// The session holds all that it should of this stream and load.
-    pub(super) fn stream_is_full(&self, stream: Stream, load: Load) {
+    pub(super) fn stream_is_full(&self, stream: Stream, load: SizeClass) {
         self.full_streams.fetch_or(bit(stream, load), Relaxed);
     }
 
-    pub(super) fn stream_has_room(&self, stream: Stream, load: Load) {
+    pub(super) fn stream_has_room(&self, stream: Stream, load: SizeClass) {
         self.full_streams.fetch_and(!bit(stream, load), Relaxed);
         self.changed.notify_waiters();
     }
@@ -111,25 +113,25 @@ impl Gate {
     /// Whether this has to wait. Nothing goes where the words that keep the session together do not; of the
     /// other streams, one does not hold up the other. Where there is no room for what is small, bulk waits too:
     /// what is bulk here may be small to the session.
-    fn is_held(&self, Freight { delivery, load }: Freight) -> bool {
+    fn is_held(&self, CreditClass { delivery, load }: CreditClass) -> bool {
         // Of which only the newest counts, nothing waits behind what does.
         if delivery == Delivery::Newest {
             return false;
         }
-        let stream = Freight { delivery, load }.stream();
-        let all = bit(Stream::Control, Load::Small) | bit(Stream::Control, Load::Bulk);
+        let stream = CreditClass { delivery, load }.stream();
+        let all = bit(Stream::Control, SizeClass::Small) | bit(Stream::Control, SizeClass::Bulk);
         let full = self.full_streams.load(Relaxed);
-        let mine = bit(stream, Load::Small) | bit(stream, load);
-        let waits = 1 << Load::Small as u8 | 1 << load as u8;
+        let mine = bit(stream, SizeClass::Small) | bit(stream, load);
+        let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
         full & (all | mine) != 0 || self.full_hall.load(Relaxed) & waits != 0
     }
 
     /// What waits for bindings is as much as should, of this load.
-    pub(super) fn hall_is_full(&self, load: Load) {
+    pub(super) fn hall_is_full(&self, load: SizeClass) {
         self.full_hall.fetch_or(1 << load as u8, Relaxed);
     }
 
-    pub(super) fn hall_has_room(&self, load: Load) {
+    pub(super) fn hall_has_room(&self, load: SizeClass) {
         self.full_hall.fetch_and(!(1 << load as u8), Relaxed);
         self.changed.notify_waiters();
     }
@@ -145,7 +147,7 @@ impl Gate {
         self.changed.notify_waiters();
     }
 
-    pub(super) fn is_open(&self, freight: Freight) -> bool {
+    pub(super) fn is_open(&self, freight: CreditClass) -> bool {
         self.has_session() && !self.is_held(freight) && !self.is_isolated()
     }
 
@@ -167,7 +169,7 @@ impl Gate {
 
     /// A session is open, whether it has room or not.
     pub(super) fn has_session(&self) -> bool {
-        self.condition() == Condition::Open
+        self.condition() == PeerCondition::Open
     }
 
     fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
@@ -202,26 +204,28 @@ impl Gate {
     }
 
     /// Takes room for an event, which never waits.
-    pub(super) fn lend_to_event(&self, bytes: usize, freight: Freight) -> Option<Credit> {
+    pub(super) fn lend_to_event(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
         self.ways.lend_to_event(bytes, freight)
     }
 
-    fn check(&self, object: &ObjectName, freight: Freight) -> Result<(), Why> {
+    fn check(&self, object: &ObjectName, freight: CreditClass) -> Result<(), DeliveryError> {
         if self.ended.load(Relaxed) {
-            return Err(Why::Stopped);
+            return Err(DeliveryError::Stopped);
         }
         if self.is_isolated() {
-            return Err(Why::Isolated);
+            return Err(DeliveryError::Isolated);
         }
         match self.condition() {
-            Condition::Unreachable => Err(Why::Unreachable { node: self.node.to_string() }),
-            Condition::Opening => Err(self.outcast.why()),
-            Condition::Left => Err(Why::Left { node: self.node.to_string() }),
-            Condition::Open if self.is_full(object) => Err(Why::Full),
-            Condition::Open if self.is_held(freight) || !self.ways.have_room(freight) => {
+            PeerCondition::Unreachable => {
+                Err(DeliveryError::Unreachable { node: self.node.to_string() })
+            }
+            PeerCondition::Opening => Err(self.outcast.why()),
+            PeerCondition::Left => Err(DeliveryError::Left { node: self.node.to_string() }),
+            PeerCondition::Open if self.is_full(object) => Err(DeliveryError::Full),
+            PeerCondition::Open if self.is_held(freight) || !self.ways.have_room(freight) => {
                 Err(self.way_full(freight))
             }
-            Condition::Open => Ok(()),
+            PeerCondition::Open => Ok(()),
         }
     }
 
@@ -229,15 +233,15 @@ impl Gate {
     pub(super) fn why_not(&self) -> DeadReason {
         match self.condition() {
             _ if self.is_isolated() => DeadReason::Isolated,
-            Condition::Open => DeadReason::WayFull,
-            Condition::Opening => DeadReason::Restarting,
-            Condition::Unreachable => DeadReason::Unreachable,
-            Condition::Left => DeadReason::Left,
+            PeerCondition::Open => DeadReason::WayFull,
+            PeerCondition::Opening => DeadReason::Restarting,
+            PeerCondition::Unreachable => DeadReason::Unreachable,
+            PeerCondition::Left => DeadReason::Left,
         }
     }
 
-    fn way_full(&self, Freight { load, .. }: Freight) -> Why {
-        Why::WayFull { node: self.node.to_string(), bulk: load == Load::Bulk }
+    fn way_full(&self, CreditClass { load, .. }: CreditClass) -> DeliveryError {
+        DeliveryError::WayFull { node: self.node.to_string(), bulk: load == SizeClass::Bulk }
     }
 
     /// Completes when a session is open, and a path leads there.
@@ -251,11 +255,13 @@ impl Gate {
         }
     }
 
-    async fn room(&self, object: &ObjectName, freight: Freight) {
+    async fn room(&self, object: &ObjectName, freight: CreditClass) {
         loop {
             let changed = self.changed.notified();
             match self.check(object, freight) {
-                Err(Why::Full | Why::WayFull { .. } | Why::Restarting) => changed.await,
+                Err(
+                    DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Restarting,
+                ) => changed.await,
                 // Whatever else stands in the way is told by the next attempt.
                 _ => return,
             }
@@ -263,9 +269,9 @@ impl Gate {
     }
 }
 
-impl Doors {
+impl PeerStubs {
     pub(super) fn new(outcast: Outcast) -> Self {
-        Doors {
+        PeerStubs {
             gateway: OnceLock::new(),
             gates: Mutex::default(),
             outcast,
@@ -279,12 +285,12 @@ impl Doors {
         self.lock().values().for_each(|gate| gate.changed.notify_waiters());
     }
 
-    pub(super) fn lead_to(&self, gateway: Recipient<Ship>) {
+    pub(super) fn connect(&self, gateway: Recipient<SendToPeer>) {
         // Called once, when the network starts.
         let _ = self.gateway.set(gateway);
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<Gate>>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<PeerSendState>>> {
         self.gates.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -306,21 +312,21 @@ impl Doors {
     }
 
     /// As many as nodes that this program has named, or met.
-    pub(super) fn gate(&self, node: &NodeName) -> Arc<Gate> {
+    pub(super) fn gate(&self, node: &NodeName) -> Arc<PeerSendState> {
         let mut gates = self.lock();
         let gate = gates.entry(node.clone()).or_insert_with(|| {
             let changed = Arc::new(Notify::new());
-            Arc::new(Gate {
+            Arc::new(PeerSendState {
                 node: node.clone(),
                 outcast: self.outcast.clone(),
                 ended: self.ended.clone(),
-                condition: AtomicU8::new(Condition::Unreachable as u8),
+                condition: AtomicU8::new(PeerCondition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 met: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 full_streams: AtomicU8::new(0),
                 full_hall: AtomicU8::new(0),
-                ways: Ways::new(&changed),
+                ways: SendCredits::new(&changed),
                 full: Mutex::default(),
                 any_full: AtomicBool::new(false),
                 changed,
@@ -330,8 +336,8 @@ impl Doors {
     }
 }
 
-impl RemoteDoors for Doors {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor> {
+impl StubFactory for PeerStubs {
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         let gate = self.gate(&to.node);
         let gateway = self.gateway.get().cloned();
         Arc::new(Door { to, contract, gate, gateway })
@@ -342,26 +348,30 @@ impl RemoteDoors for Doors {
 struct Door {
     to: ObjectAddress,
     contract: ContractIdentity,
-    gate: Arc<Gate>,
-    gateway: Option<Recipient<Ship>>,
+    gate: Arc<PeerSendState>,
+    gateway: Option<Recipient<SendToPeer>>,
 }
 
-impl RemoteDoor for Door {
-    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
+impl RemoteStub for Door {
+    fn send(
+        &self,
+        message: GatherBuffer,
+        asked: Option<OutgoingRequest>,
+    ) -> Result<(), DeliveryError> {
         if message.len() > PAYLOAD_MAX {
-            return Err(Why::TooLargeForSession { limit: PAYLOAD_MAX });
+            return Err(DeliveryError::TooLargeForSession { limit: PAYLOAD_MAX });
         }
-        let freight = Freight::of(self.contract.delivery, message.len());
+        let freight = CreditClass::of(self.contract.delivery, message.len());
         self.gate.check(&self.to.object, freight)?;
-        let gateway = self.gateway.as_ref().ok_or(Why::Stopped)?;
-        let lent = self.gate.ways.lend(message.len(), freight);
+        let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
+        let lent = self.gate.ways.take_credit(message.len(), freight);
         let credit = lent.ok_or_else(|| self.gate.way_full(freight))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
-            Some(Asked { id, within, reply_to }) => (id, within, Some(reply_to)),
+            Some(OutgoingRequest { id, within, reply_to }) => (id, within, Some(reply_to)),
         };
-        gateway.do_send(Ship {
+        gateway.do_send(SendToPeer {
             to: self.to.clone(),
             contract: self.contract.clone(),
             id,
@@ -374,12 +384,15 @@ impl RemoteDoor for Door {
         Ok(())
     }
 
-    fn room<'a>(&'a self, refused: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         let load = match refused {
-            Why::WayFull { bulk: true, .. } => Load::Bulk,
-            _ => Load::Small,
+            DeliveryError::WayFull { bulk: true, .. } => SizeClass::Bulk,
+            _ => SizeClass::Small,
         };
-        let freight = Freight { delivery: self.contract.delivery, load };
+        let freight = CreditClass { delivery: self.contract.delivery, load };
         Box::pin(self.gate.room(&self.to.object, freight))
     }
 }
@@ -389,24 +402,24 @@ mod tests {
     use super::*;
     use blastema_doubles::{paused, settle};
 
-    const SMALL: Freight = Freight { delivery: Delivery::Reliable, load: Load::Small };
-    const BULK: Freight = Freight { load: Load::Bulk, ..SMALL };
-    const STOP: Freight = Freight { delivery: Delivery::Redundant, ..SMALL };
-    const NEWEST: Freight = Freight { delivery: Delivery::Newest, ..SMALL };
+    const SMALL: CreditClass = CreditClass { delivery: Delivery::Reliable, load: SizeClass::Small };
+    const BULK: CreditClass = CreditClass { load: SizeClass::Bulk, ..SMALL };
+    const STOP: CreditClass = CreditClass { delivery: Delivery::Redundant, ..SMALL };
+    const NEWEST: CreditClass = CreditClass { delivery: Delivery::Newest, ..SMALL };
 
-    fn gate() -> (Arc<Gate>, ObjectName) {
+    fn gate() -> (Arc<PeerSendState>, ObjectName) {
         let name = |name| NodeName::new(name).unwrap();
-        let gate = Doors::new(Outcast::new(name("module1"))).gate(&name("module2"));
+        let gate = PeerStubs::new(Outcast::new(name("module1"))).gate(&name("module2"));
         gate.begin();
         (gate, ObjectName::new("arm").unwrap())
     }
 
     /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
-    fn room(gate: &Gate) -> [bool; 4] {
+    fn room(gate: &PeerSendState) -> [bool; 4] {
         let object = ObjectName::new("arm").unwrap();
         [SMALL, BULK, STOP, NEWEST].map(|freight| {
             let checked = gate.check(&object, freight);
-            assert!(matches!(checked, Ok(()) | Err(Why::WayFull { .. })), "{checked:?}");
+            assert!(matches!(checked, Ok(()) | Err(DeliveryError::WayFull { .. })), "{checked:?}");
             checked.is_ok()
         })
     }
@@ -416,13 +429,13 @@ mod tests {
         let (gate, _) = gate();
         assert_eq!(room(&gate), [true; 4]);
 
-        gate.stream_is_full(Stream::Data, Load::Small);
-        gate.hall_is_full(Load::Small);
-        gate.hall_has_room(Load::Small);
+        gate.stream_is_full(Stream::Data, SizeClass::Small);
+        gate.hall_is_full(SizeClass::Small);
+        gate.hall_has_room(SizeClass::Small);
         assert_eq!(room(&gate), [false, false, true, true], "the session is full");
 
-        gate.hall_is_full(Load::Small);
-        gate.stream_has_room(Stream::Data, Load::Small);
+        gate.hall_is_full(SizeClass::Small);
+        gate.stream_has_room(Stream::Data, SizeClass::Small);
         assert_eq!(room(&gate), [false, false, false, true], "what waits is as much as should");
         assert!(!gate.is_open(SMALL));
 
@@ -433,44 +446,44 @@ mod tests {
     #[test]
     fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
         let (gate, _) = gate();
-        gate.stream_is_full(Stream::Data, Load::Small);
+        gate.stream_is_full(Stream::Data, SizeClass::Small);
         assert_eq!(room(&gate), [false, false, true, true], "a stop goes");
-        gate.stream_is_full(Stream::Redundant, Load::Small);
-        gate.stream_has_room(Stream::Data, Load::Small);
+        gate.stream_is_full(Stream::Redundant, SizeClass::Small);
+        gate.stream_has_room(Stream::Data, SizeClass::Small);
         assert_eq!(room(&gate), [true, true, false, true]);
-        gate.stream_is_full(Stream::Control, Load::Small);
+        gate.stream_is_full(Stream::Control, SizeClass::Small);
         assert_eq!(room(&gate), [false, false, false, true], "nothing could be bound");
     }
 
     #[test]
     fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
         let (gate, _) = gate();
-        let lent = gate.ways.lend(1 << 20, BULK);
+        let lent = gate.ways.take_credit(1 << 20, BULK);
         assert_eq!(room(&gate), [true, false, true, true], "it is on its way to the session");
         drop(lent);
         assert_eq!(room(&gate), [true; 4]);
 
-        gate.stream_is_full(Stream::Data, Load::Bulk);
+        gate.stream_is_full(Stream::Data, SizeClass::Bulk);
         assert_eq!(room(&gate), [true, false, true, true], "the session holds it");
-        gate.stream_has_room(Stream::Data, Load::Bulk);
-        gate.hall_is_full(Load::Bulk);
+        gate.stream_has_room(Stream::Data, SizeClass::Bulk);
+        gate.hall_is_full(SizeClass::Bulk);
         assert_eq!(room(&gate), [true, false, true, true], "it waits for bindings");
-        gate.hall_has_room(Load::Bulk);
+        gate.hall_has_room(SizeClass::Bulk);
         assert_eq!(room(&gate), [true; 4]);
     }
 
     #[test]
     fn a_full_object_and_a_full_way_are_told_apart() {
         let (gate, object) = gate();
-        gate.stream_is_full(Stream::Data, Load::Bulk);
+        gate.stream_is_full(Stream::Data, SizeClass::Bulk);
         let node = || "module2".to_owned();
-        let full = Why::WayFull { node: node(), bulk: true };
+        let full = DeliveryError::WayFull { node: node(), bulk: true };
         assert_eq!(gate.check(&object, BULK), Err(full));
         gate.object_is_full(object.clone());
-        assert_eq!(gate.check(&object, BULK), Err(Why::Full));
+        assert_eq!(gate.check(&object, BULK), Err(DeliveryError::Full));
         gate.object_has_room(&object);
-        gate.stream_is_full(Stream::Data, Load::Small);
-        let full = Why::WayFull { node: node(), bulk: false };
+        gate.stream_is_full(Stream::Data, SizeClass::Small);
+        let full = DeliveryError::WayFull { node: node(), bulk: false };
         assert_eq!(gate.check(&object, SMALL), Err(full));
     }
 
@@ -478,10 +491,10 @@ mod tests {
     fn an_event_that_is_not_sent_is_counted_under_what_hinders_it() {
         let (gate, _) = gate();
         for (condition, reason) in [
-            (Condition::Open, DeadReason::WayFull),
-            (Condition::Opening, DeadReason::Restarting),
-            (Condition::Unreachable, DeadReason::Unreachable),
-            (Condition::Left, DeadReason::Left),
+            (PeerCondition::Open, DeadReason::WayFull),
+            (PeerCondition::Opening, DeadReason::Restarting),
+            (PeerCondition::Unreachable, DeadReason::Unreachable),
+            (PeerCondition::Left, DeadReason::Left),
         ] {
             gate.set(condition);
             assert_eq!(gate.why_not(), reason);
@@ -494,18 +507,18 @@ mod tests {
     fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
         paused(async {
             let (gate, object) = gate();
-            gate.stream_is_full(Stream::Data, Load::Small);
-            gate.stream_is_full(Stream::Data, Load::Bulk);
+            gate.stream_is_full(Stream::Data, SizeClass::Small);
+            gate.stream_is_full(Stream::Data, SizeClass::Bulk);
             let [small, bulk] = [SMALL, BULK].map(|freight| {
                 let (gate, object) = (gate.clone(), object.clone());
                 actix_rt::spawn(async move { gate.room(&object, freight).await })
             });
             settle().await;
 
-            gate.stream_has_room(Stream::Data, Load::Small);
+            gate.stream_has_room(Stream::Data, SizeClass::Small);
             settle().await;
             assert!(small.is_finished() && !bulk.is_finished());
-            gate.stream_has_room(Stream::Data, Load::Bulk);
+            gate.stream_has_room(Stream::Data, SizeClass::Bulk);
             settle().await;
             assert!(bulk.is_finished());
         });

@@ -15,8 +15,8 @@ mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
 use crate::guardian::Guardian;
-use crate::host::arbiters::Arbiters;
-use crate::host::environment::{HostEnvironment, Reports};
+use crate::host::arbiters::ArbiterPool;
+use crate::host::environment::{ComponentEnvironment, FaultReports};
 use crate::host::spec::ChildSpec;
 use crate::{
     Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
@@ -27,20 +27,20 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::link::{CarrierChanged, LinkRow};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{Exited, FaultDeclared, FaultMended};
-use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared};
+use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
     Close, Cut, Direction, MediumAddress, Restore, Transport, TransportReport,
 };
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
-use blastema_core::net::isolation::Judges;
-use blastema_core::net::{LinkNumber, LinkState};
+use blastema_core::net::isolation::IsolationAuthority;
+use blastema_core::net::{LinkId, LinkState};
 use blastema_core::{
-    Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity, Why,
+    DeliveryError, Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity,
 };
 use blastema_doubles::{Probe, advance, paused, settle};
-use blastema_transports::{Faulty, FaultyConfig, Memory, MemoryConfig, MemoryMedium};
+use blastema_transports::{FaultInjector, FaultInjectorConfig, Memory, MemoryConfig, MemoryMedium};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -138,11 +138,11 @@ impl Handle<Fresh> for Acc {
 #[derive(Default)]
 struct Robot {
     medium: MemoryMedium,
-    cables: Vec<(String, Addr<Faulty>)>,
+    cables: Vec<(String, Addr<FaultInjector>)>,
 }
 
 struct Module {
-    host: HostEnvironment,
+    host: ComponentEnvironment,
     net: NetHandle,
     log: Log,
     child: Option<Box<dyn Child>>,
@@ -151,15 +151,16 @@ struct Module {
     nodes: Probe<NodeReported>,
     faults: Probe<Recover>,
     declared: Probe<FaultDeclared>,
-    mended: Probe<FaultMended>,
+    mended: Probe<DeclaredFaultCleared>,
 }
 
 impl Robot {
     /// A node with a component `acc`, and a cable for each network and neighbour.
     async fn module(&mut self, name: &str, life: u64, networks: &[(&str, &[&str])]) -> Module {
         let (declared, mended) = (Probe::start(), Probe::start());
-        let reports = Reports { faults: Some(declared.recipient()), ..Reports::default() };
-        let host = HostEnvironment::new(Arbiters::here(), reports);
+        let reports =
+            FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
+        let host = ComponentEnvironment::new(ArbiterPool::here(), reports);
         let exits = Probe::start();
         let (links, nodes) = (Probe::start(), Probe::start());
         let faults = Probe::replying(|_: &Recover| Confirmed);
@@ -171,8 +172,8 @@ impl Robot {
             });
             let end = format!("{network}/{name}");
             let memory = Memory::new(MemoryConfig::new(&self.medium, &end)).start();
-            let config = FaultyConfig::new(1, platform::now);
-            let cable = Faulty::new(Transport::from(memory), config).start();
+            let config = FaultInjectorConfig::new(1, platform::now);
+            let cable = FaultInjector::new(Transport::from(memory), config).start();
             self.cables.push((end, cable.clone()));
             NetworkSpec {
                 name: (*network).into(),
@@ -196,7 +197,7 @@ impl Robot {
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
             mended: Some(mended.recipient()),
-            judges: Judges::Majority,
+            judges: IsolationAuthority::Majority,
             envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
@@ -207,7 +208,7 @@ impl Robot {
         module
     }
 
-    fn cable(&self, end: &str) -> &Addr<Faulty> {
+    fn cable(&self, end: &str) -> &Addr<FaultInjector> {
         &self.cables.iter().rfind(|(name, _)| name == end).unwrap().1
     }
 

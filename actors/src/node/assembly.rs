@@ -5,40 +5,40 @@ mod chain;
 mod journal;
 mod networks;
 
-pub(super) use self::chain::Chain;
+pub(super) use self::chain::FaultChain;
 pub(super) use self::networks::Networks;
 
-use self::chain::{Parts, callbacks_of, make_chain, reports};
+use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
 use self::networks::{claims_setup, make_networks};
-use super::builder::{Configuration, NodeBuilder, Placement, StartError};
+use super::builder::{ActorPlacement, Configuration, NodeBuilder, StartError};
 use super::checks::{
     check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
-use super::keeper::{Keeper, StartRoot};
+use super::keeper::{NodeController, StartRoot};
 use super::network::Network;
-use super::tree::{Ground, Harvest, SupervisorSpec};
+use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 #[cfg(feature = "unix")]
-use super::window::{Show, Window};
+use super::window::{InspectionActor, StartInspection};
 use super::{Node, Root, Shared};
 use crate::chain::strategy::StrategyTable;
 use crate::chain::supervisor::SupervisorChild;
-use crate::host::arbiters::{ABANDONED_LIMIT, Arbiters};
-use crate::host::environment::{HostEnvironment, KEPT_VARIABLES};
+use crate::host::arbiters::{ABANDONED_LIMIT, ArbiterPool};
+use crate::host::environment::{ComponentEnvironment, KEPT_VARIABLES};
 use crate::host::spec::SpecError;
 use crate::host::watch as lookout;
-use crate::net::claims::ClaimsBody;
+use crate::net::claims::GlobalNamesActor;
 use crate::platform::systemd::Systemd;
 use crate::service::{Carried, ReplicaBody};
 use crate::{panics, platform};
 use actix::prelude::*;
-use blastema_contract::monitor::Enrol;
+use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::RestNode;
+use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::dependencies::Dependencies;
-use blastema_core::detection::hang::ScannerConfig;
-use blastema_core::detection::{Enrolment, ObjectKind, Watch};
-use blastema_core::net::isolation::Judges;
+use blastema_core::detection::hang::HangDetectorConfig;
+use blastema_core::detection::{Liveness, ObjectKind, Registration};
+use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::recovery::{Plan, Restart};
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
@@ -57,7 +57,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
         return Err(StartError::Runtime);
     }
     panics::install_hook();
-    let mut assembly = Assembly::begin(&mut builder)?;
+    let mut assembly = NodeAssembly::begin(&mut builder)?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in)?;
@@ -83,31 +83,31 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
 }
 
 /// What there is of a node so far. Where it does not come to be, its threads end.
-struct Assembly {
+struct NodeAssembly {
     node: NodeName,
     incarnation: Incarnation,
-    judges: Judges,
-    placement: Placement,
+    judges: IsolationAuthority,
+    placement: ActorPlacement,
     plan: Arc<Plan>,
-    parts: Parts,
-    environment: HostEnvironment,
+    parts: FaultChainParts,
+    environment: ComponentEnvironment,
     networks: Option<Networks>,
     /// All that is to be watched.
-    enrolments: Vec<Enrol>,
-    undone: Undone,
+    enrolments: Vec<Register>,
+    undone: StopOnFailure,
 }
 
 /// The tree, and what is in it.
-struct Planting {
+struct TreePreparation {
     root: SupervisorChild,
-    harvest: Harvest,
+    harvest: PreparedTree,
     dependencies: Dependencies,
 }
 
 /// The components of a node, each as an `ActorRef` of its type.
 type Actors = BTreeMap<ObjectName, Box<dyn Any + Send>>;
 
-impl Assembly {
+impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
     fn begin(builder: &mut NodeBuilder) -> Result<Self, StartError> {
         let named_so = StartError::name_of("the name of the node");
@@ -118,8 +118,8 @@ impl Assembly {
         check_settings(builder)?;
         check_networks(&builder.networks, &node)?;
         let arbiters = match builder.placement {
-            Placement::Threads { shared } => Arbiters::pool(shared),
-            Placement::ComponentsHere | Placement::Here => Arbiters::here(),
+            ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
+            ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
         };
         let parts = make_chain(builder, (&node, incarnation), &arbiters)?;
         for listener in builder.listeners.drain(..) {
@@ -127,9 +127,9 @@ impl Assembly {
         }
         let own = parts.chain.arbiter.iter().cloned().collect();
         let plan = Arc::new(std::mem::take(&mut builder.plan));
-        Ok(Assembly {
+        Ok(NodeAssembly {
             environment: environment(&parts, &node, &plan, arbiters.clone()),
-            undone: Undone { arbiters, own, kept: false },
+            undone: StopOnFailure { arbiters, own, kept: false },
             placement: builder.placement,
             networks: None,
             enrolments: callbacks_of(builder),
@@ -172,7 +172,7 @@ impl Assembly {
         if networks.is_empty() {
             let setup = claims_setup(who, &self.parts, &self.environment);
             let arbiter = self.parts.chain.arbiter.as_ref();
-            let claims = ClaimsBody::start(setup, &self.parts.guardian, arbiter);
+            let claims = GlobalNamesActor::start(setup, &self.parts.guardian, arbiter);
             self.enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
             return Ok(());
         }
@@ -192,8 +192,8 @@ impl Assembly {
         root: SupervisorSpec,
         own_kinds: &[FaultKind],
         strategies: &StrategyTable,
-    ) -> Result<Planting, StartError> {
-        let ground = Ground {
+    ) -> Result<TreePreparation, StartError> {
+        let ground = TreeEnvironment {
             environment: &self.environment,
             guardian: &self.parts.guardian,
             arbiter: self.parts.chain.arbiter.as_ref(),
@@ -201,13 +201,13 @@ impl Assembly {
             directory: self.parts.directory.clone(),
             plan: &self.plan,
         };
-        let mut harvest = Harvest::default();
+        let mut harvest = PreparedTree::default();
         let root = root.plant(&ground, &mut harvest)?;
         let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
         self.plan.check(names, own_kinds, strategies.names())?;
         let dependencies = dependencies(&self.node, &harvest);
         dependencies.check()?;
-        Ok(Planting { root, harvest, dependencies })
+        Ok(TreePreparation { root, harvest, dependencies })
     }
 
     fn carry_services(
@@ -234,7 +234,7 @@ impl Assembly {
     }
 
     fn keep_leases(&mut self) {
-        let (name, Parts { guardian, chain, .. }) = (named("leases"), &self.parts);
+        let (name, FaultChainParts { guardian, chain, .. }) = (named("leases"), &self.parts);
         let actuators = &self.environment.actuators;
         let leases = actuators.start(name.clone(), guardian, chain.arbiter.as_ref());
         self.enrolments.push(middleware(name, Some(leases)));
@@ -242,17 +242,17 @@ impl Assembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    fn make_window(&mut self, path: Option<PathBuf>) -> Option<Addr<Window>> {
-        let (name, Parts { guardian, chain, state, .. }) = (named("window"), &self.parts);
-        let window = Window::new(path?, state.clone(), self.environment.reports.clone());
+    fn make_window(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
+        let (name, FaultChainParts { guardian, chain, state, .. }) = (named("window"), &self.parts);
+        let window = InspectionActor::new(path?, state.clone(), self.environment.reports.clone());
         let place = chain.arbiter.as_ref();
-        let window = guardian.start(name.clone(), place, |_: &mut Context<Window>| window);
+        let window = guardian.start(name.clone(), place, |_: &mut Context<InspectionActor>| window);
         self.enrolments.push(middleware(name, Some(window.clone().recipient())));
         Some(window)
     }
 
     /// From here on everything is watched.
-    async fn enrol_all(&mut self, harvest: Harvest) -> Result<Actors, StartError> {
+    async fn enrol_all(&mut self, harvest: PreparedTree) -> Result<Actors, StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
         let chain = self.parts.chain.inquiries.iter().cloned();
         let inquiries = chain.chain(harvest.supervisors);
@@ -279,13 +279,13 @@ impl Assembly {
 
     /// Looks at arbiters and components from now on, also while they are stuck.
     fn look_out(&self, grace: Duration) -> Result<(), StartError> {
-        let config = ScannerConfig { grace, ..ScannerConfig::default() };
+        let config = HangDetectorConfig { grace, ..HangDetectorConfig::default() };
         let list = self.environment.watch_list.clone();
         let (threads, sighted) =
             (self.environment.arbiters.clone(), self.parts.monitor.clone().recipient());
         self.parts.chain.look_out(Some(match self.placement {
-            Placement::Here => lookout::start_task(list, threads, config, sighted),
-            Placement::Threads { .. } | Placement::ComponentsHere => {
+            ActorPlacement::Here => lookout::start_task(list, threads, config, sighted),
+            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
                 lookout::start_thread(list, threads, config, sighted)?
             }
         }));
@@ -297,7 +297,7 @@ impl Assembly {
     /// Watches the chain from outside, and lets the watchdogs of the process depend on it.
     fn watch_chain(&self, wanted: ProcessWatchdogs) -> Result<Option<Systemd>, StartError> {
         let (manager, watchdogs) = wanted.open().map_err(StartError::ProcessWatchdog)?;
-        if self.placement != Placement::Here {
+        if self.placement != ActorPlacement::Here {
             self.parts.watch_chain(&self.node, watchdogs)?;
         }
         Ok(manager)
@@ -310,9 +310,9 @@ impl Assembly {
         dependencies: Dependencies,
         actors: Actors,
         systemd: Option<Systemd>,
-    ) -> Beginning {
+    ) -> StartingNode {
         self.undone.kept = true;
-        let Parts { chain, keeper, state, directory, .. } = self.parts;
+        let FaultChainParts { chain, keeper, state, directory, .. } = self.parts;
         self.environment.declare_complaints();
         let shared = Shared {
             name: self.node,
@@ -331,22 +331,22 @@ impl Assembly {
             systemd,
             safe: AtomicBool::new(false),
         };
-        Beginning { node: Node(Arc::new(shared)), keeper }
+        StartingNode { node: Node(Arc::new(shared)), keeper }
     }
 }
 
 /// A node none of whose components is at work yet.
-struct Beginning {
+struct StartingNode {
     node: Node,
-    keeper: Addr<Keeper>,
+    keeper: Addr<NodeController>,
 }
 
-impl Beginning {
+impl StartingNode {
     #[cfg(feature = "unix")]
-    async fn open(&self, window: Option<Addr<Window>>) -> Result<(), StartError> {
+    async fn open(&self, window: Option<Addr<InspectionActor>>) -> Result<(), StartError> {
         let Some(window) = window else { return Ok(()) };
         // The fault chain's mailboxes close only when the node has ended.
-        let shown = window.send(Show::node(&self.node)).await.unwrap_or(Ok(()));
+        let shown = window.send(StartInspection::node(&self.node)).await.unwrap_or(Ok(()));
         shown.map_err(StartError::Shown)
     }
 
@@ -363,21 +363,26 @@ impl Beginning {
 }
 
 /// What every component of the node is given.
-fn environment(parts: &Parts, node: &NodeName, plan: &Plan, arbiters: Arbiters) -> HostEnvironment {
+fn environment(
+    parts: &FaultChainParts,
+    node: &NodeName,
+    plan: &Plan,
+    arbiters: ArbiterPool,
+) -> ComponentEnvironment {
     let reports = reports(&parts.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
     let fault_codes = Arc::new(plan.codes());
-    let general = HostEnvironment::new(arbiters, reports);
-    HostEnvironment { registry, fault_codes, actuators, ..general }
+    let general = ComponentEnvironment::new(arbiters, reports);
+    ComponentEnvironment { registry, fault_codes, actuators, ..general }
 }
 
 fn enrolment(
     node: &NodeName,
     name: &ObjectName,
     depends_on: &[String],
-) -> Result<Enrol, NameError> {
+) -> Result<Register, NameError> {
     let address = |text: &String| match text.contains(':') {
         true => text.parse(),
         false => Ok(ObjectAddress::new(node.clone(), ObjectName::new(text)?)),
@@ -386,19 +391,19 @@ fn enrolment(
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
     // A component's signs of life are stamps, which the lookout reads: no message is sent for them.
     let unborn = Incarnation::default();
-    let enrolment = Enrolment::new(name.clone()).incarnation(unborn).depends_on(depends_on);
-    Ok(Enrol { enrolment, inquiries: None })
+    let enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
+    Ok(Register { enrolment, inquiries: None })
 }
 
 /// An object of the middleware. It answers in microseconds; that it did not for several seconds is no
-/// matter of load, and ends in the node's safe rest.
-fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> Enrol {
+/// matter of load, and ends in the node's safe state.
+fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> Register {
     let watch = match inquiries {
-        Some(_) => Watch::pull(Duration::from_secs(1), Duration::from_secs(3)),
-        None => Watch::Guard,
+        Some(_) => Liveness::pull(Duration::from_secs(1), Duration::from_secs(3)),
+        None => Liveness::Guard,
     };
-    let enrolment = Enrolment::new(name).kind(ObjectKind::Middleware).watch(watch);
-    Enrol { enrolment, inquiries }
+    let enrolment = Registration::new(name).kind(ObjectKind::Middleware).watch(watch);
+    Register { enrolment, inquiries }
 }
 
 fn named(name: &str) -> ObjectName {
@@ -406,7 +411,11 @@ fn named(name: &str) -> ObjectName {
 }
 
 /// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
-fn rest_when_threads_run_out(threads: &Arbiters, node: &NodeName, rest: Recipient<RestNode>) {
+fn rest_when_threads_run_out(
+    threads: &ArbiterPool,
+    node: &NodeName,
+    rest: Recipient<EnterSafeState>,
+) {
     let node = node.clone();
     threads.on_abandoned(Box::new(move |count| {
         if count < ABANDONED_LIMIT {
@@ -414,18 +423,18 @@ fn rest_when_threads_run_out(threads: &Arbiters, node: &NodeName, rest: Recipien
         }
         let reason = format!("{count} threads hang for good; begin the process anew");
         let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
-        rest.do_send(RestNode { fault, reason });
+        rest.do_send(EnterSafeState { fault, reason });
     }));
 }
 
 /// Ends the threads of a node that does not come to be.
-struct Undone {
-    arbiters: Arbiters,
+struct StopOnFailure {
+    arbiters: ArbiterPool,
     own: Vec<ArbiterHandle>,
     kept: bool,
 }
 
-impl Drop for Undone {
+impl Drop for StopOnFailure {
     fn drop(&mut self) {
         if !self.kept {
             self.arbiters.stop();
@@ -437,10 +446,10 @@ impl Drop for Undone {
 }
 
 /// Whose word isolates a node.
-fn judges(wardens: &[String]) -> Result<Judges, NameError> {
+fn judges(wardens: &[String]) -> Result<IsolationAuthority, NameError> {
     if wardens.is_empty() {
-        return Ok(Judges::Majority);
+        return Ok(IsolationAuthority::Majority);
     }
     let wardens = wardens.iter().map(|name| NodeName::new(name));
-    Ok(Judges::Wardens(wardens.collect::<Result<_, _>>()?))
+    Ok(IsolationAuthority::Named(wardens.collect::<Result<_, _>>()?))
 }

@@ -1,17 +1,17 @@
 //! How a node is described.
 
 use super::Node;
-use super::faults::{FaultEvents, Listener};
+use super::faults::{FaultEvents, FaultListener};
 use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
 use super::watchdogs::ProcessWatchdogs;
 use crate::chain::callbacks::CALLBACK_LIMIT;
-use crate::chain::strategy::{Apply, RecoveryStrategy, StrategyTable};
+use crate::chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
-use blastema_core::detection::EnrolError;
+use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind, NameError, ObjectName};
@@ -42,7 +42,7 @@ pub enum StartError {
     Plan(#[from] PlanError),
     /// An object cannot be watched as its spec says.
     #[error(transparent)]
-    Watch(#[from] EnrolError),
+    Watch(#[from] RegistrationError),
     /// A component depends on what does not exist, or on itself, perhaps by way of others.
     #[error(transparent)]
     Dependency(#[from] DependencyError),
@@ -136,7 +136,7 @@ pub(super) enum Configuration {
 
 /// Where a node's actors live.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Placement {
+pub(super) enum ActorPlacement {
     /// On threads of the node's own; so many of them are shared by components.
     Threads { shared: usize },
     /// The fault chain on a thread of its own, components on the thread that starts the node.
@@ -153,8 +153,8 @@ pub struct NodeBuilder {
     pub(super) plan: Plan,
     pub(super) own_kinds: Vec<FaultKind>,
     pub(super) strategies: StrategyTable,
-    pub(super) safe_outputs: Option<Apply>,
-    pub(super) placement: Placement,
+    pub(super) safe_outputs: Option<ApplyOutputs>,
+    pub(super) placement: ActorPlacement,
     pub(super) grace: Duration,
     pub(super) callback_limit: Duration,
     pub(super) process_watchdogs: ProcessWatchdogs,
@@ -162,7 +162,7 @@ pub struct NodeBuilder {
     pub(super) networks: Vec<Network>,
     pub(super) services: Vec<Result<Carried, StartError>>,
     pub(super) wardens: Vec<String>,
-    pub(super) listeners: Vec<Listener>,
+    pub(super) listeners: Vec<FaultListener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) parameters: Vec<Configuration>,
@@ -198,7 +198,7 @@ impl NodeBuilder {
             own_kinds: Vec::new(),
             strategies: StrategyTable::default(),
             safe_outputs: None,
-            placement: Placement::Threads { shared: cores },
+            placement: ActorPlacement::Threads { shared: cores },
             // Twenty beats: a handler that was merely slow has come back by then.
             grace: Duration::from_millis(200),
             callback_limit: CALLBACK_LIMIT,
@@ -251,7 +251,7 @@ impl NodeBuilder {
     }
 
     /// What is done when restarts directly under the root exceed the [`intensity`](Self::intensity): that
-    /// child is stopped, unless this says that the node comes to safe rest.
+    /// child is stopped, unless this says that the node enters the safe state.
     pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
         self.root = self.root.when_exceeded(when_exceeded);
         self
@@ -294,12 +294,12 @@ impl NodeBuilder {
     }
 
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
-    /// [`picture`](Node::picture) as JSON, and the end. Only processes of the same user may look, and
-    /// nothing can be changed from there. It can be seen from the start on, and at safe rest.
+    /// [`picture`](Node::snapshot) as JSON, and the end. Only processes of the same user may look, and
+    /// nothing can be changed from there. It can be seen from the start on, and in the safe state.
     ///
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
     #[cfg(feature = "unix")]
-    pub fn shown_at(mut self, path: impl Into<PathBuf>) -> Self {
+    pub fn inspection_socket(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());
         self
     }
@@ -352,7 +352,7 @@ impl NodeBuilder {
         self
     }
 
-    /// What is done with the robot's outputs when something comes to safe rest: brakes on, power off.
+    /// What is done with the robot's outputs when something enters the safe state: brakes on, power off.
     /// It is called with the fault, for an object as for the whole node, on a thread of its own, one call after the
     /// other. A call that takes longer than [`callback_limit`](NodeBuilder::callback_limit) is a fault of
     /// `safe-outputs`; the fault chain then goes on without it.
@@ -410,7 +410,7 @@ impl NodeBuilder {
 
     /// So many arbiters are shared by components, 1 to 1024. One per core, unless this says otherwise.
     pub fn work_threads(mut self, shared: usize) -> Self {
-        self.placement = Placement::Threads { shared };
+        self.placement = ActorPlacement::Threads { shared };
         self
     }
 
@@ -424,14 +424,14 @@ impl NodeBuilder {
     /// Runs the components on the thread that starts the node, beside other tasks of that thread; a
     /// component that hangs takes them along.
     pub fn components_on_this_thread(mut self) -> Self {
-        self.placement = Placement::ComponentsHere;
+        self.placement = ActorPlacement::ComponentsHere;
         self
     }
 
     /// Runs everything on the thread that starts the node and under its clock: for tests in virtual
     /// time. A component that hangs cannot be recovered there.
     pub fn on_this_thread(mut self) -> Self {
-        self.placement = Placement::Here;
+        self.placement = ActorPlacement::Here;
         self
     }
 

@@ -1,8 +1,8 @@
 //! What can be known to be wrong with a description before anything is started.
 
-use super::builder::{NodeBuilder, Placement, StartError};
+use super::builder::{ActorPlacement, NodeBuilder, StartError};
 use super::network::Network;
-use super::tree::Harvest;
+use super::tree::PreparedTree;
 use crate::registry::NameTaken;
 use crate::service::Carried;
 use blastema_core::detection::dependencies::{Dependencies, DependencyError, circle};
@@ -15,7 +15,7 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Who needs whom of the objects of this node.
-pub(super) fn dependencies(node: &NodeName, harvest: &Harvest) -> Dependencies {
+pub(super) fn dependencies(node: &NodeName, harvest: &PreparedTree) -> Dependencies {
     let mut objects = Dependencies::of(node.clone());
     harvest.supervisors.iter().for_each(|(name, _)| objects.enter(name.clone(), &[]));
     for facts in &harvest.components {
@@ -61,7 +61,7 @@ const CALLBACK_LIMITS: RangeInclusive<Duration> =
 /// Every number and name that is the node's own makes sense.
 pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |setting, value, cure| Err(StartError::Setting { setting, value, cure });
-    if let Placement::Threads { shared } = builder.placement
+    if let ActorPlacement::Threads { shared } = builder.placement
         && !THREADS.contains(&shared)
     {
         let cure = "write 1 to 1024, or leave it out for one per core";
@@ -92,7 +92,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
 fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
     let wrong = |reason: String| Err(StartError::ProcessWatchdog(reason));
     let watchdogs = &builder.process_watchdogs;
-    if watchdogs.are_described() && builder.placement == Placement::Here {
+    if watchdogs.are_described() && builder.placement == ActorPlacement::Here {
         return wrong(
             "a node all of which runs on one thread cannot be watched: leave \
              on_this_thread() or the watchdogs out"

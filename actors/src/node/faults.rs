@@ -1,6 +1,6 @@
 //! The history of faults, as it happens.
 
-use super::{NodeState, Step, Subscriptions};
+use super::{FaultSubscriptions, NodeState, Step};
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, Subscribe};
 use std::sync::Arc;
@@ -25,22 +25,22 @@ pub struct FaultEvents {
 
 /// Lives as long as the detector knows it and somebody reads.
 #[derive(Debug)]
-pub(super) struct Listener {
+pub(super) struct FaultListener {
     events: mpsc::Sender<Step>,
     missed: Arc<AtomicU64>,
 }
 
-impl Listener {
-    pub(super) fn listen(self, detector: &Subscriptions) {
+impl FaultListener {
+    pub(super) fn listen(self, detector: &FaultSubscriptions) {
         detector.do_send(Subscribe(self.start().recipient()));
     }
 }
 
-impl Actor for Listener {
+impl Actor for FaultListener {
     type Context = Context<Self>;
 }
 
-impl Handler<FaultEvent> for Listener {
+impl Handler<FaultEvent> for FaultListener {
     type Result = ();
 
     fn handle(&mut self, event: FaultEvent, context: &mut Context<Self>) {
@@ -57,14 +57,17 @@ impl Handler<FaultEvent> for Listener {
 
 impl FaultEvents {
     /// Events of a node in this state, and who is to hear them.
-    pub(super) fn open(state: watch::Receiver<NodeState>) -> (Self, Listener) {
+    pub(super) fn open(state: watch::Receiver<NodeState>) -> (Self, FaultListener) {
         let (sender, events) = mpsc::channel(BACKLOG);
         let missed = Arc::new(AtomicU64::new(0));
-        let listener = Listener { events: sender, missed: missed.clone() };
+        let listener = FaultListener { events: sender, missed: missed.clone() };
         (FaultEvents { events, missed, state }, listener)
     }
 
-    pub(super) fn subscribe(detector: &Subscriptions, state: watch::Receiver<NodeState>) -> Self {
+    pub(super) fn subscribe(
+        detector: &FaultSubscriptions,
+        state: watch::Receiver<NodeState>,
+    ) -> Self {
         let (events, listener) = FaultEvents::open(state);
         listener.listen(detector);
         events

@@ -1,7 +1,7 @@
 //! Keeping another node out by hand, and letting it in again.
 
 use super::Node;
-use blastema_core::net::isolation::{Decision, NoSay};
+use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
 use blastema_core::suggestion::nearest;
 use blastema_core::{NameError, NodeName};
 
@@ -54,7 +54,7 @@ fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
 
 impl Node {
     /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and nothing is
-    /// sent there ([`Why::Isolated`](crate::Why::Isolated)). The others follow if this node is a
+    /// sent there ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). The others follow if this node is a
     /// [warden](crate::NodeBuilder::warden), or when more than half of the nodes have said so. A node that is
     /// away is told when it is back.
     ///
@@ -82,10 +82,10 @@ impl Node {
         let networks = self.0.networks.as_ref().filter(|networks| networks.know(&node));
         let Some(networks) = networks else { return Err(self.unknown(node)) };
         let cause = "the application says so";
-        match networks.handle.decide(Decision { node: &node, isolated, cause }) {
+        match networks.handle.decide(IsolationDecision { node: &node, isolated, cause }) {
             Ok(()) => Ok(()),
-            Err(NoSay::Oneself) => Err(IsolateError::Oneself { node }),
-            Err(NoSay::TooMany { limit }) => Err(IsolateError::TooMany { node, limit }),
+            Err(VoteRefused::Oneself) => Err(IsolateError::Oneself { node }),
+            Err(VoteRefused::TooMany { limit }) => Err(IsolateError::TooMany { node, limit }),
         }
     }
 

@@ -1,4 +1,4 @@
-//! The keeper: it starts the root supervisor, ends it, brings the whole node to safe rest, and back.
+//! The keeper: it starts the root supervisor, ends it, brings the whole node to the safe state, and back.
 //!
 //! ```text
 //!  Down ─ start ─► Up ─ stop, rest ─► Ending ─► Down ─ restart, from rest only ─► Up
@@ -7,13 +7,13 @@
 
 use crate::chain::strategy::SafeOutputs;
 use crate::guardian::answers_the_monitor;
-use crate::lease::Yard;
+use crate::lease::ActuatorTable;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::monitor::NodeReported;
-use blastema_contract::recoverer::NodeRests;
-use blastema_contract::strategy::RestNode;
+use blastema_contract::recoverer::SafeStateChanged;
+use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::NodeCondition;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
 use tokio::sync::{oneshot, watch};
@@ -28,7 +28,7 @@ pub enum NodeState {
     Running,
     /// Something could not be contained, or was restarted more often than the root allows: the safe
     /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart) brings it back.
-    AtRest {
+    InSafeState {
         /// Why.
         reason: String,
     },
@@ -41,7 +41,7 @@ pub enum NodeState {
 #[rtype(result = "Result<(), String>")]
 pub(super) struct StartRoot(pub(super) Box<dyn Child>);
 
-/// From the node: start the root once more, from safe rest. Answered likewise.
+/// From the node: start the root once more, from safe state. Answered likewise.
 #[derive(Message)]
 #[rtype(result = "Result<(), RestartRefused>")]
 pub(super) struct RestartRoot;
@@ -66,23 +66,23 @@ pub(super) struct Shutdown;
 /// that want to know.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct TellRest(pub(super) Recipient<NodeRests>);
+pub(super) struct SubscribeSafeState(pub(super) Recipient<SafeStateChanged>);
 
 /// What the keeper is made of.
-pub(super) struct KeeperSetup {
+pub(super) struct NodeControllerSetup {
     pub(super) node: NodeName,
     /// The node's own.
     pub(super) incarnation: Incarnation,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) safe_outputs: SafeOutputs,
     /// Nobody commands at rest.
-    pub(super) actuators: Yard,
+    pub(super) actuators: ActuatorTable,
     /// Is told of this node as of others.
     pub(super) nodes: Recipient<NodeReported>,
 }
 
-pub(super) struct Keeper {
-    setup: KeeperSetup,
+pub(super) struct NodeController {
+    setup: NodeControllerSetup,
     root: Option<Box<dyn Child>>,
     /// The root's.
     life: Incarnation,
@@ -97,7 +97,7 @@ pub(super) struct Keeper {
     started: Vec<oneshot::Sender<Result<(), String>>>,
     /// Who waits for the end; as many as have called `shutdown`.
     ended: Vec<oneshot::Sender<()>>,
-    told: Vec<Recipient<NodeRests>>,
+    told: Vec<Recipient<SafeStateChanged>>,
 }
 
 /// What the root's children do.
@@ -111,9 +111,9 @@ enum Phase {
     Ending,
 }
 
-impl Keeper {
-    pub(super) fn new(setup: KeeperSetup) -> Self {
-        Keeper {
+impl NodeController {
+    pub(super) fn new(setup: NodeControllerSetup) -> Self {
+        NodeController {
             setup,
             root: None,
             life: Incarnation::default(),
@@ -132,7 +132,7 @@ impl Keeper {
     }
 
     fn rests(&self) -> bool {
-        matches!(self.state(), NodeState::AtRest { .. })
+        matches!(self.state(), NodeState::InSafeState { .. })
     }
 
     fn begin(&mut self, context: &mut Context<Self>) {
@@ -190,9 +190,9 @@ impl Keeper {
 
     fn tell_rest(&self, reason: Option<&str>) {
         let reason = reason.map(str::to_owned);
-        let rests = NodeRests { reason: reason.clone() };
+        let rests = SafeStateChanged { reason: reason.clone() };
         self.told.iter().for_each(|told| told.do_send(rests.clone()));
-        let KeeperSetup { node, incarnation, nodes, .. } = &self.setup;
+        let NodeControllerSetup { node, incarnation, nodes, .. } = &self.setup;
         let (node, incarnation) = (node.clone(), *incarnation);
         let condition = match reason {
             Some(reason) => NodeCondition::AtRest { reason },
@@ -205,7 +205,7 @@ impl Keeper {
         if self.comes_to_rest || self.rests() || self.state() == NodeState::Stopped {
             return;
         }
-        info!(reason, "the node comes to safe rest");
+        info!(reason, "the node enters the safe state");
         self.comes_to_rest = true;
         let mut applied = self.setup.safe_outputs.rest(fault);
         self.setup.actuators.rest();
@@ -224,35 +224,35 @@ impl Keeper {
         if self.state() != NodeState::Stopped {
             self.tell_rest(Some(&reason));
             // Listeners see the reason before the last component has stopped.
-            self.setup.state.send_replace(NodeState::AtRest { reason: reason.clone() });
+            self.setup.state.send_replace(NodeState::InSafeState { reason: reason.clone() });
             self.end();
         }
         self.tell_started(&Err(reason));
     }
 }
 
-answers_the_monitor!(Keeper);
+answers_the_monitor!(NodeController);
 
-impl Actor for Keeper {
+impl Actor for NodeController {
     type Context = Context<Self>;
 }
 
-impl Supervised for Keeper {
+impl Supervised for NodeController {
     fn restarting(&mut self, _: &mut Context<Self>) {
         // What waited for the safe outputs went with the panic.
         self.comes_to_rest = false;
     }
 }
 
-impl Handler<TellRest> for Keeper {
+impl Handler<SubscribeSafeState> for NodeController {
     type Result = ();
 
-    fn handle(&mut self, TellRest(told): TellRest, _: &mut Context<Self>) {
+    fn handle(&mut self, SubscribeSafeState(told): SubscribeSafeState, _: &mut Context<Self>) {
         self.told.push(told);
     }
 }
 
-impl Handler<StartRoot> for Keeper {
+impl Handler<StartRoot> for NodeController {
     type Result = ResponseFuture<Result<(), String>>;
 
     fn handle(&mut self, message: StartRoot, context: &mut Context<Self>) -> Self::Result {
@@ -262,7 +262,7 @@ impl Handler<StartRoot> for Keeper {
         self.root = Some(root);
         match self.state() {
             // Something could not be contained before anything had begun.
-            NodeState::AtRest { reason } => self.tell_started(&Err(reason)),
+            NodeState::InSafeState { reason } => self.tell_started(&Err(reason)),
             _ => self.begin(context),
         }
         Box::pin(async move {
@@ -271,14 +271,14 @@ impl Handler<StartRoot> for Keeper {
     }
 }
 
-impl Handler<RestartRoot> for Keeper {
+impl Handler<RestartRoot> for NodeController {
     type Result = ResponseFuture<Result<(), RestartRefused>>;
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
             // It is at rest until the last ones have ended; its threads end next.
             _ if self.closed => Some(RestartRefused::ShutDown),
-            NodeState::AtRest { .. } => None,
+            NodeState::InSafeState { .. } => None,
             state => Some(RestartRefused::NotAtRest(state)),
         };
         if let Some(refused) = refused {
@@ -298,7 +298,7 @@ impl Handler<RestartRoot> for Keeper {
     }
 }
 
-impl Handler<ChildReport> for Keeper {
+impl Handler<ChildReport> for NodeController {
     type Result = ();
 
     fn handle(&mut self, report: ChildReport, context: &mut Context<Self>) {
@@ -332,17 +332,17 @@ impl Handler<ChildReport> for Keeper {
     }
 }
 
-impl Handler<RestNode> for Keeper {
+impl Handler<EnterSafeState> for NodeController {
     type Result = ();
 
-    fn handle(&mut self, message: RestNode, context: &mut Context<Self>) {
-        let RestNode { fault, reason } = message;
+    fn handle(&mut self, message: EnterSafeState, context: &mut Context<Self>) {
+        let EnterSafeState { fault, reason } = message;
         let reason = format!("{} of {}: {reason}", fault.kind, fault.place);
         self.rest(&fault, reason, context);
     }
 }
 
-impl Handler<Shutdown> for Keeper {
+impl Handler<Shutdown> for NodeController {
     type Result = ResponseFuture<()>;
 
     fn handle(&mut self, _: Shutdown, _: &mut Context<Self>) -> Self::Result {
@@ -365,32 +365,32 @@ impl Handler<Shutdown> for Keeper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chain::scripted::{Answer, Script};
+    use crate::chain::scripted::{Script, ScriptedReply};
     use blastema_core::ObjectName;
     use blastema_doubles::{Probe, paused, settle};
 
     /// A keeper whose root starts, ends or hangs as a script says.
     struct Rig {
-        keeper: Addr<Keeper>,
+        keeper: Addr<NodeController>,
         script: Script,
         state: watch::Receiver<NodeState>,
         _nodes: Probe<NodeReported>,
     }
 
     impl Rig {
-        fn start(answers: &[(&str, Answer)]) -> Self {
+        fn start(answers: &[(&str, ScriptedReply)]) -> Self {
             let (state, seen) = watch::channel(NodeState::Starting);
             let (script, nodes) = (Script::default(), Probe::<NodeReported>::start());
-            let setup = KeeperSetup {
+            let setup = NodeControllerSetup {
                 node: NodeName::new("n").unwrap(),
                 incarnation: Incarnation(1),
                 state,
                 safe_outputs: SafeOutputs::default(),
-                actuators: Yard::default(),
+                actuators: ActuatorTable::default(),
                 nodes: nodes.recipient(),
             };
             answers.iter().for_each(|(call, answer)| script.answer(call, &[*answer]));
-            let keeper = Keeper::new(setup).start();
+            let keeper = NodeController::new(setup).start();
             keeper.do_send(StartRoot(script.child("root")));
             Rig { keeper, script, state: seen, _nodes: nodes }
         }
@@ -398,7 +398,7 @@ mod tests {
         fn rest(&self) {
             let node = NodeName::new("n").unwrap();
             let fault = Fault::of_node(node, FaultKind::Panic, "why".into(), platform::now());
-            self.keeper.do_send(RestNode { fault, reason: "it panics".into() });
+            self.keeper.do_send(EnterSafeState { fault, reason: "it panics".into() });
         }
 
         /// The root says so, of its first life.
@@ -411,12 +411,12 @@ mod tests {
     #[test]
     fn a_node_that_is_told_to_stop_while_its_last_ones_end_is_not_started_once_more() {
         paused(async {
-            let rig = Rig::start(&[("stop root", Answer::Hangs)]);
+            let rig = Rig::start(&[("stop root", ScriptedReply::Hangs)]);
             settle().await;
             rig.rest();
             let closed = tokio::task::spawn_local(rig.keeper.send(Shutdown));
             settle().await;
-            assert!(matches!(*rig.state.borrow(), NodeState::AtRest { .. }), "one still ends");
+            assert!(matches!(*rig.state.borrow(), NodeState::InSafeState { .. }), "one still ends");
 
             let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
             settle().await;
@@ -433,7 +433,7 @@ mod tests {
     #[test]
     fn who_asks_for_the_next_life_is_not_told_of_the_one_before() {
         paused(async {
-            let late = [("start root", Answer::Hangs), ("stop root", Answer::Hangs)];
+            let late = [("start root", ScriptedReply::Hangs), ("stop root", ScriptedReply::Hangs)];
             let rig = Rig::start(&late);
             settle().await;
             rig.rest();

@@ -31,17 +31,17 @@ pub use faults::FaultEvents;
 pub use isolation::IsolateError;
 pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
-pub use picture::Picture;
+pub use picture::NodeSnapshot;
 pub use restart::RestartError;
 pub use tree::SupervisorSpec;
 
-use crate::chain::directory::Directory;
+use crate::chain::directory::SupervisorDirectory;
 use crate::chain::supervisor::SupervisorChild;
 use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::component::Component;
-use crate::host::environment::HostEnvironment;
+use crate::host::environment::ComponentEnvironment;
 use crate::host::injection::Injection;
-use crate::host::office::DeadLetterOffice;
+use crate::host::office::DeadLetterLog;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::host::threads::{self, ThreadRow};
 use crate::host::watch::Running;
@@ -53,20 +53,20 @@ use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
-use assembly::{Chain, Networks};
+use assembly::{FaultChain, Networks};
 use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
 use blastema_contract::link::LinkRow;
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::naming::NodeRow;
-use blastema_contract::router::PanicOnPurpose;
+use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
-use blastema_contract::supervisor::{AddChild, Branch, ReadTree, RemoveChild};
+use blastema_contract::supervisor::{AddChild, ReadTree, RemoveChild, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
-use blastema_core::detection::{Record, Row};
-use blastema_core::global_name::Wanted;
+use blastema_core::detection::{FaultRecord, MonitorRow};
+use blastema_core::global_name::ClaimRequest;
 use blastema_core::net::{Refusals, Route};
 use blastema_core::{
-    Contract, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable, Why,
+    Contract, DeliveryError, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable,
 };
 use keeper::{RestartRoot, Shutdown};
 use std::any::Any;
@@ -79,7 +79,7 @@ use tokio::sync::watch;
 use tracing::warn;
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
-/// it comes to safe rest, from where [`restart`](Node::restart) brings it back.
+/// it enters the safe state, from where [`restart`](Node::restart) brings it back.
 ///
 /// Where the last clone is dropped without a shutdown, as where `main` returns an error or panics, the
 /// [safe outputs](NodeBuilder::safe_outputs) are applied, actuators get their safe commands, and a line on standard
@@ -106,13 +106,13 @@ pub struct Node(Arc<Shared>);
 struct Shared {
     name: NodeName,
     incarnation: Incarnation,
-    environment: HostEnvironment,
-    chain: Chain,
+    environment: ComponentEnvironment,
+    chain: FaultChain,
     networks: Option<Networks>,
     root: Root,
     shutdown: Recipient<Shutdown>,
     restart: Recipient<RestartRoot>,
-    directory: Directory,
+    directory: SupervisorDirectory,
     state: watch::Receiver<NodeState>,
     actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
     dependencies: Mutex<Dependencies>,
@@ -166,7 +166,7 @@ impl Node {
         self.0.state.borrow().clone()
     }
 
-    /// Waits until the node has stopped, or has come to safe rest, and says which.
+    /// Waits until the node has stopped, or has enter the safe state, and says which.
     pub async fn ended(&self) -> NodeState {
         let mut state = self.0.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
@@ -182,10 +182,10 @@ impl Node {
     /// [claimed](crate::manual::names) by whichever node, such as `*:map`.
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where
-    /// it does not serve the contract; [`Why::ContractDiffers`] shows field by field what differs. Whether an object of another node
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where
+    /// it does not serve the contract; [`DeliveryError::ContractDiffers`] shows field by field what differs. Whether an object of another node
     /// takes it is found out when the first message is sent.
-    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, Why> {
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
         self.0.environment.registry.sender(name)
     }
 
@@ -193,9 +193,9 @@ impl Node {
     /// another node has it is found out when it is used.
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
     /// owns no variables.
-    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, Why> {
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         variable::find(&self.0.environment.registry, object)
     }
 
@@ -222,7 +222,7 @@ impl Node {
         policy: ClaimPolicy,
     ) -> Result<Claim, ClaimError> {
         let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
-        Claim::make(&self.0.environment.names, Wanted { name, object, policy }).await
+        Claim::make(&self.0.environment.names, ClaimRequest { name, object, policy }).await
     }
 
     /// Who holds a name of the whole robot, as far as this node knows.
@@ -249,7 +249,7 @@ impl Node {
     /// # Errors
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let HostEnvironment { registry, services, .. } = &self.0.environment;
+        let ComponentEnvironment { registry, services, .. } = &self.0.environment;
         ServiceRef::new(registry, services, name)
     }
 
@@ -277,9 +277,13 @@ impl Node {
     /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
     ///
     /// # Errors
-    /// [`Why::Misspelt`] or [`Why::Unknown`] where no object here has the name, [`Why::NotServed`] where it
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
     /// is no actuator.
-    pub fn commander<M: Contract>(&self, actuator: &str, own: &str) -> Result<Commander<M>, Why> {
+    pub fn commander<M: Contract>(
+        &self,
+        actuator: &str,
+        own: &str,
+    ) -> Result<Commander<M>, DeliveryError> {
         let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
         let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
         actix_rt::spawn(renewing);
@@ -289,9 +293,9 @@ impl Node {
     /// A reference to a component here whose type is known.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where no component of this type has the name, [`Why::Misspelt`] where one has a
+    /// [`DeliveryError::Unknown`] where no component of this type has the name, [`DeliveryError::Misspelt`] where one has a
     /// similar name.
-    pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, Why> {
+    pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, DeliveryError> {
         let unknown = || self.0.environment.registry.misspelt(name);
         let name = ObjectName::new(name).map_err(|_| unknown())?;
         let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
@@ -304,13 +308,13 @@ impl Node {
     /// The topic carries another type under this contract's name; the text names both, where each was said,
     /// and what differs.
     #[track_caller]
-    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         self.0.environment.topics.publisher_of(topic, self.0.name.as_str())
     }
 
     /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
     /// also while components are stuck.
-    pub async fn table(&self) -> Vec<Row> {
+    pub async fn table(&self) -> Vec<MonitorRow> {
         // A network that hangs is not waited for as long as the picture waits for the table.
         let links = tokio::time::timeout(picture::PATIENCE / 2, self.links());
         let chain = &self.0.chain;
@@ -325,7 +329,7 @@ impl Node {
     }
 
     /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
-    pub async fn faults(&self) -> Record {
+    pub async fn faults(&self) -> FaultRecord {
         let chain = &self.0.chain;
         chain.answer(chain.record.send(ReadRecord)).await.unwrap_or_default()
     }
@@ -336,7 +340,7 @@ impl Node {
     }
 
     /// The supervision tree as it stands now; `None` once the node has ended.
-    pub async fn tree(&self) -> Option<Branch> {
+    pub async fn tree(&self) -> Option<SupervisionTree> {
         self.0.chain.answer(self.0.root.tree.send(ReadTree)).await
     }
 
@@ -399,7 +403,7 @@ impl Node {
     /// Makes this node's router panic, for demonstrations and tests; nothing without a network.
     pub fn panic_router(&self) {
         if let Some(networks) = &self.0.networks {
-            networks.handle.router().do_send(PanicOnPurpose);
+            networks.handle.router().do_send(InjectPanic);
         }
     }
 
@@ -407,8 +411,8 @@ impl Node {
     /// tests, as those of `blastema-testkit`.
     ///
     /// # Errors
-    /// [`Why::Unknown`] or [`Why::Misspelt`] where no component here has the name.
-    pub fn inject(&self, component: &str, injection: Injection) -> Result<(), Why> {
+    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where no component here has the name.
+    pub fn inject(&self, component: &str, injection: Injection) -> Result<(), DeliveryError> {
         self.0.environment.registry.inject(component, injection)
     }
 
@@ -419,7 +423,7 @@ impl Node {
     }
 
     /// What was not delivered here, with the reasons.
-    pub fn dead_letters(&self) -> &DeadLetterOffice {
+    pub fn dead_letters(&self) -> &DeadLetterLog {
         &self.0.environment.dead_letters
     }
 
@@ -430,8 +434,8 @@ impl Node {
 
     /// Everything that the node knows of itself now: table, threads, links, sessions, claims, actuators, faults. It
     /// can be read at any time; a part that does not come within a second is `None`.
-    pub async fn picture(&self) -> Picture {
-        Picture::of(self).await
+    pub async fn snapshot(&self) -> NodeSnapshot {
+        NodeSnapshot::of(self).await
     }
 
     /// The threads that components live on: who keeps them, how busy they are, and how much waits there.
@@ -450,7 +454,7 @@ impl Node {
         spec: ChildSpec<C>,
     ) -> Result<ActorRef<C>, SpecError> {
         let seed = tree::seed(spec);
-        let planted = seed.plant(&self.0.environment)?;
+        let planted = seed.prepare(&self.0.environment)?;
         let name = planted.child.name().clone();
         self.0.dependencies().add(name.clone(), &planted.depends_on)?;
         self.0.chain.enrol(&self.0.name, &planted).await;
@@ -471,8 +475,8 @@ impl Node {
     /// Stops a component that stands directly under the root supervisor, and forgets it.
     ///
     /// # Errors
-    /// [`Why::Unknown`] or [`Why::Misspelt`] where the root keeps no such component.
-    pub async fn remove_child(&self, name: &str) -> Result<(), Why> {
+    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where the root keeps no such component.
+    pub async fn remove_child(&self, name: &str) -> Result<(), DeliveryError> {
         let unknown = || self.0.environment.registry.misspelt(name);
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let removed = self.0.root.removals.send(RemoveChild { object: object.clone() }).await;
@@ -487,7 +491,7 @@ impl Node {
 
     /// Stops all components in the reverse of their start order, and then everything else. What was accepted
     /// for other nodes until the last component has ended is delivered; from then on senders say
-    /// [`Why::Stopped`] at once, also to those who wait in `deliver`.
+    /// [`DeliveryError::Stopped`] at once, also to those who wait in `deliver`.
     pub async fn shutdown(&self) {
         self.0.tell_systemd("STOPPING=1");
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
@@ -533,6 +537,6 @@ impl Drop for Shared {
 }
 
 /// Subscribes to fault events.
-type Subscriptions = Recipient<Subscribe>;
+type FaultSubscriptions = Recipient<Subscribe>;
 /// One step in the history of a fault, as [`FaultEvents`] yields it.
 type Step = FaultEvent;

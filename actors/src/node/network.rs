@@ -11,7 +11,7 @@ use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore,
 };
 use blastema_transports::frame_medium::FrameMedium;
-use blastema_transports::{Endpoint, EndpointError, Faulty, FrameTransport, MemoryConfig};
+use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig};
 #[cfg(feature = "ip")]
 use blastema_transports::{TcpConfig, UdpConfig};
 use std::fmt;
@@ -284,7 +284,7 @@ impl Link {
 /// A cable that can be cut and made bad while the node runs. From [`Node::cable`](crate::Node::cable).
 #[derive(Clone, Debug)]
 pub struct Cable {
-    faulty: Addr<Faulty>,
+    faulty: Addr<FaultInjector>,
     /// Where the neighbours are on the medium.
     neighbours: Vec<(String, MediumAddress)>,
 }

@@ -9,8 +9,8 @@ use crate::service::ServiceRow;
 use crate::topic::TopicRow;
 use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
-use blastema_core::detection::{Entry, ObjectKind, Record, Row};
-use blastema_core::lease::LeaseStanding;
+use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
+use blastema_core::lease::LeaseStatus;
 use blastema_core::{Incarnation, Instant, NodeName, ObjectName, Severity};
 use serde_json::{Value, json};
 use std::future::Future;
@@ -20,11 +20,11 @@ use std::time::Duration;
 /// node whose network hangs still shows the rest.
 pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Everything that a node knows of itself at one moment. From [`Node::picture`]. A part is `None` where whoever
+/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None` where whoever
 /// keeps it did not answer within a second: that there is nothing is an empty list.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
-pub struct Picture {
+pub struct NodeSnapshot {
     /// Which node.
     pub node: NodeName,
     /// Which of its lives.
@@ -34,7 +34,7 @@ pub struct Picture {
     /// When this was seen, on the node's clock.
     pub seen_at: Instant,
     /// The monitor's table: components, supervisors, links, neighbours, objects of the middleware.
-    pub table: Option<Vec<Row>>,
+    pub table: Option<Vec<MonitorRow>>,
     /// The threads that components live on.
     pub threads: Vec<ThreadRow>,
     /// The links, in the order in which they were described.
@@ -50,10 +50,10 @@ pub struct Picture {
     /// The topics that objects of the node have named.
     pub topics: Vec<TopicRow>,
     /// The record of faults.
-    pub faults: Option<Record>,
+    pub faults: Option<FaultRecord>,
 }
 
-impl Picture {
+impl NodeSnapshot {
     pub(super) async fn of(node: &Node) -> Self {
         let (table, links, sessions, faults) = futures_util::future::join4(
             in_time(node.table()),
@@ -62,7 +62,7 @@ impl Picture {
             in_time(node.faults()),
         )
         .await;
-        Picture {
+        NodeSnapshot {
             node: node.name().clone(),
             incarnation: node.incarnation(),
             state: node.state(),
@@ -85,11 +85,11 @@ impl Picture {
         let (state, reason) = match &self.state {
             NodeState::Starting => ("starting", None),
             NodeState::Running => ("running", None),
-            NodeState::AtRest { reason } => ("at rest", Some(reason)),
+            NodeState::InSafeState { reason } => ("at rest", Some(reason)),
             NodeState::Stopped => ("stopped", None),
         };
         let faults = self.faults.as_ref();
-        let entry = |entry: &Entry| fault(entry, self.seen_at);
+        let entry = |entry: &FaultEntry| fault(entry, self.seen_at);
         let document = json!({
             "node": self.node.as_str(),
             "incarnation": self.incarnation.0,
@@ -123,7 +123,7 @@ fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
     span.into().map(|span| (span.as_secs_f64() * 1e6).round() / 1e3)
 }
 
-fn object(row: &Row) -> Value {
+fn object(row: &MonitorRow) -> Value {
     json!({
         "place": row.place.to_string(),
         "kind": match row.kind {
@@ -233,11 +233,11 @@ fn service(row: &ServiceRow) -> Value {
 
 fn actuator(row: &ActuatorRow) -> Value {
     let (state, commander, lease) = match &row.standing {
-        LeaseStanding::Free => ("free", None, None),
-        LeaseStanding::Held { commander, epoch, left } => {
+        LeaseStatus::Free => ("free", None, None),
+        LeaseStatus::Held { commander, epoch, left } => {
             ("held", Some(commander), Some((*epoch, *left)))
         }
-        LeaseStanding::Settling { commander } => ("settling", Some(commander), None),
+        LeaseStatus::Settling { commander } => ("settling", Some(commander), None),
     };
     json!({
         "object": row.object.as_str(),
@@ -265,7 +265,7 @@ fn topic(row: &TopicRow) -> Value {
     })
 }
 
-fn fault(entry: &Entry, now: Instant) -> Value {
+fn fault(entry: &FaultEntry, now: Instant) -> Value {
     let fault = &entry.fault;
     json!({
         "id": fault.id.to_string(),
@@ -301,7 +301,7 @@ mod tests {
     #[test]
     fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
         paused(async {
-            let picture = Picture {
+            let picture = NodeSnapshot {
                 node: NodeName::new("n").unwrap(),
                 incarnation: Incarnation(1),
                 state: NodeState::Running,

@@ -1,4 +1,4 @@
-//! Bringing back what has come to safe rest.
+//! Bringing back what has enter the safe state.
 
 use super::Node;
 use super::keeper::{NodeState, RestartRefused, RestartRoot};
@@ -11,9 +11,9 @@ use blastema_core::{Incarnation, ObjectName};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RestartError {
-    /// Only a node at safe rest is restarted. A component of one that runs is restarted by
+    /// Only a node in the safe state is restarted. A component of one that runs is restarted by
     /// [`Node::restart_child`].
-    #[error("the node is not at safe rest, it is {state:?}: only from there it is restarted")]
+    #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
     NotAtRest {
         /// How it is.
         state: NodeState,
@@ -39,7 +39,7 @@ pub enum RestartError {
         /// The name.
         name: String,
     },
-    /// The supervisor of the component is not at work, as in a node at safe rest. Restart the node, or the
+    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the node, or the
     /// supervisor.
     #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
     SupervisorRests {
@@ -57,7 +57,7 @@ pub enum RestartError {
 }
 
 impl Node {
-    /// Brings a node back from safe rest, without a new process: all components begin their next lives in the
+    /// Brings a node back from safe state, without a new process: all components begin their next lives in the
     /// start order, those too that had come to rest or were isolated alone before. Resolves when all are at
     /// work. What it was at rest for must be mended by then: this is for a person, or an application that
     /// knows better.

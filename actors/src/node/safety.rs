@@ -6,7 +6,7 @@
 //! program waits for them.
 
 use super::{Node, NodeState, Shared};
-use crate::host::pulse::Pulse;
+use crate::host::pulse::ArbiterHeartbeat;
 use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
 use blastema_core::{Fault, FaultKind};
@@ -54,7 +54,7 @@ impl Shared {
         let mut left = self.chain.callbacks.limit().unwrap_or_default();
         let is_safe = loop {
             let applied = !matches!(applied.try_recv(), Err(TryRecvError::Empty));
-            if applied && (actuators.are_at_rest() || Pulse::beats_here()) {
+            if applied && (actuators.are_at_rest() || ArbiterHeartbeat::beats_here()) {
                 break applied;
             }
             if left.is_zero() {
@@ -120,7 +120,7 @@ impl Node {
     /// signal during that
     /// applies the safe outputs and ends the process at once. Returns too when the node was shut
     /// down otherwise; a
-    /// node at safe rest waits on, so that a person can look at it.
+    /// node in the safe state waits on, so that a person can look at it.
     ///
     /// ```no_run
     /// use blastema::prelude::*;

@@ -2,11 +2,11 @@
 
 use blastema_contract::link::LinkRow;
 use blastema_core::Place;
-use blastema_core::detection::Row;
+use blastema_core::detection::MonitorRow;
 
 /// Completes the rows of links and nodes by when the last hello came. A node without a link to here
 /// gives none.
-pub(super) fn show_in(rows: &mut [Row], links: &[LinkRow]) {
+pub(super) fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
     for row in rows {
         match &row.place {
             Place::Link { link, .. } => {
@@ -62,7 +62,7 @@ mod tests {
     #[test]
     fn a_link_shows_its_last_hello_and_a_node_the_last_of_all_its_links() {
         let stale = |place, kind| {
-            let mut row = Row::blank(place, kind);
+            let mut row = MonitorRow::blank(place, kind);
             row.last_sign = Some(Duration::from_secs(300));
             row
         };

@@ -1,11 +1,11 @@
 //! The supervision tree as it is described, and how it is planted.
 
-use crate::chain::directory::Directory;
-use crate::chain::monitor::Monitor;
-use crate::chain::supervisor::{Supervisor, SupervisorChild, SupervisorSetup};
+use crate::chain::directory::SupervisorDirectory;
+use crate::chain::monitor::MonitorActor;
+use crate::chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::component::Component;
 use crate::guardian::Guardian;
-use crate::host::environment::HostEnvironment;
+use crate::host::environment::ComponentEnvironment;
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::reference::ActorRef;
 use actix::{Addr, ArbiterHandle, Recipient};
@@ -40,7 +40,7 @@ pub struct SupervisorSpec {
 }
 
 enum Entry {
-    Component(Box<dyn Seed>, Restart),
+    Component(Box<dyn ErasedChildSpec>, Restart),
     Supervisor(SupervisorSpec),
 }
 
@@ -118,7 +118,7 @@ impl SupervisorSpec {
         self
     }
 
-    /// This one's end is the node's safe rest.
+    /// This one's end is the node's safe state.
     pub(super) fn rooted(mut self) -> Self {
         self.rules.root = true;
         self
@@ -126,13 +126,16 @@ impl SupervisorSpec {
 }
 
 /// The spec of a component of whatever type.
-pub(super) trait Seed: Send {
+pub(super) trait ErasedChildSpec: Send {
     /// Gives the component its name and ports.
-    fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError>;
+    fn prepare(
+        self: Box<Self>,
+        environment: &ComponentEnvironment,
+    ) -> Result<PreparedComponent, SpecError>;
 }
 
 /// A component that waits to be started.
-pub(super) struct Planted {
+pub(super) struct PreparedComponent {
     pub(super) child: Box<dyn Child>,
     /// The `ActorRef` of its type.
     pub(super) actor: Box<dyn Any + Send>,
@@ -143,7 +146,7 @@ pub(super) struct Planted {
     shutdown_within: Duration,
 }
 
-impl Planted {
+impl PreparedComponent {
     pub(super) fn rules(&self, plan: &Plan) -> ChildRules {
         ChildRules {
             restart: self.restart,
@@ -154,18 +157,21 @@ impl Planted {
     }
 }
 
-pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn Seed> {
+pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn ErasedChildSpec> {
     Box::new(spec)
 }
 
-impl<C: Component> Seed for ChildSpec<C> {
-    fn plant(self: Box<Self>, environment: &HostEnvironment) -> Result<Planted, SpecError> {
+impl<C: Component> ErasedChildSpec for ChildSpec<C> {
+    fn prepare(
+        self: Box<Self>,
+        environment: &ComponentEnvironment,
+    ) -> Result<PreparedComponent, SpecError> {
         let depends_on = self.dependencies().to_vec();
         let (ready_within, shutdown_within) = self.deadlines();
         let essential = self.is_essential();
         let (child, actor) = self.into_child(environment)?;
         let actor: Box<dyn Any + Send> = Box::new(ActorRef::<C>::clone(&actor));
-        Ok(Planted {
+        Ok(PreparedComponent {
             child,
             actor,
             depends_on,
@@ -178,24 +184,24 @@ impl<C: Component> Seed for ChildSpec<C> {
 }
 
 /// What planting needs of the node.
-pub(super) struct Ground<'a> {
-    pub(super) environment: &'a HostEnvironment,
+pub(super) struct TreeEnvironment<'a> {
+    pub(super) environment: &'a ComponentEnvironment,
     pub(super) guardian: &'a Guardian,
     pub(super) arbiter: Option<&'a ArbiterHandle>,
-    pub(super) monitor: Addr<Monitor>,
-    pub(super) directory: Directory,
+    pub(super) monitor: Addr<MonitorActor>,
+    pub(super) directory: SupervisorDirectory,
     pub(super) plan: &'a Plan,
 }
 
 /// What was planted: every component, and every supervisor's name.
 #[derive(Default)]
-pub(super) struct Harvest {
-    pub(super) components: Vec<PlantedFacts>,
+pub(super) struct PreparedTree {
+    pub(super) components: Vec<ComponentFacts>,
     pub(super) supervisors: Vec<(ObjectName, Recipient<AreYouAlive>)>,
 }
 
 /// What the node must know of a component after its supervisor has it.
-pub(super) struct PlantedFacts {
+pub(super) struct ComponentFacts {
     pub(super) name: ObjectName,
     pub(super) actor: Box<dyn Any + Send>,
     pub(super) depends_on: Vec<String>,
@@ -227,8 +233,8 @@ impl SupervisorSpec {
     /// Makes the supervisors and gives them their children. Nothing is started yet.
     pub(super) fn plant(
         self,
-        ground: &Ground<'_>,
-        harvest: &mut Harvest,
+        ground: &TreeEnvironment<'_>,
+        harvest: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         self.check_intensity()?;
@@ -236,11 +242,12 @@ impl SupervisorSpec {
         for entry in self.children {
             match entry {
                 Entry::Component(seed, restart) => {
-                    let planted = Planted { restart, ..seed.plant(ground.environment)? };
+                    let planted =
+                        PreparedComponent { restart, ..seed.prepare(ground.environment)? };
                     let rules = planted.rules(ground.plan);
-                    let Planted { child, actor, depends_on, .. } = planted;
+                    let PreparedComponent { child, actor, depends_on, .. } = planted;
                     let name = child.name().clone();
-                    let facts = PlantedFacts { name, actor, depends_on, restart };
+                    let facts = ComponentFacts { name, actor, depends_on, restart };
                     harvest.components.push(facts);
                     children.push((child, rules));
                 }
@@ -260,7 +267,7 @@ impl SupervisorSpec {
             isolation: ground.monitor.clone().recipient(),
             directory: ground.directory.clone(),
         };
-        let supervisor = Supervisor::start(ground.guardian, ground.arbiter, setup);
+        let supervisor = SupervisorActor::start(ground.guardian, ground.arbiter, setup);
         harvest.supervisors.push((supervisor.name().clone(), supervisor.inquiries()));
         Ok(supervisor)
     }

@@ -1,14 +1,14 @@
 //! The window: a socket in the file system at which other processes of the machine see the node.
 //!
-//! Whoever connects is given one [`Picture`](super::Picture) as JSON, and the end. Nothing is read, so that
-//! nothing can be asked or done there. It stays open at safe rest, and closes with the node.
+//! Whoever connects is given one [`NodeSnapshot`](super::Picture) as JSON, and the end. Nothing is read, so that
+//! nothing can be asked or done there. It stays open in the safe state, and closes with the node.
 
 mod showing;
 
-use self::showing::Showing;
+use self::showing::InspectionServer;
 use super::{Node, NodeState, Shared};
 use crate::guardian::answers_the_monitor;
-use crate::host::environment::Reports;
+use crate::host::environment::FaultReports;
 use actix::prelude::*;
 use blastema_transports::unix::{PathListener, explain};
 use std::path::{Path, PathBuf};
@@ -19,32 +19,36 @@ use tokio::sync::watch;
 const MODE: u32 = 0o600;
 
 /// Shows the node, once there is one.
-pub(super) struct Window {
+pub(super) struct InspectionActor {
     path: Arc<Path>,
     node: Weak<Shared>,
     state: watch::Receiver<NodeState>,
-    reports: Reports,
+    reports: FaultReports,
 }
 
 /// The node can be seen from now on. Answers why nobody can listen there, and what to do.
 #[derive(Message)]
 #[rtype(result = "Result<(), String>")]
-pub(super) struct Show(Weak<Shared>);
+pub(super) struct StartInspection(Weak<Shared>);
 
-impl Show {
+impl StartInspection {
     pub(super) fn node(node: &Node) -> Self {
-        Show(Arc::downgrade(&node.0))
+        StartInspection(Arc::downgrade(&node.0))
     }
 }
 
-impl Window {
-    pub(super) fn new(path: PathBuf, state: watch::Receiver<NodeState>, reports: Reports) -> Self {
-        Window { path: path.into(), node: Weak::new(), state, reports }
+impl InspectionActor {
+    pub(super) fn new(
+        path: PathBuf,
+        state: watch::Receiver<NodeState>,
+        reports: FaultReports,
+    ) -> Self {
+        InspectionActor { path: path.into(), node: Weak::new(), state, reports }
     }
 
     fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
         let (path, node, reports) = (self.path.clone(), self.node.clone(), self.reports.clone());
-        let showing = Showing::new(path, node, reports, listener);
+        let showing = InspectionServer::new(path, node, reports, listener);
         let mut state = self.state.clone();
         let until_the_end = async move {
             tokio::select! {
@@ -62,23 +66,27 @@ fn open(path: &Arc<Path>) -> Result<PathListener, String> {
     PathListener::open(path, MODE).map_err(|error| explain(path, &error))
 }
 
-answers_the_monitor!(Window);
+answers_the_monitor!(InspectionActor);
 
-impl Actor for Window {
+impl Actor for InspectionActor {
     type Context = Context<Self>;
 }
 
-impl Supervised for Window {
+impl Supervised for InspectionActor {
     /// What showed the node went with the panic, and the socket with it: it is made again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.show(None, context);
     }
 }
 
-impl Handler<Show> for Window {
+impl Handler<StartInspection> for InspectionActor {
     type Result = Result<(), String>;
 
-    fn handle(&mut self, Show(node): Show, context: &mut Context<Self>) -> Self::Result {
+    fn handle(
+        &mut self,
+        StartInspection(node): StartInspection,
+        context: &mut Context<Self>,
+    ) -> Self::Result {
         self.node = node;
         let listener = open(&self.path)?;
         self.show(Some(listener), context);

@@ -3,12 +3,12 @@
 use super::peers::Spoken;
 use super::replica::ReplicaBody;
 use super::words::CompareTerms;
-use crate::drive::Body;
+use crate::drive::MachineActor;
 use crate::{guardian, platform};
 use actix::fut::wrap_future;
 use actix::prelude::*;
-use blastema_contract::reports::FaultMended;
-use blastema_core::{FaultKind, NodeName, Why};
+use blastema_contract::reports::DeclaredFaultCleared;
+use blastema_core::{DeliveryError, FaultKind, NodeName};
 use std::time::Duration;
 
 /// How often it is looked who else has an object of the service's name. Shorter finds out sooner that two do
@@ -45,12 +45,12 @@ impl ReplicaBody {
         let asked = async move { sender.ask_within(terms, ANSWER_WITHIN).await };
         context.spawn(wrap_future::<_, Self>(asked).map(move |answer, body, context| {
             let now = platform::now();
-            match answer.map_err(|error| error.why) {
+            match answer.map_err(|error| error.kind) {
                 Ok(theirs) => body.machine.handle_terms(&with, &theirs, now),
-                Err(Why::Unknown { .. } | Why::NotServed { .. }) => {
+                Err(DeliveryError::Unknown { .. } | DeliveryError::NotServed { .. }) => {
                     body.machine.handle_no_terms(&with, now)
                 }
-                Err(Why::Left { .. }) => body.machine.handle_left(&with, now),
+                Err(DeliveryError::Left { .. }) => body.machine.handle_left(&with, now),
                 // It is asked again.
                 Err(_) => {}
             }
@@ -62,7 +62,7 @@ impl ReplicaBody {
     pub(super) fn mend(&self, kind: FaultKind) {
         if let Some(mended) = &self.reports.mended {
             let (object, incarnation) = (self.carried.body.clone(), guardian::alive().incarnation);
-            mended.do_send(FaultMended { object, incarnation, kind });
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }

@@ -8,9 +8,10 @@ use crate::platform;
 use crate::registry::Registry;
 use crate::sender::{RequestError, next_id};
 use blastema_core::contract::codec;
-use blastema_core::delivery::retry::Attempt;
+use blastema_core::delivery::retry::FailedAttempt;
 use blastema_core::{
-    ContractIdentity, Instant, MessageId, NameError, NodeName, ObjectName, Request, RetryRule, Why,
+    ContractIdentity, DeliveryError, Instant, MessageId, NameError, NodeName, ObjectName, Request,
+    RetryPolicy,
 };
 use std::collections::BTreeSet;
 use std::fmt;
@@ -74,11 +75,11 @@ struct Pursuit {
 
 impl Pursuit {
     /// Why there was no answer by the deadline.
-    fn why(self) -> Why {
+    fn why(self) -> DeliveryError {
         match (self.difference, self.begun) {
-            (Some(reason), Begun::Perhaps) => Why::OutcomeUnknown { reason },
-            (Some(difference), Begun::No) => Why::ContractDiffers { difference },
-            (None, _) => Why::DeadlinePassed,
+            (Some(reason), Begun::Perhaps) => DeliveryError::OutcomeUnknown { reason },
+            (Some(difference), Begun::No) => DeliveryError::ContractDiffers { difference },
+            (None, _) => DeliveryError::DeadlinePassed,
         }
     }
 }
@@ -96,7 +97,7 @@ enum Begun {
 enum Turn {
     Answered(Answered),
     /// It did not answer, and why.
-    Failed(Why),
+    Failed(DeliveryError),
     /// Another node serves meanwhile.
     Moved(Found),
 }
@@ -124,21 +125,21 @@ impl<M: Request> ServiceRef<M> {
     /// sent to the one that follows, under the same identity: it takes effect once.
     ///
     /// # Errors
-    /// [`Why::OutcomeUnknown`] where the primary of a service with cold standbys failed while it served,
-    /// unless the contract is declared `idempotent`; [`Why::DeadlinePassed`] where nobody served in time;
-    /// what the component's failure was, where it failed; [`Why::ContractDiffers`] where the service means
+    /// [`DeliveryError::OutcomeUnknown`] where the primary of a service with cold standbys failed while it served,
+    /// unless the contract is declared `idempotent`; [`DeliveryError::DeadlinePassed`] where nobody served in time;
+    /// what the component's failure was, where it failed; [`DeliveryError::ContractDiffers`] where the service means
     /// another contract by that name.
     ///
     /// Where nobody serves because the service's nodes were told different things of it, that may end, as
-    /// while a list is changed: it is asked on. At the deadline it is [`Why::ContractDiffers`] with what
-    /// differs, or [`Why::OutcomeUnknown`] with that where somebody may have begun.
+    /// while a list is changed: it is asked on. At the deadline it is [`DeliveryError::ContractDiffers`] with what
+    /// differs, or [`DeliveryError::OutcomeUnknown`] with that where somebody may have begun.
     pub async fn ask_within(
         &self,
         message: M,
         deadline: Duration,
     ) -> Result<M::Reply, RequestError<M>> {
         // A component that dies of it three times dies of it again.
-        let rule = RetryRule { attempts: 3, within: deadline, ..RetryRule::default() };
+        let rule = RetryPolicy { attempts: 3, within: deadline, ..RetryPolicy::default() };
         self.ask_by(message, &rule).await
     }
 
@@ -148,10 +149,14 @@ impl<M: Request> ServiceRef<M> {
     ///
     /// # Errors
     /// As [`ask_within`](Self::ask_within).
-    pub async fn ask_by(&self, message: M, rule: &RetryRule) -> Result<M::Reply, RequestError<M>> {
+    pub async fn ask_by(
+        &self,
+        message: M,
+        rule: &RetryPolicy,
+    ) -> Result<M::Reply, RequestError<M>> {
         let mut payload = Vec::new();
         if codec::encode(&message, &mut payload).is_err() {
-            let why = Why::TooLarge { limit: M::MAX_SIZE };
+            let why = DeliveryError::TooLarge { limit: M::MAX_SIZE };
             return Err(RequestError::new(why, Some(message)));
         }
         let task = Task { identity: ContractIdentity::of::<M>().brief().encode(), payload };
@@ -172,18 +177,19 @@ impl<M: Request> ServiceRef<M> {
             let pursued = tokio::time::timeout(until - platform::now(), pursued).await;
             let why = match pursued.unwrap_or_else(|_| Err(pursuit.why())) {
                 Ok(reply) => {
-                    return codec::decode_reply::<M>(&reply)
-                        .map_err(|error| failed(Why::Undecodable { reason: error.to_string() }));
+                    return codec::decode_reply::<M>(&reply).map_err(|error| {
+                        failed(DeliveryError::Undecodable { reason: error.to_string() })
+                    });
                 }
                 Err(why) => why,
             };
-            let attempt = Attempt { asked, why: &why, idempotent: M::IDEMPOTENT };
+            let attempt = FailedAttempt { asked, why: &why, idempotent: M::IDEMPOTENT };
             match rule.again(attempt, until.as_nanos()) {
                 Some(wait) if platform::now() + wait < until => tokio::time::sleep(wait).await,
                 _ => return Err(failed(why)),
             }
         }
-        Err(failed(Why::DeadlinePassed))
+        Err(failed(DeliveryError::DeadlinePassed))
     }
 
     /// Follows the service from node to node until it has answered.
@@ -195,7 +201,7 @@ impl<M: Request> ServiceRef<M> {
         mut ask: AskService,
         until: Instant,
         pursuit: &mut Pursuit,
-    ) -> Result<Vec<u8>, Why> {
+    ) -> Result<Vec<u8>, DeliveryError> {
         let mut primary = self.primary();
         // Who has not answered, and what became of the request there if that is not known.
         let (mut failed, mut uncertain) = (None, None);
@@ -204,7 +210,9 @@ impl<M: Request> ServiceRef<M> {
                 Some(node) => node,
                 None => match self.finder.find(failed.take().as_ref()).await {
                     Ok(Found { keeps: false, .. }) if uncertain.is_some() && !M::IDEMPOTENT => {
-                        return Err(Why::OutcomeUnknown { reason: uncertain.unwrap_or_default() });
+                        return Err(DeliveryError::OutcomeUnknown {
+                            reason: uncertain.unwrap_or_default(),
+                        });
                     }
                     Ok(Found { primary, .. }) => {
                         pursuit.difference = None;
@@ -230,12 +238,12 @@ impl<M: Request> ServiceRef<M> {
                     return Err(read_why(&why));
                 }
                 Turn::Answered(Answered::Refused { why }) => match read_why(&why) {
-                    Why::Full | Why::Restarting => {
+                    DeliveryError::Full | DeliveryError::Restarting => {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
                     // Its component means the same: it is the nodes that were told different things.
-                    Why::ContractDiffers { difference } => {
+                    DeliveryError::ContractDiffers { difference } => {
                         pursuit.difference = Some(difference);
                         failed = Some(node);
                     }
@@ -251,7 +259,7 @@ impl<M: Request> ServiceRef<M> {
                 Turn::Moved(Found { primary, keeps: false }) if !M::IDEMPOTENT => {
                     self.finder.note(primary);
                     let reason = "the primary has changed, and its standbys are cold".into();
-                    return Err(Why::OutcomeUnknown { reason });
+                    return Err(DeliveryError::OutcomeUnknown { reason });
                 }
                 Turn::Moved(found) => {
                     (primary, pursuit.begun) = (Some(found.primary), Begun::Perhaps);
@@ -259,7 +267,10 @@ impl<M: Request> ServiceRef<M> {
                 Turn::Failed(why) => {
                     pursuit.begun = Begun::Perhaps;
                     // It was taken there, perhaps; those that follow may not know.
-                    if matches!(why, Why::PeerDied { .. } | Why::OutcomeUnknown { .. }) {
+                    if matches!(
+                        why,
+                        DeliveryError::PeerDied { .. } | DeliveryError::OutcomeUnknown { .. }
+                    ) {
                         uncertain = Some(why.to_string());
                     }
                     failed = Some(node);
@@ -284,7 +295,7 @@ impl<M: Request> ServiceRef<M> {
             biased;
             asked = asking => match asked {
                 Ok(answered) => Turn::Answered(answered),
-                Err(error) => Turn::Failed(error.why),
+                Err(error) => Turn::Failed(error.kind),
             },
             found = moved => Turn::Moved(found),
         }

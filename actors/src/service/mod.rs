@@ -30,11 +30,11 @@ use crate::context::Context;
 use crate::host::spec::ChildSpec;
 use crate::node::StartError;
 use crate::panics;
-use crate::ports::OpenPort;
-use crate::registry::Port;
+use crate::ports::PortConstructor;
+use crate::registry::ContractPort;
 use blastema_core::contract::codec;
 use blastema_core::service::ReplicaConfig;
-use blastema_core::{NameError, NodeName, ObjectName, Why};
+use blastema_core::{DeliveryError, NameError, NodeName, ObjectName};
 use bytes::Bytes;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -213,7 +213,7 @@ impl<C: Stateful> ServiceSpec<C> {
 /// With which state a component begins: it is built once more to see that, before there is a node to catch it.
 fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     panics::install_hook();
-    let _guarded = panics::Guarded::enter();
+    let _guarded = panics::PanicGuard::enter();
     catch_unwind(AssertUnwindSafe(|| factory().save().into())).map_err(|payload| {
         let (text, at) = (panics::text_of(payload), panics::take_place());
         format!(
@@ -224,11 +224,15 @@ fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
 }
 
 /// The contracts by which a replica drives its component.
-pub(crate) fn stateful_ports<C: Stateful>() -> Vec<OpenPort<C>> {
-    vec![Port::open::<C, SaveState>, Port::open::<C, LoadState>, Port::open::<C, RoleChanged>]
+pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
+    vec![
+        ContractPort::open::<C, SaveState>,
+        ContractPort::open::<C, LoadState>,
+        ContractPort::open::<C, RoleChanged>,
+    ]
 }
 
-pub(crate) fn encode_why(why: &Why) -> Vec<u8> {
+pub(crate) fn encode_why(why: &DeliveryError) -> Vec<u8> {
     let mut bytes = Vec::new();
     if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
         bytes.clear();
@@ -236,7 +240,7 @@ pub(crate) fn encode_why(why: &Why) -> Vec<u8> {
     bytes
 }
 
-fn read_why(bytes: &[u8]) -> Why {
-    codec::decode_bounded::<Why, WHY_MAX>(bytes)
-        .unwrap_or_else(|error| Why::Undecodable { reason: error.to_string() })
+fn read_why(bytes: &[u8]) -> DeliveryError {
+    codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
+        .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
 }

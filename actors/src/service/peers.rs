@@ -5,12 +5,12 @@
 //! counts is the node that the session says it comes from, and the message's own word has to agree.
 
 use super::words::{CompareTerms, ReplicaSays};
-use crate::desk::Desk;
-use crate::registry::{Doorway, Port, Postmark, ReplyTo};
-use crate::reply::Answer;
+use crate::desk::ServiceFn;
+use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
+use crate::reply::Responder;
 use actix::prelude::*;
 use blastema_core::net::NodeId;
-use blastema_core::{Contract, FaultKind, NodeName, Why};
+use blastema_core::{Contract, DeliveryError, FaultKind, NodeName};
 use bytes::Bytes;
 use std::sync::Arc;
 
@@ -39,18 +39,18 @@ pub(super) struct Spoken<M: Contract> {
     /// The node that it comes from; `None` if it says that it were another.
     pub(super) by: Option<NodeName>,
     pub(super) message: M,
-    pub(super) answer: Answer<M>,
+    pub(super) answer: Responder<M>,
 }
 
 /// Where other replicas speak.
-pub(super) fn port<M: Signed>(body: Recipient<Spoken<M>>) -> Port {
+pub(super) fn port<M: Signed>(body: Recipient<Spoken<M>>) -> ContractPort {
     // A replica on this node says nothing to itself.
     let inside = desk(body.clone(), None);
-    Port::of_peers(inside, Arc::new(Gate(body)))
+    ContractPort::of_peers(inside, Arc::new(Gate(body)))
 }
 
-fn desk<M: Signed>(body: Recipient<Spoken<M>>, peer: Option<NodeId>) -> Desk<M> {
-    Desk(Arc::new(move |message: M, answer| {
+fn desk<M: Signed>(body: Recipient<Spoken<M>>, peer: Option<NodeId>) -> ServiceFn<M> {
+    ServiceFn(Arc::new(move |message: M, answer| {
         let by = NodeName::new(message.from()).ok();
         let by = by.filter(|name| peer == Some(NodeId::of(name)));
         body.do_send(Spoken { by, message, answer });
@@ -60,13 +60,13 @@ fn desk<M: Signed>(body: Recipient<Spoken<M>>, peer: Option<NodeId>) -> Desk<M> 
 /// Takes what comes from other nodes.
 struct Gate<M: Signed>(Recipient<Spoken<M>>);
 
-impl<M: Signed> Doorway for Gate<M> {
+impl<M: Signed> Skeleton for Gate<M> {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: Postmark,
+        postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         desk(self.0.clone(), postmark.from).deliver(message, postmark, reply_to)
     }
 
@@ -98,8 +98,12 @@ mod tests {
                 let says = ReplicaSays { from: says.to_owned(), message: Vec::new() };
                 codec::encode(&says, &mut bytes).unwrap();
                 let from = peer.map(|name| NodeId::of(&node(name)));
-                gate.deliver(&bytes.into(), Postmark { from, ..Postmark::default() }, None)
-                    .unwrap();
+                gate.deliver(
+                    &bytes.into(),
+                    MessageMetadata { from, ..MessageMetadata::default() },
+                    None,
+                )
+                .unwrap();
 
                 assert_eq!(heard.expect().await.by, by, "{says:?} by {peer:?}");
             }

@@ -7,15 +7,15 @@ use super::words::{
     Answered, AskService, CompareTerms, LoadState, ReplicaSays, RoleChanged, SaveState, Serving,
     Task, WhoServes,
 };
-use crate::death_watch::{Down, Ending, Mourner};
-use crate::desk::Desk;
-use crate::drive::{Body, Wake};
+use crate::death_watch::{Down, Ending, Watcher};
+use crate::desk::ServiceFn;
+use crate::drive::{MachineActor, WakeTimer};
 use crate::guardian::{Guardian, answers_the_monitor};
-use crate::host::environment::{HostEnvironment, Reports};
-use crate::host::life::LifeToken;
+use crate::host::environment::{ComponentEnvironment, FaultReports};
+use crate::host::life::IncarnationToken;
 use crate::platform;
-use crate::registry::{NameTaken, Port, Postmark, Registry, ReplyTo};
-use crate::reply::Answer;
+use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
+use crate::reply::Responder;
 use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
@@ -25,7 +25,7 @@ use blastema_core::service::{
     StandbyKind,
 };
 use blastema_core::{
-    Contract, FaultKind, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
+    Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
@@ -62,19 +62,19 @@ pub(crate) struct Carried {
 /// Nobody mourns a service: its component has lives of its own.
 struct Undying;
 
-impl crate::death_watch::Mortal for Undying {
-    fn watch(&self, _: Mourner) {}
+impl crate::death_watch::Watchable for Undying {
+    fn watch(&self, _: Watcher) {}
 }
 
 /// The body.
 pub(crate) struct ReplicaBody {
     pub(super) carried: Carried,
     pub(super) machine: Replica,
-    wake: Wake,
+    wake: WakeTimer,
     pub(super) registry: Registry,
     pub(super) roster: Roster,
-    pub(super) reports: Reports,
-    callers: BTreeMap<u64, Answer<AskService>>,
+    pub(super) reports: FaultReports,
+    callers: BTreeMap<u64, Responder<AskService>>,
     /// Who wants to know who serves, while nobody does.
     wondering: VecDeque<Wondered>,
     inquiry: Option<SpawnHandle>,
@@ -88,11 +88,11 @@ impl ReplicaBody {
     /// Starts the replica, and gives the service its name here.
     pub(crate) fn start(
         carried: Carried,
-        environment: &HostEnvironment,
+        environment: &ComponentEnvironment,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
-        let HostEnvironment { registry, services: roster, .. } = environment;
+        let ComponentEnvironment { registry, services: roster, .. } = environment;
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
         let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {
@@ -100,7 +100,7 @@ impl ReplicaBody {
             ReplicaBody {
                 machine: Replica::new(config, initial, platform::now()),
                 carried: kept,
-                wake: Wake::default(),
+                wake: WakeTimer::default(),
                 registry: names,
                 roster: known,
                 reports,
@@ -115,26 +115,26 @@ impl ReplicaBody {
         let body = guardian.start(carried.body.clone(), arbiter, make);
         let mut ports = BTreeMap::new();
         let asked = body.clone().recipient::<Asked>();
-        let serve = Desk::<AskService>(Arc::new(move |ask, answer| {
+        let serve = ServiceFn::<AskService>(Arc::new(move |ask, answer| {
             asked.do_send(Asked(ask, answer));
         }));
         let wondered = body.clone().recipient::<Wondered>();
-        let who = Desk::<WhoServes>(Arc::new(move |question, answer| {
+        let who = ServiceFn::<WhoServes>(Arc::new(move |question, answer| {
             wondered.do_send(Wondered(question, answer));
         }));
         ports.insert(ReplicaSays::NAME, peers::port::<ReplicaSays>(body.clone().recipient()));
-        ports.insert(AskService::NAME, Port::of_desk(serve));
-        ports.insert(WhoServes::NAME, Port::of_desk(who));
+        ports.insert(AskService::NAME, ContractPort::of_desk(serve));
+        ports.insert(WhoServes::NAME, ContractPort::of_desk(who));
         ports.insert(CompareTerms::NAME, peers::port::<CompareTerms>(body.clone().recipient()));
-        registry.claim(&carried.name, ports, Arc::new(Undying))?;
+        registry.register(&carried.name, ports, Arc::new(Undying))?;
         let told = body.clone().recipient::<Died>();
         let tell = move |down: Down| {
             if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
                 told.do_send(Died);
             }
         };
-        let life = Arc::new(LifeToken::default());
-        let mourner = Mourner { who: carried.name.clone(), life, tell: Box::new(tell) };
+        let life = Arc::new(IncarnationToken::default());
+        let mourner = Watcher { who: carried.name.clone(), life, tell: Box::new(tell) };
         registry.watch(carried.component.clone(), mourner);
         Ok(body.recipient())
     }
@@ -143,34 +143,37 @@ impl ReplicaBody {
     fn hand_over(
         &self,
         (contract, message): (&str, Vec<u8>),
-        then: impl FnOnce(Result<Bytes, Why>) -> Done + Send + 'static,
+        then: impl FnOnce(Result<Bytes, DeliveryError>) -> Done + Send + 'static,
         context: &mut Context<Self>,
     ) {
         let body = context.address();
         let reply_to: ReplyTo =
-            Box::new(move |result| body.do_send(then(result.map(Parcel::into_bytes))));
+            Box::new(move |result| body.do_send(then(result.map(GatherBuffer::into_bytes))));
         match self.registry.doorway(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
-                let _ = doorway.deliver(&message.into(), Postmark::default(), Some(reply_to));
+                let _ =
+                    doorway.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
             }
             Err(why) => reply_to(Err(why)),
         }
     }
 
     fn execute(&mut self, request: &[u8], save: bool, context: &mut Context<Self>) {
-        let refused = |why: Why, context: &mut Context<Self>| {
+        let refused = |why: DeliveryError, context: &mut Context<Self>| {
             context.address().do_send(Done::Executed { result: Err(why), save: false });
         };
         let undecodable =
-            |error: codec::DecodeError| Why::Undecodable { reason: error.to_string() };
+            |error: codec::DecodeError| DeliveryError::Undecodable { reason: error.to_string() };
         let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
         let read = read.and_then(|Task { identity, payload }| {
             let theirs = PeerIdentity::decode(&identity).map_err(undecodable)?;
             let (ours, _) = self.registry.doorway(&self.carried.component, &theirs.name)?;
             match ours.check(&theirs) {
                 Ok(()) => Ok((theirs.name, payload)),
-                Err(difference) => Err(Why::ContractDiffers { difference: difference.to_string() }),
+                Err(difference) => {
+                    Err(DeliveryError::ContractDiffers { difference: difference.to_string() })
+                }
             }
         });
         match read {
@@ -189,10 +192,10 @@ impl ReplicaBody {
             warn!(service = %self.carried.name, "a state is too large to be loaded");
             return self.machine.handle_loaded();
         }
-        let then = move |result: Result<Bytes, Why>| {
+        let then = move |result: Result<Bytes, DeliveryError>| {
             let loaded = result.and_then(|reply| {
                 codec::decode_reply::<LoadState>(&reply)
-                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
             });
             match loaded {
                 Ok(true) => Done::Loaded,
@@ -204,15 +207,15 @@ impl ReplicaBody {
         self.hand_over((LoadState::NAME, bytes), then, context);
     }
 
-    fn save(&mut self, after: Option<Result<Bytes, Why>>, context: &mut Context<Self>) {
+    fn save(&mut self, after: Option<Result<Bytes, DeliveryError>>, context: &mut Context<Self>) {
         let mut bytes = Vec::new();
         // A message without fields always fits.
         let _ = codec::encode(&SaveState, &mut bytes);
-        let then = move |result: Result<Bytes, Why>| {
+        let then = move |result: Result<Bytes, DeliveryError>| {
             let state = result.and_then(|reply| {
                 codec::decode_reply::<SaveState>(&reply)
                     .map(Bytes::from)
-                    .map_err(|error| Why::Undecodable { reason: error.to_string() })
+                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
             });
             match after {
                 Some(result) => Done::Both { result, state },
@@ -236,7 +239,7 @@ impl ReplicaBody {
             let from = self.carried.config.own.to_string();
             // One that cannot be reached now will be told again.
             let told = other.tell(ReplicaSays { from, message: message.into() });
-            let kept_out = told.is_err_and(|refused| refused.why == Why::Isolated);
+            let kept_out = told.is_err_and(|refused| refused.kind == DeliveryError::Isolated);
             self.machine.handle_sent(to, kept_out);
         }
     }
@@ -354,14 +357,14 @@ impl ReplicaBody {
     }
 }
 
-impl Body for ReplicaBody {
+impl MachineActor for ReplicaBody {
     type Machine = Replica;
 
     fn machine(&mut self) -> &mut Replica {
         &mut self.machine
     }
 
-    fn wake(&mut self) -> &mut Wake {
+    fn wake(&mut self) -> &mut WakeTimer {
         &mut self.wake
     }
 
@@ -417,8 +420,14 @@ impl Body for ReplicaBody {
 }
 
 /// The component was stopped, isolated or removed, and not only restarted.
-fn takes_nothing(why: &Why) -> bool {
-    matches!(why, Why::Stopped | Why::Isolated | Why::Unknown { .. } | Why::NotServed { .. })
+fn takes_nothing(why: &DeliveryError) -> bool {
+    matches!(
+        why,
+        DeliveryError::Stopped
+            | DeliveryError::Isolated
+            | DeliveryError::Unknown { .. }
+            | DeliveryError::NotServed { .. }
+    )
 }
 
 answers_the_monitor!(ReplicaBody);
@@ -440,7 +449,7 @@ impl Supervised for ReplicaBody {
         // The component lives on, but nobody knows any more what it has done.
         self.machine.handle_component_died(platform::now());
         self.looking = false;
-        self.wake = Wake::default();
+        self.wake = WakeTimer::default();
         self.callers.clear();
         self.wondering.clear();
         self.inquiry = None;
@@ -468,7 +477,7 @@ impl Handler<Spoken<ReplicaSays>> for ReplicaBody {
 /// Somebody asks for the service.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Asked(AskService, Answer<AskService>);
+struct Asked(AskService, Responder<AskService>);
 
 impl Handler<Asked> for ReplicaBody {
     type Result = ();
@@ -481,7 +490,7 @@ impl Handler<Asked> for ReplicaBody {
         }
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
-            let why = super::encode_why(&Why::TooLarge { limit: TASK_MAX });
+            let why = super::encode_why(&DeliveryError::TooLarge { limit: TASK_MAX });
             return answer.give(Answered::Refused { why });
         }
         self.next += 1;
@@ -502,7 +511,7 @@ impl Handler<Asked> for ReplicaBody {
 /// Somebody wants to know who serves.
 #[derive(Message)]
 #[rtype(result = "()")]
-struct Wondered(WhoServes, Answer<WhoServes>);
+struct Wondered(WhoServes, Responder<WhoServes>);
 
 impl Handler<Wondered> for ReplicaBody {
     type Result = ();
@@ -533,15 +542,15 @@ impl Handler<Died> for ReplicaBody {
 #[rtype(result = "()")]
 enum Done {
     Executed {
-        result: Result<Bytes, Why>,
+        result: Result<Bytes, DeliveryError>,
         save: bool,
     },
     Both {
-        result: Result<Bytes, Why>,
-        state: Result<Bytes, Why>,
+        result: Result<Bytes, DeliveryError>,
+        state: Result<Bytes, DeliveryError>,
     },
     Saved {
-        state: Result<Bytes, Why>,
+        state: Result<Bytes, DeliveryError>,
     },
     Loaded,
     /// It could not, and has said so.
@@ -552,7 +561,7 @@ enum Done {
         state: Bytes,
     },
     /// It knows its role, or why not.
-    Told(Result<(), Why>),
+    Told(Result<(), DeliveryError>),
 }
 
 impl Handler<Done> for ReplicaBody {
@@ -565,7 +574,7 @@ impl Handler<Done> for ReplicaBody {
                 return self.save(Some(Ok(reply)), context);
             }
             Done::Executed { result, .. } => {
-                if let Err(Why::Stopped | Why::Isolated) = result {
+                if let Err(DeliveryError::Stopped | DeliveryError::Isolated) = result {
                     self.look_again(context);
                 }
                 self.machine.handle_executed(result, None, now);

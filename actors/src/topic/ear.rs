@@ -1,14 +1,14 @@
 //! One listener of a hub, and the component behind it.
 
-use super::Condition;
+use super::EventFilter;
 use super::hub::CONDITION;
 use crate::component::{Component, Handle};
-use crate::host::anchor::Anchor;
-use crate::host::pulse::Pulse;
-use crate::host::pump::{self, Pump};
-use crate::host::stamp::Place;
+use crate::host::anchor::ComponentCell;
+use crate::host::pulse::ArbiterHeartbeat;
+use crate::host::pump::{self, ComponentExecutor};
+use crate::host::stamp::ActivitySlotRef;
 use crate::letter::{self, Times};
-use blastema_core::{Event, Why};
+use blastema_core::{DeliveryError, Event};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::hint::black_box;
@@ -19,14 +19,14 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
 pub(super) struct Ear<E> {
-    pub(super) only_if: Option<Condition<E>>,
+    pub(super) only_if: Option<EventFilter<E>>,
     /// Which ear of the subscription is served now, and which this one is.
     pub(super) present: Arc<AtomicU64>,
     pub(super) number: u64,
     /// The number of the first event that it gets here.
     pub(super) since: u64,
     /// Names the component to the watch while its condition and its handler run.
-    pub(super) place: Cell<Option<Place>>,
+    pub(super) place: Cell<Option<ActivitySlotRef>>,
     pub(super) listener: Box<dyn Listener<E>>,
 }
 
@@ -39,29 +39,35 @@ impl<E> Ear<E> {
 /// The component behind an ear.
 pub(super) trait Listener<E> {
     /// Serves the event, or queues it where the component is busy. Answers where the component is.
-    fn take(&self, event: E, at: Times, pulse: &Pulse, ear: &Ear<E>) -> Option<Place>;
+    fn take(
+        &self,
+        event: E,
+        at: Times,
+        pulse: &ArbiterHeartbeat,
+        ear: &Ear<E>,
+    ) -> Option<ActivitySlotRef>;
     /// Where the component is.
-    fn place(&self) -> Option<Place>;
+    fn place(&self) -> Option<ActivitySlotRef>;
     /// Brings what it consists of nearer to the processor, while the one before it is served.
     fn call_up(&self);
     /// It took long over an event.
     fn overdraw(&self);
     /// Its condition panicked.
     fn die(&self, payload: Box<dyn Any + Send>);
-    fn bury(&self, why: &Why);
+    fn bury(&self, why: &DeliveryError);
 }
 
 pub(super) struct Resident<C: Component> {
-    pub(super) anchor: Arc<Anchor<C>>,
-    pub(super) pump: RefCell<Weak<RefCell<Pump<C>>>>,
+    pub(super) anchor: Arc<ComponentCell<C>>,
+    pub(super) pump: RefCell<Weak<RefCell<ComponentExecutor<C>>>>,
 }
 
 impl<C: Component> Resident<C> {
     #[inline]
-    fn with_pump<R>(&self, then: impl FnOnce(&mut Pump<C>) -> R) -> Option<R> {
+    fn with_pump<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
         let mut known = self.pump.borrow_mut();
         if known.strong_count() == 0 {
-            *known = pump::local(&self.anchor)?; // It was born again.
+            *known = pump::executor_here(&self.anchor)?; // It was born again.
         }
         let pump = known.upgrade()?;
         drop(known);
@@ -72,7 +78,13 @@ impl<C: Component> Resident<C> {
 
 impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
     #[inline]
-    fn take(&self, event: E, at: Times, pulse: &Pulse, ear: &Ear<E>) -> Option<Place> {
+    fn take(
+        &self,
+        event: E,
+        at: Times,
+        pulse: &ArbiterHeartbeat,
+        ear: &Ear<E>,
+    ) -> Option<ActivitySlotRef> {
         let mut event = Some(event);
         let place = self.with_pump(|pump| {
             let place = pump.place();
@@ -91,7 +103,7 @@ impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
         place
     }
 
-    fn place(&self) -> Option<Place> {
+    fn place(&self) -> Option<ActivitySlotRef> {
         self.with_pump(|pump| pump.place())
     }
 
@@ -108,7 +120,7 @@ impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
         self.with_pump(|pump| pump.die_of(payload, CONDITION));
     }
 
-    fn bury(&self, why: &Why) {
-        self.anchor.record.bury(E::NAME, why);
+    fn bury(&self, why: &DeliveryError) {
+        self.anchor.record.record_dead_letter(E::NAME, why);
     }
 }

@@ -5,18 +5,18 @@
 //! its turn and goes on from there in the next.
 
 use super::ear::{Ear, Resident};
-use super::{Condition, Hubs, Latch, Latched, Subscription, Topic, lock};
+use super::{EventFilter, Hubs, Latch, Latched, Subscription, Topic, lock};
 use crate::component::Handle;
-use crate::host::anchor::Anchor;
+use crate::host::anchor::ComponentCell;
 use crate::host::label::label;
-use crate::host::pulse::Pulse;
-use crate::host::stamp::Place;
+use crate::host::pulse::ArbiterHeartbeat;
+use crate::host::stamp::ActivitySlotRef;
 use crate::host::turn_budget::TurnBudget;
-use crate::lane::{Lane, Pushed, Taken, WhenFull};
+use crate::lane::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::letter::Times;
-use crate::panics::Guarded;
+use crate::panics::PanicGuard;
 use crate::platform;
-use blastema_core::{Event, Incarnation, Why};
+use blastema_core::{DeliveryError, Event, Incarnation};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -41,8 +41,8 @@ const OWNER: Incarnation = Incarnation::FIRST;
 pub(super) const CONDITION: &str = "a condition of a subscription";
 
 /// What publishers know of a hub, and listeners that leave it.
-pub(crate) struct HubLane<E> {
-    lane: Lane<Posted<E>>,
+pub(crate) struct HubQueue<E> {
+    lane: BoundedQueue<Posted<E>>,
     id: u64,
     /// Changed under the topic's lock.
     listeners: AtomicU64,
@@ -76,7 +76,7 @@ pub(super) struct Posted<E> {
     number: u64,
 }
 
-impl<E> HubLane<E> {
+impl<E> HubQueue<E> {
     /// Hands an event over; a hub drops its oldest one where it has no room.
     #[inline]
     pub(super) fn push(&self, event: E, at: Times, number: u64) -> Pushed<Posted<E>> {
@@ -86,7 +86,7 @@ impl<E> HubLane<E> {
     }
 }
 
-impl<E: Event> HubLane<E> {
+impl<E: Event> HubQueue<E> {
     /// What this ear would still have got here of what was published since it came. `leave` says,
     /// once and before anything is looked at, that it gets nothing here any more.
     fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
@@ -112,7 +112,7 @@ impl<E: Event> HubLane<E> {
 
 /// A hub on its own arbiter.
 struct Hub<E: Event> {
-    shared: Arc<HubLane<E>>,
+    shared: Arc<HubQueue<E>>,
     /// For what its events do when they are copied and dropped.
     topic: Weak<Topic<E>>,
     ears: RefCell<Vec<Ear<E>>>,
@@ -120,7 +120,7 @@ struct Hub<E: Event> {
     newcomers: RefCell<Vec<Ear<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
-    pulse: Arc<Pulse>,
+    pulse: Arc<ArbiterHeartbeat>,
     budget: TurnBudget,
     /// What is handed out now, and which ear has its turn.
     batch: RefCell<Option<Batch<E>>>,
@@ -171,10 +171,10 @@ impl<E: Event> Topic<E> {
         if let Some(hub) = known.filter(|hub| !hub.shared.retired.load(Relaxed)) {
             return hub;
         }
-        let lane = Lane::new(CAPACITY, WhenFull::DropOldest);
+        let lane = BoundedQueue::new(CAPACITY, WhenFull::DropOldest);
         lane.begin(OWNER);
         let serving = Serving { events: Arc::default(), only: None, brought: VecDeque::new() };
-        let shared = Arc::new(HubLane {
+        let shared = Arc::new(HubQueue {
             lane,
             id: NEXT.fetch_add(1, Relaxed),
             listeners: AtomicU64::new(0),
@@ -190,7 +190,7 @@ impl<E: Event> Topic<E> {
             ears: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
-            pulse: Pulse::enrol_here(),
+            pulse: ArbiterHeartbeat::enrol_here(),
             budget: TurnBudget::default(),
             batch: RefCell::new(None),
             turn_of: Cell::new(0),
@@ -204,7 +204,7 @@ impl<E: Event> Topic<E> {
     }
 
     /// One of the hub's ears is not served any more. A hub without any is released.
-    fn leave(&self, hub: &Arc<HubLane<E>>) {
+    fn leave(&self, hub: &Arc<HubQueue<E>>) {
         let mut hubs = lock(&self.hubs);
         hub.gone.fetch_add(1, Relaxed);
         if hub.listeners.fetch_sub(1, Relaxed) > 1 {
@@ -226,7 +226,7 @@ impl<E: Event> Topic<E> {
 impl<E: Event> Topic<E> {
     /// What the topic keeps, for a listener that joins.
     fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
-        let _guarded = Guarded::enter();
+        let _guarded = PanicGuard::enter();
         let kept = catch_unwind(AssertUnwindSafe(|| {
             let posted = |kept: &Latched<E>| Posted {
                 event: kept.event.clone(),
@@ -287,9 +287,9 @@ impl<E: Event> Hub<E> {
         let resumed = self.batch.borrow().is_some();
         if !resumed {
             match self.next_batch(cx) {
-                Taken::Got(batch) => drop(self.batch.replace(Some(batch))),
-                Taken::Empty => return Poll::Pending,
-                Taken::Retired => return Poll::Ready(()),
+                Popped::Got(batch) => drop(self.batch.replace(Some(batch))),
+                Popped::Empty => return Poll::Pending,
+                Popped::Retired => return Poll::Ready(()),
             }
         }
         match self.distribute() {
@@ -306,10 +306,10 @@ impl<E: Event> Hub<E> {
     }
 
     /// What an ear brought along, or some events from the lane.
-    fn next_batch(&self, cx: &task::Context<'_>) -> Taken<Batch<E>> {
+    fn next_batch(&self, cx: &task::Context<'_>) -> Popped<Batch<E>> {
         let mut ears = self.ears.borrow_mut();
         ears.append(&mut self.newcomers.borrow_mut());
-        let HubLane { lane, serving, reached, begun, .. } = &*self.shared;
+        let HubQueue { lane, serving, reached, begun, .. } = &*self.shared;
         let mut serving = lock(serving);
         let (mut events, mut only, mut full) = (Vec::new(), None, true);
         if let Some((ear, brought)) = serving.brought.pop_front() {
@@ -317,13 +317,13 @@ impl<E: Event> Hub<E> {
         }
         while only.is_none() && events.len() < BUDGET {
             match lane.take(OWNER, cx.waker()) {
-                Taken::Got(posted) => events.push(posted),
-                Taken::Empty if events.is_empty() => return Taken::Empty,
-                Taken::Empty => {
+                Popped::Got(posted) => events.push(posted),
+                Popped::Empty if events.is_empty() => return Popped::Empty,
+                Popped::Empty => {
                     full = false;
                     break;
                 }
-                Taken::Retired => return Taken::Retired,
+                Popped::Retired => return Popped::Retired,
             }
         }
         let mut stale = Vec::new();
@@ -338,11 +338,11 @@ impl<E: Event> Hub<E> {
         drop(serving);
         for _ in &stale {
             let concerned = ears.iter().filter(|ear| only.is_none_or(|only| only == ear.number));
-            concerned.for_each(|ear| ear.listener.bury(&Why::Expired));
+            concerned.for_each(|ear| ear.listener.bury(&DeliveryError::Expired));
         }
         self.discard(stale);
         self.turn_of.set(0);
-        Taken::Got(Batch { events, only, full })
+        Popped::Got(Batch { events, only, full })
     }
 
     /// Gives every ear the events that it wants, until something takes long.
@@ -350,7 +350,7 @@ impl<E: Event> Hub<E> {
         let (ears, batch) = (self.ears.borrow(), self.batch.borrow());
         let Some(batch) = &*batch else { return Progress::Done };
         loop {
-            let guarded = Guarded::enter();
+            let guarded = PanicGuard::enter();
             let offered = catch_unwind(AssertUnwindSafe(|| self.offer_to_all(&ears, batch)));
             drop(guarded);
             match offered {
@@ -380,7 +380,7 @@ impl<E: Event> Hub<E> {
     /// Gives an ear the events that it wants, from the next one on.
     #[inline]
     fn offer(&self, ear: &Ear<E>, batch: &Batch<E>) -> Progress {
-        let HubLane { begun, reached, gone, .. } = &*self.shared;
+        let HubQueue { begun, reached, gone, .. } = &*self.shared;
         if gone.load(Relaxed) != self.gone.get() && !ear.is_present() {
             return Progress::Done;
         }
@@ -418,7 +418,7 @@ impl<E: Event> Hub<E> {
     }
 
     /// Asks the listener's condition, which is the component's code as its handlers are.
-    fn is_wanted(&self, ear: &Ear<E>, wanted: &Condition<E>, posted: &Posted<E>) -> bool {
+    fn is_wanted(&self, ear: &Ear<E>, wanted: &EventFilter<E>, posted: &Posted<E>) -> bool {
         let stamp = ear.place.get().map(|place| place.stamp);
         let busy = stamp.filter(|stamp| stamp.is_busy());
         let before = busy.map(|stamp| stamp.relabel(self.condition));
@@ -434,8 +434,8 @@ impl<E: Event> Hub<E> {
     fn condition_ends(&self, ear: &Ear<E>, before: Option<u32>) {
         self.runs.set(Runs::Other);
         match (ear.place.get(), before) {
-            (Some(Place { stamp, .. }), Some(label)) => drop(stamp.relabel(label)),
-            (Some(Place { stamp, .. }), None) => stamp.step(),
+            (Some(ActivitySlotRef { stamp, .. }), Some(label)) => drop(stamp.relabel(label)),
+            (Some(ActivitySlotRef { stamp, .. }), None) => stamp.step(),
             (None, _) => {}
         }
     }
@@ -483,9 +483,9 @@ fn step(next: &AtomicUsize) {
 }
 
 /// A component's subscription to one topic.
-pub(crate) struct Listening<E: Event> {
+pub(crate) struct TopicSubscription<E: Event> {
     topic: Arc<Topic<E>>,
-    only_if: Option<Condition<E>>,
+    only_if: Option<EventFilter<E>>,
     /// The number of the ear that is served now; 0 for none.
     present: Arc<AtomicU64>,
     /// Its hub.
@@ -494,18 +494,18 @@ pub(crate) struct Listening<E: Event> {
 
 /// Where a subscription is served, and from which of the topic's events on.
 struct At<E> {
-    lane: Arc<HubLane<E>>,
+    lane: Arc<HubQueue<E>>,
     since: u64,
 }
 
-impl<E: Event> Listening<E> {
-    pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<Condition<E>>) -> Self {
-        Listening { topic, only_if, present: Arc::default(), hub: Mutex::default() }
+impl<E: Event> TopicSubscription<E> {
+    pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<EventFilter<E>>) -> Self {
+        TopicSubscription { topic, only_if, present: Arc::default(), hub: Mutex::default() }
     }
 }
 
-impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
-    fn attach(&self, anchor: &Arc<Anchor<C>>) {
+impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
+    fn attach(&self, anchor: &Arc<ComponentCell<C>>) {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         // No event passes between what the topic keeps and what the listener gets from here on.
         let latch = lock(&self.topic.latch);
@@ -521,7 +521,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
         // moves and would miss it.
         let left = match &*at {
             Some(At { lane, since }) => {
-                let _guarded = Guarded::enter();
+                let _guarded = PanicGuard::enter();
                 let left = catch_unwind(AssertUnwindSafe(|| lane.leftover(*since, leave)));
                 left.unwrap_or_else(|payload| {
                     self.topic.complain(payload);
@@ -556,7 +556,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
         }
     }
 
-    fn catch_up(&self, _: &Arc<Anchor<C>>) {
+    fn catch_up(&self, _: &Arc<ComponentCell<C>>) {
         let left = self.topic.kept(&lock(&self.topic.latch));
         if let Some(At { lane, .. }) = &*lock(&self.hub)
             && !left.is_empty()
@@ -566,7 +566,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for Listening<E> {
         }
     }
 
-    fn end(&self, anchor: &Anchor<C>) {
+    fn end(&self, anchor: &ComponentCell<C>) {
         if let Some(At { lane, .. }) = lock(&self.hub).take() {
             self.present.store(0, Relaxed);
             self.topic.leave(&lane);

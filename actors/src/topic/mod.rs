@@ -20,26 +20,27 @@ mod hub;
 mod publisher;
 mod traffic;
 
-pub(crate) use hub::Listening;
+pub(crate) use hub::TopicSubscription;
 pub use publisher::Publisher;
 pub use traffic::TopicRow;
 
 use crate::component::Component;
-use crate::host::anchor::Anchor;
-use crate::host::environment::Reports;
-use crate::host::office::DeadLetterOffice;
+use crate::host::anchor::ComponentCell;
+use crate::host::environment::FaultReports;
+use crate::host::office::DeadLetterLog;
 use crate::host::pulse;
 use crate::lane::Pushed;
-use crate::letter::{Times, posting_time};
-use crate::panics::{self, Guarded};
+use crate::letter::{Times, enqueue_time};
+use crate::panics::{self, PanicGuard};
 use crate::platform;
 use crate::registry::difference;
 use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, Event, Former, Instant, ObjectName, Parcel, Why, suggestion,
+    ContractIdentity, DeliveryError, Event, GatherBuffer, Instant, ObjectName, PreviousVersion,
+    suggestion,
 };
 use bytes::Bytes;
-use hub::HubLane;
+use hub::HubQueue;
 use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -53,21 +54,21 @@ use tracing::error;
 use traffic::Traffic;
 
 /// Says whether a listener wants an event.
-pub(crate) type Condition<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
+pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process, with the time by which its age is judged. Must not wait.
-pub(crate) type Forward = Arc<dyn Fn(&Parcel, Instant) + Send + Sync>;
+pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
 /// Hears which topics this node listens to.
-pub(crate) type Interest = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
+pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 
 /// A component's subscription to one topic, for all its lives.
 pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
-    fn attach(&self, anchor: &Arc<Anchor<C>>);
+    fn attach(&self, anchor: &Arc<ComponentCell<C>>);
     /// Another incarnation of the component has begun where the one before it ended: it is given what
     /// the topic keeps for those who join.
-    fn catch_up(&self, anchor: &Arc<Anchor<C>>);
+    fn catch_up(&self, anchor: &Arc<ComponentCell<C>>);
     /// From now on none are.
-    fn end(&self, anchor: &Anchor<C>);
+    fn end(&self, anchor: &ComponentCell<C>);
 }
 
 /// A component's subscriptions.
@@ -106,7 +107,7 @@ pub(crate) struct Topic<E: Event> {
     key: TopicKey,
     id: u64,
     hubs: Mutex<Hubs<E>>,
-    forwards: Mutex<Arc<[Forward]>>,
+    forwards: Mutex<Arc<[RemoteForward]>>,
     is_forwarded: AtomicBool,
     listeners: AtomicU64,
     /// Held while an event of a latched topic is handed out, so that who joins gets it once.
@@ -115,19 +116,19 @@ pub(crate) struct Topic<E: Event> {
     /// Listeners here, and other nodes that have some.
     matched: watch::Sender<usize>,
     all: Weak<Mutex<Inner>>,
-    dead_letters: DeadLetterOffice,
-    reports: Reports,
+    dead_letters: DeadLetterLog,
+    reports: FaultReports,
     /// It is known that its events panic.
     complained: AtomicBool,
-    interest: Arc<Mutex<Option<Interest>>>,
+    interest: Arc<Mutex<Option<InterestObserver>>>,
     /// The earlier versions that are understood.
-    former: Vec<Former<E>>,
+    former: Vec<PreviousVersion<E>>,
 }
 
 /// Where a topic's events go.
 struct Hubs<E> {
     /// One for each arbiter that has listeners. Copied when it changes.
-    list: Arc<[Arc<HubLane<E>>]>,
+    list: Arc<[Arc<HubQueue<E>>]>,
     /// The number of the next event. It is taken, and the event handed to the hubs, under one lock:
     /// whoever moves from one hub to another has all events before a number from the one, and all
     /// others from the other.
@@ -140,7 +141,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl<E: Event> Topic<E> {
     fn publish(&self, event: E, captured_at: Option<Instant>) {
-        let posted_at = posting_time::<E>();
+        let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
         let times = Times { posted_at, captured_at };
@@ -159,12 +160,12 @@ impl<E: Event> Topic<E> {
     /// To the listeners of this node, now and later.
     fn hand_out(&self, event: E, times: Times, is_foreign: bool) {
         if !E::LATCHED {
-            return self.spread(event, times);
+            return self.fan_out(event, times);
         }
         let mut latch = lock(&self.latch);
         let kept = Latched { event: event.clone(), at: times, is_foreign };
         let earlier = latch.replace(kept).map(|earlier| earlier.event);
-        self.spread(event, times);
+        self.fan_out(event, times);
         drop(latch);
         self.discard(earlier);
     }
@@ -181,7 +182,7 @@ impl<E: Event> Topic<E> {
     /// been meant.
     #[cold]
     fn suggest(&self) {
-        if !self.traffic.is_time_to_judge(pulse::rough_now()) {
+        if !self.traffic.is_time_to_judge(pulse::coarse_now()) {
             return;
         }
         let Some(all) = self.all.upgrade() else { return };
@@ -196,7 +197,7 @@ impl<E: Event> Topic<E> {
     }
 
     /// To the listeners of this node.
-    fn spread(&self, event: E, times: Times) {
+    fn fan_out(&self, event: E, times: Times) {
         let mut copies = Vec::new();
         loop {
             let mut hubs = lock(&self.hubs);
@@ -227,7 +228,7 @@ impl<E: Event> Topic<E> {
             waker.wake();
         }
         if let Some(displaced) = displaced {
-            self.bury(&Why::Full);
+            self.bury(&DeliveryError::Full);
             self.discard([displaced]);
         }
     }
@@ -238,7 +239,7 @@ impl<E: Event> Topic<E> {
             return;
         }
         for event in events {
-            let _guarded = Guarded::enter();
+            let _guarded = PanicGuard::enter();
             if let Err(payload) = catch_unwind(AssertUnwindSafe(|| drop(event))) {
                 self.complain(payload);
             }
@@ -262,14 +263,14 @@ impl<E: Event> Topic<E> {
         let forwards = lock(&self.forwards).clone();
         match codec::encode_parcel(event) {
             Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel, sent)),
-            Err(_) => self.bury(&Why::TooLarge { limit: E::MAX_SIZE }),
+            Err(_) => self.bury(&DeliveryError::TooLarge { limit: E::MAX_SIZE }),
         }
     }
 
     /// Counts an event that a hub lost.
-    fn bury(&self, why: &Why) {
+    fn bury(&self, why: &DeliveryError) {
         if let Some(name) = self.key.lost_to() {
-            self.dead_letters.take(&name, E::NAME, why);
+            self.dead_letters.record(&name, E::NAME, why);
         }
     }
 
@@ -313,11 +314,16 @@ trait AnyTopic: Send + Sync {
     fn identity(&self) -> ContractIdentity;
     /// The present version and the earlier ones that listeners here understand.
     fn identities(&self) -> Vec<ContractIdentity>;
-    fn forward_to(&self, forwards: Arc<[Forward]>);
-    fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why>;
+    fn forward_to(&self, forwards: Arc<[RemoteForward]>);
+    fn publish_remote(
+        &self,
+        form: usize,
+        event: &Bytes,
+        age: Duration,
+    ) -> Result<(), DeliveryError>;
     fn has_listeners(&self) -> bool;
     /// Gives it the event that the topic keeps for who joins.
-    fn catch_up(&self, forward: &Forward);
+    fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
     fn row(&self, now: Instant) -> TopicRow;
 }
@@ -332,13 +338,13 @@ impl<E: Event> AnyTopic for Topic<E> {
         std::iter::once(self.identity()).chain(former).collect()
     }
 
-    fn forward_to(&self, forwards: Arc<[Forward]>) {
+    fn forward_to(&self, forwards: Arc<[RemoteForward]>) {
         self.is_forwarded.store(!forwards.is_empty(), Relaxed);
         *lock(&self.forwards) = forwards;
         self.renew_matched();
     }
 
-    fn catch_up(&self, forward: &Forward) {
+    fn catch_up(&self, forward: &RemoteForward) {
         let latch = lock(&self.latch);
         if let Some(Latched { event, at, is_foreign: false }) = &*latch
             && let Ok(parcel) = codec::encode_parcel(event)
@@ -356,7 +362,12 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.traffic.row(&self.key, E::LATCHED, nodes, now)
     }
 
-    fn inject(&self, form: usize, event: &Bytes, age: Duration) -> Result<(), Why> {
+    fn publish_remote(
+        &self,
+        form: usize,
+        event: &Bytes,
+        age: Duration,
+    ) -> Result<(), DeliveryError> {
         let former = form.checked_sub(1).and_then(|place| self.former.get(place));
         // To read it runs what is the user's, on the network's thread.
         let read = panics::caught(|| match former {
@@ -376,7 +387,7 @@ impl<E: Event> AnyTopic for Topic<E> {
                 Ok(())
             }
             Err(reason) => {
-                let why = Why::Undecodable { reason };
+                let why = DeliveryError::Undecodable { reason };
                 self.bury(&why);
                 Err(why)
             }
@@ -413,7 +424,7 @@ struct Inner {
     /// As many as the program has publishers and listeners.
     topics: BTreeMap<TopicKey, Known>,
     /// Kept for topics that nobody here has named yet.
-    forwards: BTreeMap<TopicKey, BTreeMap<u64, Forward>>,
+    forwards: BTreeMap<TopicKey, BTreeMap<u64, RemoteForward>>,
     next_forward: u64,
 }
 
@@ -421,13 +432,13 @@ struct Inner {
 #[derive(Clone)]
 pub(crate) struct Topics {
     inner: Arc<Mutex<Inner>>,
-    interest: Arc<Mutex<Option<Interest>>>,
-    dead_letters: DeadLetterOffice,
-    reports: Reports,
+    interest: Arc<Mutex<Option<InterestObserver>>>,
+    dead_letters: DeadLetterLog,
+    reports: FaultReports,
 }
 
 impl Topics {
-    pub(crate) fn new(dead_letters: DeadLetterOffice, reports: Reports) -> Self {
+    pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
         Topics { inner: Arc::default(), interest: Arc::default(), dead_letters, reports }
     }
 
@@ -436,7 +447,7 @@ impl Topics {
         &self,
         name: &str,
         at: &'static Location<'static>,
-    ) -> Result<Arc<Topic<E>>, Why> {
+    ) -> Result<Arc<Topic<E>>, DeliveryError> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let key = TopicKey::new(name, E::NAME);
         let naming = Naming { named: type_name::<E>(), at };
@@ -447,7 +458,7 @@ impl Topics {
                 let first = known.naming;
                 let difference =
                     format!("the topic {name:?} carries {first} and {naming}: {difference}");
-                Why::ContractDiffers { difference }
+                DeliveryError::ContractDiffers { difference }
             });
         }
         let topic = Arc::new(Topic::<E> {
@@ -465,7 +476,7 @@ impl Topics {
             reports: self.reports.clone(),
             complained: AtomicBool::new(false),
             interest: self.interest.clone(),
-            former: E::former(),
+            former: E::previous_versions(),
         });
         if let Some(forwards) = inner.forwards.get(&key) {
             topic.forward_to(forwards.values().cloned().collect());
@@ -485,7 +496,7 @@ impl Topics {
     /// A way to publish on the topic of this name.
     #[track_caller]
     #[cfg(test)]
-    pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, Why> {
+    pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         self.publisher_of(topic, "")
     }
 
@@ -495,7 +506,7 @@ impl Topics {
         &self,
         topic: &str,
         object: &str,
-    ) -> Result<Publisher<E>, Why> {
+    ) -> Result<Publisher<E>, DeliveryError> {
         Ok(Publisher::new(self.topic(topic, Location::caller())?, object))
     }
 
@@ -508,8 +519,8 @@ impl Topics {
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
-    /// not exist yet. Events that came in by [`inject`](Self::inject) are not shipped.
-    pub(crate) fn forward(&self, key: &TopicKey, forward: Forward) -> ForwardId {
+    /// not exist yet. Events that came in by [`publish_remote`](Self::inject) are not shipped.
+    pub(crate) fn forward(&self, key: &TopicKey, forward: RemoteForward) -> ForwardId {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
@@ -540,11 +551,11 @@ impl Topics {
         form: usize,
         event: &Bytes,
         age: Duration,
-    ) -> Result<(), Why> {
+    ) -> Result<(), DeliveryError> {
         let topic = lock(&self.inner).topics.get(key).map(|known| known.erased.clone());
         match topic {
-            Some(topic) => topic.inject(form, event, age),
-            None => Err(Why::Unknown { name: key.topic.to_string() }),
+            Some(topic) => topic.publish_remote(form, event, age),
+            None => Err(DeliveryError::Unknown { name: key.topic.to_string() }),
         }
     }
 
@@ -563,7 +574,7 @@ impl Topics {
     }
 
     /// From now on tells when a topic gets its first listener here, or loses its last.
-    pub(crate) fn on_interest(&self, interest: Interest) {
+    pub(crate) fn on_interest(&self, interest: InterestObserver) {
         *lock(&self.interest) = Some(interest);
     }
 }

@@ -1,7 +1,7 @@
 //! What publishes on a topic.
 
 use super::Topic;
-use crate::host::life::LifeToken;
+use crate::host::life::IncarnationToken;
 use crate::host::pulse;
 use crate::sender::SendError;
 use blastema_core::{Event, Instant};
@@ -12,11 +12,11 @@ use std::sync::Arc;
 ///
 /// A publisher that a component got from its [`Context`](crate::Context) belongs to that incarnation of
 /// the component, also when it is moved to a thread or a blocking task: once the incarnation has ended,
-/// [`publish`](Self::publish) fails with [`Why::Fenced`](crate::Why::Fenced).
+/// [`publish`](Self::publish) fails with [`DeliveryError::Fenced`](crate::DeliveryError::Fenced).
 pub struct Publisher<E: Event> {
     topic: Arc<Topic<E>>,
     /// The incarnation that publishes, if it is a component's.
-    life: Option<Arc<LifeToken>>,
+    life: Option<Arc<IncarnationToken>>,
     announced: Arc<Announced<E>>,
 }
 
@@ -56,7 +56,7 @@ impl<E: Event> Publisher<E> {
     }
 
     /// The same, for as long as this incarnation of a component lasts.
-    pub(crate) fn of(mut self, life: Arc<LifeToken>) -> Self {
+    pub(crate) fn of(mut self, life: Arc<IncarnationToken>) -> Self {
         self.life = Some(life);
         self
     }
@@ -64,8 +64,8 @@ impl<E: Event> Publisher<E> {
     /// Hands the event to everyone who listens and wants it. Never waits.
     ///
     /// # Errors
-    /// [`Why::Fenced`](crate::Why::Fenced) if the component that publishes is fenced off, or the
-    /// incarnation that made this publisher has ended; [`Why::Isolated`](crate::Why::Isolated) if the
+    /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is fenced off, or the
+    /// incarnation that made this publisher has ended; [`DeliveryError::Isolated`](crate::DeliveryError::Isolated) if the
     /// component is isolated. The event comes back, and is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
@@ -89,7 +89,7 @@ impl<E: Event> Publisher<E> {
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
         let ended = || self.life.as_ref().and_then(|life| life.forbidden());
-        match pulse::forbidden().or_else(ended) {
+        match pulse::send_refusal().or_else(ended) {
             Some(why) => Err(SendError::new(why, event)),
             None => {
                 self.topic.publish(event, captured_at);
@@ -102,7 +102,7 @@ impl<E: Event> Publisher<E> {
     /// topic's name.
     pub(crate) fn publish_or_count(&self, event: E, captured_at: Option<Instant>) {
         if let Err(refused) = self.publish_stamped(event, captured_at) {
-            self.topic.bury(&refused.why);
+            self.topic.bury(&refused.kind);
         }
     }
 

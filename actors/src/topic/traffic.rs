@@ -13,7 +13,7 @@ const WINDOW: Duration = Duration::from_secs(1);
 /// Listeners of a node that starts, and of its neighbours, have joined by then.
 const JOINED_WITHIN: Duration = Duration::from_secs(5);
 
-/// One topic of a node, as its [picture](crate::Node::picture) shows it.
+/// One topic of a node, as its [picture](crate::Node::snapshot) shows it.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct TopicRow {

@@ -1,8 +1,8 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
 use blastema_core::contract::codec;
-use blastema_core::variables::{Choice, ValueReport, ValueState};
-use blastema_core::{ObjectName, Why};
+use blastema_core::variables::{RestoreChoice, ValueReport, ValueState};
+use blastema_core::{DeliveryError, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ const WHY_MAX: usize = 16 * 1024;
     reply = Accessed,
     max_size = 1024 * 1024
 )]
-pub(crate) enum Access {
+pub(crate) enum VariableRequest {
     Read { variable: Wanted },
     Watch { variable: Wanted, after: u64 },
     Write { writes: Vec<Written> },
@@ -81,18 +81,18 @@ pub(crate) enum Reliance {
     Undecided,
 }
 
-impl From<Chosen> for Choice {
+impl From<Chosen> for RestoreChoice {
     fn from(chosen: Chosen) -> Self {
         match chosen {
-            Chosen::Restore => Choice::Restore,
-            Chosen::Default => Choice::Default,
-            Chosen::Value(value) => Choice::Value(value.into()),
+            Chosen::Restore => RestoreChoice::Restore,
+            Chosen::Default => RestoreChoice::Default,
+            Chosen::Value(value) => RestoreChoice::Value(value.into()),
         }
     }
 }
 
 impl Accessed {
-    pub(crate) fn refused(why: &Why) -> Self {
+    pub(crate) fn refused(why: &DeliveryError) -> Self {
         let mut bytes = Vec::new();
         if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
             bytes.clear();
@@ -101,9 +101,9 @@ impl Accessed {
     }
 
     /// Reads an error that [`refused`](Self::refused) wrote.
-    pub(crate) fn why(bytes: &[u8]) -> Why {
-        codec::decode_bounded::<Why, WHY_MAX>(bytes)
-            .unwrap_or_else(|error| Why::Undecodable { reason: error.to_string() })
+    pub(crate) fn why(bytes: &[u8]) -> DeliveryError {
+        codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
+            .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
 }
 

@@ -9,7 +9,7 @@
 
 use crate::platform;
 use blastema_core::contract::codec;
-use blastema_core::variables::KeptValue;
+use blastema_core::variables::PersistedValue;
 use crc::{CRC_32_ISCSI, Crc};
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -35,7 +35,7 @@ pub(super) enum LoadError {
 }
 
 /// The values of the file; none where there is no file.
-pub(super) fn load(path: &Path) -> Result<Vec<KeptValue>, LoadError> {
+pub(super) fn load(path: &Path) -> Result<Vec<PersistedValue>, LoadError> {
     let bytes = match fs::read(path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -65,7 +65,7 @@ fn beside(path: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-fn save(path: &Path, values: &Vec<KeptValue>) -> io::Result<()> {
+fn save(path: &Path, values: &Vec<PersistedValue>) -> io::Result<()> {
     let mut encoded = Vec::new();
     codec::encode_bounded(values, FILE_MAX, &mut encoded).map_err(io::Error::other)?;
     let mut bytes = [MAGIC, &encoded].concat();
@@ -81,11 +81,11 @@ fn save(path: &Path, values: &Vec<KeptValue>) -> io::Result<()> {
 }
 
 /// Told whether the values are on the disk.
-pub(super) type Then = Box<dyn FnOnce(Result<(), String>) + Send>;
+pub(super) type WriteDone = Box<dyn FnOnce(Result<(), String>) + Send>;
 
 /// Writes the file on a thread of its own: of several changes that come while it writes, all are in the next
 /// file. Dropped, it writes what was given to it, and ends.
-pub(super) struct KeptFile(Arc<Shared>);
+pub(super) struct PersistenceFile(Arc<Shared>);
 
 struct Shared {
     order: Mutex<Order>,
@@ -94,9 +94,9 @@ struct Shared {
 
 #[derive(Default)]
 struct Order {
-    values: Option<Vec<KeptValue>>,
+    values: Option<Vec<PersistedValue>>,
     /// Who waits for that.
-    waiting: Vec<Then>,
+    waiting: Vec<WriteDone>,
     ended: bool,
 }
 
@@ -106,7 +106,7 @@ impl Shared {
     }
 }
 
-impl KeptFile {
+impl PersistenceFile {
     /// `failed` is told when the file cannot be written, once until it can be again.
     pub(super) fn start(
         path: PathBuf,
@@ -116,14 +116,14 @@ impl KeptFile {
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
         platform::start_thread("variables", move || write_when_told(&path, &kept, failed))?;
-        Ok(KeptFile(shared))
+        Ok(PersistenceFile(shared))
     }
 
     pub(super) fn has_room(&self) -> bool {
         self.0.lock().waiting.len() < WAITING_MAX
     }
 
-    pub(super) fn keep(&self, values: Vec<KeptValue>, then: Then) {
+    pub(super) fn keep(&self, values: Vec<PersistedValue>, then: WriteDone) {
         let mut order = self.0.lock();
         order.values = Some(values);
         order.waiting.push(then);
@@ -132,7 +132,7 @@ impl KeptFile {
     }
 }
 
-impl Drop for KeptFile {
+impl Drop for PersistenceFile {
     fn drop(&mut self) {
         self.0.lock().ended = true;
         self.0.changed.notify_one();
@@ -165,9 +165,9 @@ mod tests {
     use super::*;
     use blastema_core::ObjectName;
 
-    fn values(count: u8) -> Vec<KeptValue> {
+    fn values(count: u8) -> Vec<PersistedValue> {
         let object = ObjectName::new("arm").unwrap();
-        let value = |n: u8| KeptValue {
+        let value = |n: u8| PersistedValue {
             variable: (object.clone(), format!("v{n}")),
             fingerprint: 7,
             value: vec![n; usize::from(n)],

@@ -14,14 +14,14 @@ mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};
 
-pub(crate) use store::{Declared, Store};
+pub(crate) use store::{DeclaredVariable, VariableStore};
 
 use crate::registry::Registry;
 use crate::sender::Sender;
-use access::{Access, Accessed, Chosen, WATCH_WITHIN, Wanted, Written};
+use access::{Accessed, Chosen, VariableRequest, WATCH_WITHIN, Wanted, Written};
 use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable, Why,
+    ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable,
 };
 use std::fmt;
 use std::marker::PhantomData;
@@ -62,8 +62,8 @@ impl<V: Variable> VariableSpec<V> {
         self
     }
 
-    pub(crate) fn declared(self) -> Declared {
-        Declared::new(&self.default, self.policy, self.check)
+    pub(crate) fn declared(self) -> DeclaredVariable {
+        DeclaredVariable::new(&self.default, self.policy, self.check)
     }
 }
 
@@ -88,7 +88,7 @@ pub struct Reading<V> {
 
 /// What is to become of a variable that awaits a decision.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Decision<V> {
+pub enum RestoreDecision<V> {
     /// The value from before.
     Restore,
     /// The default.
@@ -99,7 +99,7 @@ pub enum Decision<V> {
 
 /// A variable of an object, here or on another node alike. It outlives restarts of both.
 pub struct VariableRef<V: Variable> {
-    sender: Sender<Access>,
+    sender: Sender<VariableRequest>,
     node: Option<NodeName>,
     object: ObjectName,
     value: PhantomData<fn() -> V>,
@@ -119,9 +119,12 @@ impl<V: Variable> fmt::Debug for VariableRef<V> {
 }
 
 /// The variable `V` of the object of this name.
-pub(crate) fn find<V: Variable>(registry: &Registry, name: &str) -> Result<VariableRef<V>, Why> {
-    let unknown = |_| Why::Unknown { name: name.to_owned() };
-    let sender = registry.sender::<Access>(name)?;
+pub(crate) fn find<V: Variable>(
+    registry: &Registry,
+    name: &str,
+) -> Result<VariableRef<V>, DeliveryError> {
+    let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
+    let sender = registry.sender::<VariableRequest>(name)?;
     let (node, object) = match name.contains(':') {
         true => {
             let ObjectAddress { node, object } = name.parse().map_err(unknown)?;
@@ -138,16 +141,24 @@ impl<V: Variable> VariableRef<V> {
         Wanted { object: self.object.clone(), identity }
     }
 
-    async fn ask(&self, access: Access, within: Duration) -> Result<Accessed, Why> {
+    async fn ask(
+        &self,
+        access: VariableRequest,
+        within: Duration,
+    ) -> Result<Accessed, DeliveryError> {
         let asked = self.sender.ask_within(access, within).await;
-        understood::<V>(asked.map_err(|error| error.why)?)
+        understood::<V>(asked.map_err(|error| error.kind)?)
     }
 
-    async fn ask_for_value(&self, access: Access, within: Duration) -> Result<Reading<V>, Why> {
+    async fn ask_for_value(
+        &self,
+        access: VariableRequest,
+        within: Duration,
+    ) -> Result<Reading<V>, DeliveryError> {
         match self.ask(access, within).await? {
             Accessed::Value { value, revision, state, age_us } => {
                 let value = codec::decode::<V>(&value)
-                    .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+                    .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
                 let age = Duration::from_micros(age_us);
                 Ok(Reading { value, revision, state: state.into(), age })
             }
@@ -158,40 +169,40 @@ impl<V: Variable> VariableRef<V> {
     /// Reads the value.
     ///
     /// # Errors
-    /// [`Why::Unknown`] where the object has no such variable, [`Why::ContractDiffers`] where it is
-    /// another one, [`Why::Undecided`] while a decision is awaited; from other nodes, what any request
+    /// [`DeliveryError::Unknown`] where the object has no such variable, [`DeliveryError::ContractDiffers`] where it is
+    /// another one, [`DeliveryError::Undecided`] while a decision is awaited; from other nodes, what any request
     /// may meet with.
-    pub async fn read(&self) -> Result<Reading<V>, Why> {
-        self.ask_for_value(Access::Read { variable: self.wanted() }, WATCH_WITHIN).await
+    pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
+        self.ask_for_value(VariableRequest::Read { variable: self.wanted() }, WATCH_WITHIN).await
     }
 
     /// Writes a value, and says of which revision it is.
     ///
     /// # Errors
-    /// As [`read`](Self::read), and [`Why::CheckFailed`] where the owner's check refuses the value.
-    pub async fn write(&self, value: V) -> Result<u64, Why> {
+    /// As [`read`](Self::read), and [`DeliveryError::CheckFailed`] where the owner's check refuses the value.
+    pub async fn write(&self, value: V) -> Result<u64, DeliveryError> {
         Transaction::new().write(self, value).commit().await
     }
 
     /// Writes a value if the variable's revision is still this one.
     ///
     /// # Errors
-    /// As [`write`](Self::write), and [`Why::Changed`] where it is another.
-    pub async fn write_if(&self, value: V, revision: u64) -> Result<u64, Why> {
+    /// As [`write`](Self::write), and [`DeliveryError::Changed`] where it is another.
+    pub async fn write_if(&self, value: V, revision: u64) -> Result<u64, DeliveryError> {
         Transaction::new().write_if(self, value, revision).commit().await
     }
 
     /// Decides what becomes of the value after a restart, where the owner's policy is to ask first.
     ///
     /// # Errors
-    /// As [`write`](Self::write), and [`Why::Changed`] where no decision is awaited any more.
-    pub async fn decide(&self, decision: Decision<V>) -> Result<u64, Why> {
+    /// As [`write`](Self::write), and [`DeliveryError::Changed`] where no decision is awaited any more.
+    pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
         let choice = match decision {
-            Decision::Restore => Chosen::Restore,
-            Decision::Default => Chosen::Default,
-            Decision::Value(value) => Chosen::Value(store::encoded(&value)?),
+            RestoreDecision::Restore => Chosen::Restore,
+            RestoreDecision::Default => Chosen::Default,
+            RestoreDecision::Value(value) => Chosen::Value(store::encoded(&value)?),
         };
-        let access = Access::Choose { variable: self.wanted(), choice };
+        let access = VariableRequest::Choose { variable: self.wanted(), choice };
         match self.ask(access, WATCH_WITHIN).await? {
             Accessed::Revision(revision) => Ok(revision),
             other => Err(odd(&other)),
@@ -220,13 +231,13 @@ impl<V: Variable> VariableWatch<V> {
     /// # Errors
     /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is still
     /// true by then. Where the owner's node cannot be reached, wait a little before that.
-    pub async fn next(&mut self) -> Result<Reading<V>, Why> {
+    pub async fn next(&mut self) -> Result<Reading<V>, DeliveryError> {
         loop {
             let variable = self.variable.wanted();
-            let access = Access::Watch { variable, after: self.seen };
+            let access = VariableRequest::Watch { variable, after: self.seen };
             match self.variable.ask_for_value(access, WATCH_WITHIN).await {
                 // Nothing has changed: we are still here.
-                Err(Why::DeadlinePassed) => {}
+                Err(DeliveryError::DeadlinePassed) => {}
                 Ok(reading) => {
                     self.seen = reading.revision;
                     return Ok(reading);
@@ -242,8 +253,8 @@ impl<V: Variable> VariableWatch<V> {
 #[must_use = "nothing is written before commit()"]
 pub struct Transaction {
     writes: Vec<Written>,
-    place: Option<(Sender<Access>, Option<NodeName>)>,
-    wrong: Option<Why>,
+    place: Option<(Sender<VariableRequest>, Option<NodeName>)>,
+    wrong: Option<DeliveryError>,
 }
 
 impl Transaction {
@@ -272,7 +283,7 @@ impl Transaction {
         let place = self.place.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
         if place.1 != *node {
             let reason = format!("{variable:?} is on another node: write there separately");
-            self.wrong.get_or_insert(Why::CheckFailed { reason });
+            self.wrong.get_or_insert(DeliveryError::CheckFailed { reason });
         }
         match store::encoded(value) {
             Ok(value) => {
@@ -289,46 +300,47 @@ impl Transaction {
     ///
     /// # Errors
     /// The first thing that stands in the way, as for [`VariableRef::write_if`]; nothing is written
-    /// then. After [`Why::DeadlinePassed`], and where the node was lost meanwhile, it is not known
+    /// then. After [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is not known
     /// whether everything or nothing was: read one of them.
-    pub async fn commit(self) -> Result<u64, Why> {
+    pub async fn commit(self) -> Result<u64, DeliveryError> {
         if let Some(why) = self.wrong {
             return Err(why);
         }
         let Some((sender, _)) = self.place else {
-            return Err(Why::CheckFailed { reason: "nothing is to be written".into() });
+            return Err(DeliveryError::CheckFailed { reason: "nothing is to be written".into() });
         };
-        let asked = sender.ask_within(Access::Write { writes: self.writes }, WATCH_WITHIN).await;
-        match asked.map_err(|error| error.why)? {
+        let asked =
+            sender.ask_within(VariableRequest::Write { writes: self.writes }, WATCH_WITHIN).await;
+        match asked.map_err(|error| error.kind)? {
             Accessed::Revision(revision) => Ok(revision),
             Accessed::Refused { why } => Err(Accessed::why(&why)),
             Accessed::Differs { identity } => {
                 let name = PeerIdentity::decode(&identity).map(|known| known.name);
                 let name = name.unwrap_or_default();
                 let difference = format!("{name} is another one there: read it to see how");
-                Err(Why::ContractDiffers { difference })
+                Err(DeliveryError::ContractDiffers { difference })
             }
             other => Err(odd(&other)),
         }
     }
 }
 
-fn understood<V: Variable>(accessed: Accessed) -> Result<Accessed, Why> {
+fn understood<V: Variable>(accessed: Accessed) -> Result<Accessed, DeliveryError> {
     match accessed {
         Accessed::Refused { why } => Err(Accessed::why(&why)),
         Accessed::Differs { identity } => {
             let theirs = PeerIdentity::decode(&identity)
-                .map_err(|error| Why::Undecodable { reason: error.to_string() })?;
+                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
             let difference = match ContractIdentity::of::<V>().check(&theirs) {
                 Err(difference) => difference.to_string(),
                 Ok(()) => "the owner says so".to_owned(),
             };
-            Err(Why::ContractDiffers { difference })
+            Err(DeliveryError::ContractDiffers { difference })
         }
         value => Ok(value),
     }
 }
 
-fn odd(accessed: &Accessed) -> Why {
-    Why::Undecodable { reason: format!("an answer to another question: {accessed:?}") }
+fn odd(accessed: &Accessed) -> DeliveryError {
+    DeliveryError::Undecodable { reason: format!("an answer to another question: {accessed:?}") }
 }

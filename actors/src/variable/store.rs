@@ -1,19 +1,20 @@
 //! The node's variables: the body of the machine in the core.
 
-use super::access::{Access, Accessed, Wanted, Written};
-use super::kept_file::{self, KeptFile, LoadError, Then};
-use crate::death_watch::{Ending, Mourner};
-use crate::desk::Desk;
-use crate::host::life::LifeToken;
-use crate::panics::{self, Guarded};
+use super::access::{Accessed, VariableRequest, Wanted, Written};
+use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
+use crate::death_watch::{Ending, Watcher};
+use crate::desk::ServiceFn;
+use crate::host::life::IncarnationToken;
+use crate::panics::{self, PanicGuard};
 use crate::platform;
-use crate::registry::{Port, Registry};
-use crate::reply::Answer;
+use crate::registry::{ContractPort, Registry};
+use crate::reply::Responder;
 use blastema_core::contract::codec;
 use blastema_core::variables::{
-    Choice, Declaration, KeptValue, RestorePolicy, ValueWrite, VariableKey, Variables, Watched,
+    PersistedValue, RestoreChoice, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey,
+    Variables, WatchReport,
 };
-use blastema_core::{ContractIdentity, ObjectName, PeerIdentity, Variable, Why};
+use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::io;
@@ -22,22 +23,22 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Says whether bytes are a value that the owner takes.
-type Check = Arc<dyn Fn(&[u8]) -> Result<(), Why> + Send + Sync>;
+type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// Somebody who waits, and what is told.
-type Told = (Answer<Access>, Accessed);
+type Told = (Responder<VariableRequest>, Accessed);
 
 /// A variable as a component declares it, without its type.
-pub(crate) struct Declared {
+pub(crate) struct DeclaredVariable {
     identity: ContractIdentity,
-    default: Result<Bytes, Why>,
+    default: Result<Bytes, DeliveryError>,
     policy: RestorePolicy,
     check: Check,
     observer: Option<Observer>,
 }
 
-impl Declared {
+impl DeclaredVariable {
     pub(crate) fn new<V: Variable>(
         default: &V,
         policy: RestorePolicy,
@@ -46,22 +47,22 @@ impl Declared {
         let check = move |bytes: &[u8]| {
             let undecodable = |error: codec::DecodeError| error.to_string();
             let value = codec::decode::<V>(bytes)
-                .map_err(|error| Why::Undecodable { reason: undecodable(error) })?;
+                .map_err(|error| DeliveryError::Undecodable { reason: undecodable(error) })?;
             // The check is the user's, and runs on the thread of whoever writes.
-            let _guarded = Guarded::enter();
+            let _guarded = PanicGuard::enter();
             let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
             let reason = match checked {
                 Ok(Ok(())) => return Ok(()),
                 Ok(Err(reason)) => reason,
                 Err(payload) => format!("it panicked: {}", panics::text_of(payload)),
             };
-            Err(Why::CheckFailed { reason })
+            Err(DeliveryError::CheckFailed { reason })
         };
         // What a restart puts in place must be right as well.
         let default = encoded(default).map(Bytes::from);
         let default = default.and_then(|bytes| check(&bytes).map(|()| bytes));
         let (identity, check) = (ContractIdentity::of::<V>(), Arc::new(check));
-        Declared { identity, default, policy, check, observer: None }
+        DeclaredVariable { identity, default, policy, check, observer: None }
     }
 
     /// The owner is told of each value that is written, on the thread of whoever writes.
@@ -76,9 +77,9 @@ impl Declared {
     }
 }
 
-pub(crate) fn encoded<V: Variable>(value: &V) -> Result<Vec<u8>, Why> {
+pub(crate) fn encoded<V: Variable>(value: &V) -> Result<Vec<u8>, DeliveryError> {
     let mut bytes = Vec::new();
-    codec::encode(value, &mut bytes).map_err(|_| Why::TooLarge { limit: V::MAX_SIZE })?;
+    codec::encode(value, &mut bytes).map_err(|_| DeliveryError::TooLarge { limit: V::MAX_SIZE })?;
     Ok(bytes)
 }
 
@@ -93,11 +94,11 @@ struct Facts {
 struct Inner {
     machine: Variables,
     facts: BTreeMap<VariableKey, Facts>,
-    waiting: BTreeMap<u64, Answer<Access>>,
+    waiting: BTreeMap<u64, Responder<VariableRequest>>,
     next: u64,
     /// Values of an earlier process whose owner is not there yet, or not any more.
-    kept: BTreeMap<VariableKey, KeptValue>,
-    file: Option<KeptFile>,
+    kept: BTreeMap<VariableKey, PersistedValue>,
+    file: Option<PersistenceFile>,
     /// What is wrong with values that were to be restored, until somebody can be told.
     complaints: Vec<String>,
 }
@@ -132,10 +133,10 @@ impl Inner {
     }
 
     /// All that the next process is to find.
-    fn worth_keeping(&self) -> Vec<KeptValue> {
+    fn worth_keeping(&self) -> Vec<PersistedValue> {
         let present = self.machine.kept().filter_map(|(variable, value)| {
             let fingerprint = self.facts.get(variable)?.identity.fingerprint;
-            Some(KeptValue { variable: variable.clone(), fingerprint, value: value.to_vec() })
+            Some(PersistedValue { variable: variable.clone(), fingerprint, value: value.to_vec() })
         });
         present.chain(self.kept.values().cloned()).collect()
     }
@@ -143,14 +144,14 @@ impl Inner {
 
 /// The variables of a node. Clones share them.
 #[derive(Clone)]
-pub(crate) struct Store(Arc<Mutex<Inner>>);
+pub(crate) struct VariableStore(Arc<Mutex<Inner>>);
 
-impl Default for Store {
+impl Default for VariableStore {
     fn default() -> Self {
         // Above every revision of any earlier process, as long as fewer than a million changes come
         // in one millisecond.
         let machine = Variables::new(platform::node_incarnation().0 << 20);
-        Store(Arc::new(Mutex::new(Inner {
+        VariableStore(Arc::new(Mutex::new(Inner {
             machine,
             facts: BTreeMap::new(),
             waiting: BTreeMap::new(),
@@ -162,7 +163,7 @@ impl Default for Store {
     }
 }
 
-impl Store {
+impl VariableStore {
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -191,7 +192,7 @@ impl Store {
                 ));
             }
         }
-        inner.file = Some(KeptFile::start(path, failed)?);
+        inner.file = Some(PersistenceFile::start(path, failed)?);
         Ok(())
     }
 
@@ -204,13 +205,13 @@ impl Store {
     pub(crate) fn declare(
         &self,
         object: &ObjectName,
-        declared: Vec<Declared>,
+        declared: Vec<DeclaredVariable>,
         is_isolated: impl Fn() -> bool + Send + Sync + 'static,
-    ) -> Result<Port, Why> {
+    ) -> Result<ContractPort, DeliveryError> {
         let mut inner = self.lock();
-        for Declared { identity, default, policy, check, observer } in declared {
+        for DeclaredVariable { identity, default, policy, check, observer } in declared {
             let key = (object.clone(), identity.name.to_owned());
-            let declaration = Declaration { default: default?, policy };
+            let declaration = VariableDeclaration { default: default?, policy };
             let facts = Facts { identity, check, observer };
             let kept = inner.restored(&key, &facts);
             inner.machine.handle_declared(key.clone(), declaration, kept, platform::now());
@@ -218,15 +219,17 @@ impl Store {
         }
         drop(inner);
         let store = self.clone();
-        let serve = move |access: Access, answer: Answer<Access>| match is_isolated() {
-            true => answer.give(Accessed::refused(&Why::Isolated)),
-            false => store.serve(access, answer),
+        let serve = move |access: VariableRequest, answer: Responder<VariableRequest>| {
+            match is_isolated() {
+                true => answer.give(Accessed::refused(&DeliveryError::Isolated)),
+                false => store.serve(access, answer),
+            }
         };
-        Ok(Port::of_desk(Desk::<Access>(Arc::new(serve))))
+        Ok(ContractPort::of_desk(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
 
     /// Applies the policies whenever a life of the object ends.
-    pub(crate) fn mourn(&self, object: &ObjectName, registry: &Registry) {
+    pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
         let (store, of) = (self.clone(), object.clone());
         let tell = move |down: crate::death_watch::Down| {
             if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
@@ -236,8 +239,8 @@ impl Store {
             }
         };
         let who = ObjectName::new("blastema/variables").expect("a name of letters");
-        let life = Arc::new(LifeToken::default());
-        registry.watch(object.clone(), Mourner { who, life, tell: Box::new(tell) });
+        let life = Arc::new(IncarnationToken::default());
+        registry.watch(object.clone(), Watcher { who, life, tell: Box::new(tell) });
     }
 
     /// The object is gone.
@@ -254,18 +257,18 @@ impl Store {
         self.answer(inner);
     }
 
-    fn serve(&self, access: Access, answer: Answer<Access>) {
+    fn serve(&self, access: VariableRequest, answer: Responder<VariableRequest>) {
         let now = platform::now();
         let accessed = match access {
-            Access::Read { variable } => self.find(&variable).and_then(|(key, _)| {
+            VariableRequest::Read { variable } => self.find(&variable).and_then(|(key, _)| {
                 let report = self.lock().machine.read(&key, now);
                 report.map(Accessed::from).map_err(|why| Accessed::refused(&why))
             }),
-            Access::Watch { variable, after } => match self.find(&variable) {
+            VariableRequest::Watch { variable, after } => match self.find(&variable) {
                 Ok((key, _)) => return self.watch(key, after, answer),
                 Err(refused) => Err(refused),
             },
-            Access::Write { writes } => match self.checked(writes) {
+            VariableRequest::Write { writes } => match self.checked(writes) {
                 Ok(writes) => {
                     let written = writes.iter().map(|write| write.variable.clone()).collect();
                     let write = |machine: &mut Variables| machine.handle_write(writes, now);
@@ -273,7 +276,9 @@ impl Store {
                 }
                 Err(refused) => Err(refused),
             },
-            Access::Choose { variable, choice } => match self.chosen(&variable, choice.into()) {
+            VariableRequest::Choose { variable, choice } => match self
+                .chosen(&variable, choice.into())
+            {
                 Ok((key, choice)) => {
                     let chosen = vec![key.clone()];
                     let choose = |machine: &mut Variables| machine.handle_choice(&key, choice, now);
@@ -285,7 +290,7 @@ impl Store {
         answer.give(accessed.unwrap_or_else(|refused| refused));
     }
 
-    fn watch(&self, variable: VariableKey, after: u64, answer: Answer<Access>) {
+    fn watch(&self, variable: VariableKey, after: u64, answer: Responder<VariableRequest>) {
         let mut inner = self.lock();
         // Those whose life has ended went without a word.
         let gone = inner.waiting.iter().filter(|(_, answer)| !answer.is_wanted());
@@ -311,22 +316,22 @@ impl Store {
     fn change(
         &self,
         variables: Vec<VariableKey>,
-        change: impl FnOnce(&mut Variables) -> Result<u64, Why>,
-        answer: Answer<Access>,
+        change: impl FnOnce(&mut Variables) -> Result<u64, DeliveryError>,
+        answer: Responder<VariableRequest>,
     ) {
         let mut inner = self.lock();
         if inner.file.as_ref().is_some_and(|file| !file.has_room()) {
             drop(inner);
-            return answer.give(Accessed::refused(&Why::Full));
+            return answer.give(Accessed::refused(&DeliveryError::Full));
         }
         let changed = change(&mut inner.machine);
         let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();
         let told = match (changed, &inner.file) {
             (Ok(revision), Some(file)) => {
-                let then: Then = Box::new(move |kept| {
+                let then: WriteDone = Box::new(move |kept| {
                     answer.give(match kept {
                         Ok(()) => Accessed::Revision(revision),
-                        Err(reason) => Accessed::refused(&Why::NotKept { reason }),
+                        Err(reason) => Accessed::refused(&DeliveryError::NotKept { reason }),
                     });
                 });
                 // Under the lock: a later file has all that an earlier one has.
@@ -344,14 +349,18 @@ impl Store {
     }
 
     /// The value of a variable of this object, as it is now.
-    pub(crate) fn value(&self, object: &ObjectName, name: &str) -> Result<Bytes, Why> {
+    pub(crate) fn value(&self, object: &ObjectName, name: &str) -> Result<Bytes, DeliveryError> {
         let key = (object.clone(), name.to_owned());
         self.lock().machine.read(&key, platform::now()).map(|report| report.value)
     }
 
-    fn chosen(&self, wanted: &Wanted, choice: Choice) -> Result<(VariableKey, Choice), Accessed> {
+    fn chosen(
+        &self,
+        wanted: &Wanted,
+        choice: RestoreChoice,
+    ) -> Result<(VariableKey, RestoreChoice), Accessed> {
         let (key, facts) = self.find(wanted)?;
-        if let Choice::Value(value) = &choice {
+        if let RestoreChoice::Value(value) = &choice {
             (facts.check)(value).map_err(|why| Accessed::refused(&why))?;
         }
         Ok((key, choice))
@@ -369,12 +378,13 @@ impl Store {
 
     /// The variable, if it is what the asker takes it for.
     fn find(&self, wanted: &Wanted) -> Result<(VariableKey, Facts), Accessed> {
-        let theirs = PeerIdentity::decode(&wanted.identity)
-            .map_err(|error| Accessed::refused(&Why::Undecodable { reason: error.to_string() }))?;
+        let theirs = PeerIdentity::decode(&wanted.identity).map_err(|error| {
+            Accessed::refused(&DeliveryError::Undecodable { reason: error.to_string() })
+        })?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let facts = self.lock().facts.get(&key).cloned().ok_or_else(|| {
             let name = format!("{} of {}", key.1, key.0);
-            Accessed::refused(&Why::Unknown { name })
+            Accessed::refused(&DeliveryError::Unknown { name })
         })?;
         match facts.identity.check(&theirs) {
             Ok(()) => Ok((key, facts)),
@@ -385,7 +395,7 @@ impl Store {
     /// Tells the watchers what the machine wants them told, outside of the lock.
     fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
         let mut told: Vec<Told> = Vec::new();
-        while let Some(Watched { watcher, result }) = inner.machine.poll_output() {
+        while let Some(WatchReport { watcher, result }) = inner.machine.poll_output() {
             if let Some(answer) = inner.waiting.remove(&watcher) {
                 let accessed = match result {
                     Ok(report) => Accessed::from(report),

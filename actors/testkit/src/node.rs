@@ -2,7 +2,7 @@
 
 use crate::guard::Guard;
 use crate::probe::Probe;
-use blastema::detection::{Record, Row, Turn};
+use blastema::detection::{FaultRecord, FaultTransition, MonitorRow};
 use blastema::{
     Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, Injection, Lifecycle, Node,
     NodeBuilder, Place, StartError,
@@ -94,19 +94,19 @@ impl TestNode {
     /// [`on_this_thread`](NodeBuilder::on_this_thread).
     pub async fn of(node: Node) -> Self {
         let events = node.fault_events();
-        let Record { entries, .. } = node.faults().await;
+        let FaultRecord { entries, .. } = node.faults().await;
         let (awaited, unread, probes) = (BTreeSet::new(), Vec::new(), 0);
         let _guard = Guard::of(node.running());
         let mut test = TestNode { node, events, unread, awaited, probes, _guard };
         // What happened while it started.
         for entry in entries {
             let (at, fault) = (entry.fault.found_at, entry.fault);
-            test.unread.push(FaultEvent { fault: fault.clone(), at, turn: Turn::Found });
+            test.unread.push(FaultEvent { fault: fault.clone(), at, turn: FaultTransition::Found });
             let repaired = !fault.is_repaired_by_recovery() || entry.recovered_at.is_none();
             let turns = [
-                entry.given_up.map(|(at, reason)| (at, Turn::GaveUp { reason })),
-                entry.recovered_at.map(|at| (at, Turn::Recovered)),
-                entry.repaired_at.filter(|_| repaired).map(|at| (at, Turn::Cleared)),
+                entry.given_up.map(|(at, reason)| (at, FaultTransition::GaveUp { reason })),
+                entry.recovered_at.map(|at| (at, FaultTransition::Recovered)),
+                entry.repaired_at.filter(|_| repaired).map(|at| (at, FaultTransition::Cleared)),
             ];
             for (at, turn) in turns.into_iter().flatten() {
                 test.unread.push(FaultEvent { fault: fault.clone(), at, turn });
@@ -130,7 +130,8 @@ impl TestNode {
     /// # Panics
     /// When none is found within [`PATIENCE`]; the text shows the faults that were.
     pub async fn await_fault(&mut self, kind: FaultKind, object: &str) -> Fault {
-        let found = self.await_turn(&kind, object, "found", |turn| *turn == Turn::Found).await;
+        let found =
+            self.await_turn(&kind, object, "found", |turn| *turn == FaultTransition::Found).await;
         self.awaited.insert(found.fault.id);
         found.fault
     }
@@ -141,7 +142,7 @@ impl TestNode {
     /// # Panics
     /// When there is none within [`PATIENCE`]; the text shows the faults that were found.
     pub async fn await_recovered(&mut self, kind: FaultKind, object: &str) -> Duration {
-        let is_recovered = |turn: &Turn| *turn == Turn::Recovered;
+        let is_recovered = |turn: &FaultTransition| *turn == FaultTransition::Recovered;
         let recovered = self.await_turn(&kind, object, "recovered", is_recovered).await;
         self.awaited.insert(recovered.fault.id);
         recovered.at - recovered.fault.found_at
@@ -153,11 +154,11 @@ impl TestNode {
     /// # Panics
     /// When it is not within [`PATIENCE`]; the text shows the faults that were found.
     pub async fn await_given_up(&mut self, kind: FaultKind, object: &str) -> String {
-        let is_given_up = |turn: &Turn| matches!(turn, Turn::GaveUp { .. });
+        let is_given_up = |turn: &FaultTransition| matches!(turn, FaultTransition::GaveUp { .. });
         let event = self.await_turn(&kind, object, "given up", is_given_up).await;
         self.awaited.insert(event.fault.id);
         match event.turn {
-            Turn::GaveUp { reason } => reason,
+            FaultTransition::GaveUp { reason } => reason,
             _ => String::new(),
         }
     }
@@ -222,9 +223,9 @@ impl TestNode {
     ///
     /// # Panics
     /// When it says nothing; the text shows what is watched.
-    pub async fn row(&self, object: &str) -> Row {
+    pub async fn row(&self, object: &str) -> MonitorRow {
         let table = self.node.table().await;
-        let is_it = |row: &&Row| is_at(&row.place, object);
+        let is_it = |row: &&MonitorRow| is_at(&row.place, object);
         let found = table.iter().find(is_it).cloned();
         found.unwrap_or_else(|| {
             let places: Vec<String> = table.iter().map(|row| row.place.to_string()).collect();
@@ -263,7 +264,7 @@ impl TestNode {
         kind: &FaultKind,
         object: &str,
         what: &str,
-        wanted: impl Fn(&Turn) -> bool,
+        wanted: impl Fn(&FaultTransition) -> bool,
     ) -> FaultEvent {
         let wanted = |event: &FaultEvent| {
             event.fault.kind == *kind && is_at(&event.fault.place, object) && wanted(&event.turn)
@@ -302,7 +303,7 @@ fn is_at(place: &Place, object: &str) -> bool {
 }
 
 /// The record as lines for a person.
-fn describe(record: &Record) -> String {
+fn describe(record: &FaultRecord) -> String {
     let mut lines = String::new();
     for entry in &record.entries {
         let Fault { kind, place, incarnation, detail, count, .. } = &entry.fault;

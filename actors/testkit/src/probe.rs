@@ -24,12 +24,12 @@ use std::time::Duration;
 ///     let builder = Node::builder("module1").child(brakes.target("brakes"));
 ///     let node = TestNode::start(builder).await;
 ///
-///     node.sender("brakes")?.tell(Brake { newton: 40.0 }).map_err(|error| error.why)?;
+///     node.sender("brakes")?.tell(Brake { newton: 40.0 }).map_err(|error| error.kind)?;
 ///
 ///     assert_eq!(brakes.expect().await, Brake { newton: 40.0 });
-///     Ok::<(), Why>(())
+///     Ok::<(), DeliveryError>(())
 /// })?;
-/// # Ok::<(), blastema::Why>(())
+/// # Ok::<(), blastema::DeliveryError>(())
 /// ```
 pub struct Probe<M>(Record<M>);
 

@@ -1,6 +1,6 @@
 //! Faults that are put into components by name, and doubles of their partners.
 
-use blastema::detection::{Push, Watch};
+use blastema::detection::{Liveness, Push};
 use blastema::prelude::*;
 use blastema_testkit::{Probe, TestNode, owner};
 use std::process::Command;
@@ -43,7 +43,7 @@ async fn node() -> TestNode {
     let arm = ChildSpec::new("arm", || Arm)
         .rate_hz(10.0)
         .max_wait(Duration::from_millis(200))
-        .watch(Watch::Push(Push {
+        .liveness(Liveness::Push(Push {
             interval: Duration::from_millis(100),
             tolerance: 3,
             start_up: SECOND,
@@ -110,7 +110,7 @@ async fn a_component_that_is_slowed_answers_later_until_it_is_healed() {
 
     node.slow("arm", Duration::from_millis(150));
     let late = arm.ask_within(Where, Duration::from_millis(100)).await;
-    assert_eq!(late.unwrap_err().why, Why::DeadlinePassed);
+    assert_eq!(late.unwrap_err().kind, DeliveryError::DeadlinePassed);
     node.heal("arm");
     node.advance(2 * SECOND).await;
 

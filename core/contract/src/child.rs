@@ -1,10 +1,10 @@
 //! Between a supervisor and what it supervises.
 
-use crate::reports::Exit;
+use crate::reports::ExitReason;
 use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
 
-pub use blastema_core::recovery::StandingOrder;
+pub use blastema_core::recovery::RestartGrant;
 
 /// What a supervisor may do with a child: a component, or a supervisor below it.
 ///
@@ -55,7 +55,7 @@ pub trait Child: Send {
     fn isolate(&mut self, isolated: bool);
 
     /// Leaves a decision with the child's guard, or withdraws it.
-    fn standing_order(&mut self, order: Option<StandingOrder>);
+    fn standing_order(&mut self, order: Option<RestartGrant>);
 }
 
 /// What became of a supervisor's call.
@@ -99,7 +99,7 @@ pub enum ChildEvent {
     /// the same in [`Exited`](crate::reports::Exited).
     Died {
         /// How.
-        exit: Exit,
+        exit: ExitReason,
         /// The guard has carried out its standing order: this life has begun in the old one's place.
         restarted_as: Option<Incarnation>,
     },

@@ -2,7 +2,7 @@
 
 use crate::Confirmed;
 use actix::{Message, Recipient};
-use blastema_core::detection::{Observation, Outcome, Record, Turn};
+use blastema_core::detection::{FaultRecord, FaultTransition, Observation, RecoveryOutcome};
 use blastema_core::{Fault, FaultId, Instant};
 
 /// The monitor hands over what it saw, and repeats it until it is confirmed.
@@ -24,12 +24,12 @@ pub struct FaultOutcome {
     /// When it was so, on this node's clock.
     pub at: Instant,
     /// What became of it.
-    pub what: Outcome,
+    pub what: RecoveryOutcome,
 }
 
 /// Asks for the record of faults, roots before their symptoms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "Record")]
+#[rtype(result = "FaultRecord")]
 pub struct ReadRecord;
 
 /// From now on, every [`FaultEvent`] goes to this listener too, until its mailbox closes.
@@ -46,5 +46,5 @@ pub struct FaultEvent {
     /// When it was so.
     pub at: Instant,
     /// What happened.
-    pub turn: Turn,
+    pub turn: FaultTransition,
 }

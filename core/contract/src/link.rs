@@ -6,40 +6,40 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::Parcel;
+use blastema_core::GatherBuffer;
 use blastema_core::net::routing::LinkStatus;
-use blastema_core::net::{LinkNumber, LinkState, Neighbour, Quality, Refusals};
+use blastema_core::net::{LinkId, LinkState, Neighbour, Quality, Refusals};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
 
 /// What a link carries.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Load {
+pub enum LinkPayload {
     /// From router to router, no further.
     Routing(Bytes),
     /// A packet on its way.
-    Packet(Parcel),
+    Packet(GatherBuffer),
 }
 
 /// The router wants a link to carry this. Dropped and counted where the link is not up.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct Carry {
+pub struct TransmitOnLink {
     /// Which link.
-    pub link: LinkNumber,
+    pub link: LinkId,
     /// What.
-    pub load: Load,
+    pub load: LinkPayload,
 }
 
 /// A link's neighbour has sent this.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct Arrived {
+pub struct ReceivedOnLink {
     /// Which link.
-    pub link: LinkNumber,
+    pub link: LinkId,
     /// What.
-    pub load: Load,
+    pub load: LinkPayload,
 }
 
 /// A link is now as follows.
@@ -47,7 +47,7 @@ pub struct Arrived {
 #[rtype(result = "()")]
 pub struct LinkChanged {
     /// Which.
-    pub link: LinkNumber,
+    pub link: LinkId,
     /// How.
     pub status: LinkStatus,
 }
@@ -60,9 +60,9 @@ pub struct ReportLinks;
 /// A link's neighbour says by another way that it has given it up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct GivenUp {
+pub struct RemoteLinkDown {
     /// Which.
-    pub link: LinkNumber,
+    pub link: LinkId,
 }
 
 /// The interface that a network uses has lost its carrier, or has it again.
@@ -78,11 +78,11 @@ pub struct CarrierChanged {
 #[rtype(result = "()")]
 pub struct AddLinks {
     /// Which.
-    pub links: Vec<LinkNumber>,
+    pub links: Vec<LinkId>,
     /// Takes what they are to carry.
-    pub carry: Recipient<Carry>,
+    pub carry: Recipient<TransmitOnLink>,
     /// Tells them what their neighbours say by other ways.
-    pub given_up: Recipient<GivenUp>,
+    pub given_up: Recipient<RemoteLinkDown>,
     /// Asks them how they are.
     pub report: Recipient<ReportLinks>,
 }

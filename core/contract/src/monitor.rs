@@ -11,16 +11,18 @@
 use crate::Confirmed;
 use crate::reports::AreYouAlive;
 use actix::{Message, Recipient};
-use blastema_core::detection::{EnrolError, Enrolment, LinkCondition, NodeCondition, Row};
+use blastema_core::detection::{
+    LinkCondition, MonitorRow, NodeCondition, Registration, RegistrationError,
+};
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use std::sync::Arc;
 
 /// Watches an object from now on. Sent again for a known object, it changes how that is watched.
 #[derive(Clone, Message)]
-#[rtype(result = "Result<Confirmed, EnrolError>")]
-pub struct Enrol {
+#[rtype(result = "Result<Confirmed, RegistrationError>")]
+pub struct Register {
     /// Who, and how.
-    pub enrolment: Enrolment,
+    pub enrolment: Registration,
     /// Where it answers the monitor's questions, on its control lane; needed for `Watch::Pull`.
     pub inquiries: Option<Recipient<AreYouAlive>>,
 }
@@ -28,14 +30,14 @@ pub struct Enrol {
 /// Forgets an object; what it still says is not listened to.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct Dismiss {
+pub struct Unregister {
     /// Who.
     pub object: ObjectName,
 }
 
 /// Asks for the table of everything that is watched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "Vec<Row>")]
+#[rtype(result = "Vec<MonitorRow>")]
 pub struct ReadTable;
 
 /// An object's sending and receiving was forbidden, or allowed again.

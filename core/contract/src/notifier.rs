@@ -7,9 +7,9 @@
 //! ```
 
 use crate::Confirmed;
-use crate::recoverer::{Recover, StandDown};
+use crate::recoverer::{CancelRecovery, Recover};
 use actix::{Message, Recipient};
-use blastema_core::detection::{Port, PortRow};
+use blastema_core::detection::{RecovererPort, RecovererPortRow};
 use blastema_core::{Fault, FaultId, Place};
 
 /// The detector hands a fault over, and repeats it until it is confirmed.
@@ -36,11 +36,11 @@ pub struct FaultCleared {
 #[rtype(result = "()")]
 pub struct AddPort {
     /// Whose recoverer it is.
-    pub port: Port,
+    pub port: RecovererPort,
     /// Takes the faults.
     pub recover: Recipient<Recover>,
     /// Is told when one is over, if it cares.
-    pub stand_down: Option<Recipient<StandDown>>,
+    pub stand_down: Option<Recipient<CancelRecovery>>,
 }
 
 /// Forgets a port, with what waits there.
@@ -48,10 +48,10 @@ pub struct AddPort {
 #[rtype(result = "()")]
 pub struct RemovePort {
     /// Which.
-    pub port: Port,
+    pub port: RecovererPort,
 }
 
 /// Asks how the hand-overs stand, port by port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "Vec<PortRow>")]
+#[rtype(result = "Vec<RecovererPortRow>")]
 pub struct ReadPorts;

@@ -13,10 +13,10 @@ pub struct Recover {
     pub fault: Fault,
 }
 
-/// From the keeper: this node has come to safe rest, where nothing is treated, or goes to work again.
+/// From the keeper: this node has enter the safe state, where nothing is treated, or goes to work again.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct NodeRests {
+pub struct SafeStateChanged {
     /// Why it is at rest; `None` where it is not.
     pub reason: Option<String>,
 }
@@ -24,7 +24,7 @@ pub struct NodeRests {
 /// A fault has gone by itself: what is not yet under way for it need not begin.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Confirmed")]
-pub struct StandDown {
+pub struct CancelRecovery {
     /// The fault's number in its finder's record.
     pub id: FaultId,
     /// Where it was.

@@ -7,7 +7,7 @@
 //! ```
 
 use actix::Message;
-pub use blastema_core::detection::Exit;
+pub use blastema_core::detection::ExitReason;
 use blastema_core::detection::hang::{OverloadFigures, QueueReading};
 use blastema_core::{FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ pub struct Exited {
     /// Which of its lives.
     pub incarnation: Incarnation,
     /// How.
-    pub exit: Exit,
+    pub exit: ExitReason,
     /// The guard has carried out its standing order: this life has begun in the old one's place.
     pub restarted_as: Option<Incarnation>,
 }
@@ -72,7 +72,7 @@ pub struct FaultDeclared {
 /// What an object had declared is over.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct FaultMended {
+pub struct DeclaredFaultCleared {
     /// Who had declared it.
     pub object: ObjectName,
     /// Which of its lives it is in now.
@@ -84,7 +84,7 @@ pub struct FaultMended {
 /// What the watch thread saw when it looked at arbiters and components.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub enum Sighted {
+pub enum LivenessReported {
     /// This object's handler keeps its arbiter from turning.
     Hangs {
         /// The culprit.

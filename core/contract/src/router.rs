@@ -5,9 +5,9 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::wire::packet::Undelivered;
-use blastema_core::net::{Class, NodeId, Refusals, Route};
-use blastema_core::{Incarnation, NodeName, Parcel};
+use blastema_core::net::wire::packet::UndeliveredReason;
+use blastema_core::net::{NodeId, PacketPriority, Refusals, Route};
+use blastema_core::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 
 /// A session wants this brought to its peer.
@@ -17,9 +17,9 @@ pub struct SendSegment {
     /// Whom.
     pub peer: NodeId,
     /// How urgent it is.
-    pub class: Class,
+    pub class: PacketPriority,
     /// What.
-    pub segment: Parcel,
+    pub segment: GatherBuffer,
     /// A copy is to go over each of several ways that share as little as can be.
     pub everywhere: bool,
 }
@@ -39,7 +39,7 @@ pub struct SegmentArrived {
 /// A node is isolated: nothing is passed on from it, to it, or over it. Or it is let in again.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct KeepOut {
+pub struct SetIsolation {
     /// Which.
     pub node: NodeName,
     /// Whether it is isolated.
@@ -71,7 +71,7 @@ pub enum PathReported {
         /// Which.
         node: NodeId,
         /// Why.
-        reason: Undelivered,
+        reason: UndeliveredReason,
     },
     /// No path leads there any more.
     Lost {
@@ -107,4 +107,4 @@ pub struct Routes {
 /// The receiver panics. For demonstrations and tests of what becomes of that.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct PanicOnPurpose;
+pub struct InjectPanic;

@@ -5,16 +5,16 @@
 //! ```
 
 use actix::{Message, Recipient};
-use blastema_core::net::session::SessionStanding;
+use blastema_core::net::session::SessionStatus;
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{Load, NodeId, Strand};
-use blastema_core::{Incarnation, NodeName, Parcel, Why};
+use blastema_core::net::{NodeId, OrderingKey, SizeClass};
+use blastema_core::{DeliveryError, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use std::fmt;
 use std::sync::Arc;
 
 /// Whoever lets only so much be under way.
-pub trait Lender: Send + Sync {
+pub trait CreditPool: Send + Sync {
     /// So many bytes are not under way any more.
     fn give_back(&self, bytes: usize);
 }
@@ -23,13 +23,13 @@ pub trait Lender: Send + Sync {
 ///
 /// actix mailboxes have no bound. Whoever sends holds itself to what it has lent.
 pub struct Credit {
-    lender: Arc<dyn Lender>,
+    lender: Arc<dyn CreditPool>,
     bytes: usize,
 }
 
 impl Credit {
     /// Room for so many bytes, that has been taken.
-    pub fn new(lender: Arc<dyn Lender>, bytes: usize) -> Self {
+    pub fn new(lender: Arc<dyn CreditPool>, bytes: usize) -> Self {
         Credit { lender, bytes }
     }
 }
@@ -50,7 +50,7 @@ impl fmt::Debug for Credit {
 /// [`SessionReported::Returned`].
 #[derive(Debug, Message)]
 #[rtype(result = "()")]
-pub struct Say {
+pub struct SendReliable {
     /// Whom.
     pub peer: NodeId,
     /// In which session: what was meant for one is never said in the next.
@@ -58,9 +58,9 @@ pub struct Say {
     /// In which stream.
     pub stream: Stream,
     /// With what it stays in order there.
-    pub strand: Strand,
+    pub strand: OrderingKey,
     /// What.
-    pub message: Parcel,
+    pub message: GatherBuffer,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }
@@ -68,7 +68,7 @@ pub struct Say {
 /// Sends a message once, if at all: of one channel the newest that arrives counts.
 #[derive(Debug, Message)]
 #[rtype(result = "()")]
-pub struct SayNewest {
+pub struct SendLatest {
     /// Whom.
     pub peer: NodeId,
     /// In which session.
@@ -76,7 +76,7 @@ pub struct SayNewest {
     /// On which channel.
     pub channel: u32,
     /// What.
-    pub message: Parcel,
+    pub message: GatherBuffer,
     /// Room that it takes with whoever sent it.
     pub credit: Option<Credit>,
 }
@@ -120,7 +120,7 @@ pub enum SessionReported {
         /// What.
         message: Bytes,
         /// Why.
-        why: Why,
+        why: DeliveryError,
         /// Some of it was sent, so that it may have arrived; otherwise it has not.
         sent: bool,
     },
@@ -129,7 +129,7 @@ pub enum SessionReported {
         /// With whom.
         peer: NodeId,
         /// Why.
-        why: Why,
+        why: DeliveryError,
     },
     /// Stop sending to this peer in this stream, or messages will soon be returned.
     Full {
@@ -138,7 +138,7 @@ pub enum SessionReported {
         /// In which stream.
         stream: Stream,
         /// With what: bulk alone, or what is small, and then with everything.
-        load: Load,
+        load: SizeClass,
     },
     /// Sending may go on.
     Room {
@@ -147,7 +147,7 @@ pub enum SessionReported {
         /// In which stream.
         stream: Stream,
         /// With what.
-        load: Load,
+        load: SizeClass,
     },
 }
 
@@ -160,7 +160,7 @@ pub struct AddGateway(pub Recipient<SessionReported>);
 /// that both ends agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct BeginAnew {
+pub struct ResetSession {
     /// With whom; `None` for all.
     pub peer: Option<NodeId>,
 }
@@ -168,7 +168,7 @@ pub struct BeginAnew {
 /// This node ends in order: what was sent is to be delivered, then every session ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct Leave;
+pub struct CloseSessions;
 
 /// Asks for all sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
@@ -181,7 +181,7 @@ pub struct SessionRow {
     /// With whom.
     pub node: NodeName,
     /// How it stands.
-    pub standing: SessionStanding,
+    pub standing: SessionStatus,
     /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since the
     /// session began, sixteen at most.
     pub differences: Vec<String>,
@@ -190,7 +190,7 @@ pub struct SessionRow {
 /// How another node stands, for those of the middleware that talk to each other across nodes.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub enum PeerSeen {
+pub enum PeerStatusChanged {
     /// A session with it has begun: it can be talked to.
     Opened {
         /// Which.

@@ -1,18 +1,18 @@
 //! Between the recoverer and the strategies that carry its decisions out.
 
 use actix::Message;
-use blastema_core::recovery::{Done, Failed, Order};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema_core::{Fault, NodeName, Place};
 
 /// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
 /// for longer than the plan gives it, has failed.
 #[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Done, Failed>")]
-pub struct CarryOut(pub Order);
+#[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
+pub struct ExecuteAction(pub RecoveryOrder);
 
 /// To the router: find another way for what goes over this link, or to this node.
 #[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Done, Failed>")]
+#[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct Reroute {
     /// What is not to be used any more.
     pub place: Place,
@@ -20,7 +20,7 @@ pub struct Reroute {
 
 /// To the network: keep this node out everywhere, or let it in again.
 #[derive(Clone, Debug, Message)]
-#[rtype(result = "Result<Done, Failed>")]
+#[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct IsolateNode {
     /// Which.
     pub node: NodeName,
@@ -33,7 +33,7 @@ pub struct IsolateNode {
 /// To the node: nothing else could contain this. Apply the safe outputs, stop everything, rest.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
-pub struct RestNode {
+pub struct EnterSafeState {
     /// What could not be contained.
     pub fault: Fault,
     /// What was tried last, and what it said.

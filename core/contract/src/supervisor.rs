@@ -73,7 +73,7 @@ pub struct IsolateChild {
     pub isolated: bool,
 }
 
-/// Put a child in safe rest: its life ends, it is isolated, and only an explicit restart brings it
+/// Put a child in safe state: its life ends, it is isolated, and only an explicit restart brings it
 /// back. Answered when it has come to rest.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
@@ -109,7 +109,7 @@ pub struct RemoveChild {
 /// [`Escalated`]: crate::child::ChildEvent::Escalated
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
-pub struct Begin {
+pub struct StartSupervisor {
     /// Which life of the supervisor this is.
     pub incarnation: Incarnation,
     /// Who is told what becomes of it.
@@ -119,7 +119,7 @@ pub struct Begin {
 /// From the parent: stop all children in reverse order. `Stopped` is reported when all have ended.
 #[derive(Clone, Copy, Debug, Message)]
 #[rtype(result = "()")]
-pub struct End {
+pub struct StopSupervisor {
     /// The supervisor is to begin anew, so that what waits for its children goes on waiting.
     pub again: bool,
 }
@@ -127,7 +127,7 @@ pub struct End {
 /// From the parent: give all children up at once. Nothing is reported.
 #[derive(Clone, Copy, Debug, Message)]
 #[rtype(result = "()")]
-pub struct Forsake;
+pub struct AbandonChildren;
 
 /// From the parent: forbid all children to send and receive, or allow it again.
 #[derive(Clone, Copy, Debug, Message)]
@@ -139,12 +139,12 @@ pub struct IsolateAll {
 
 /// How do a supervisor and everything below it stand?
 #[derive(Clone, Copy, Debug, Message)]
-#[rtype(result = "Branch")]
+#[rtype(result = "SupervisionTree")]
 pub struct ReadTree;
 
 /// The answer to [`ReadTree`].
 #[derive(Clone, Debug, PartialEq, Eq, actix::MessageResponse)]
-pub struct Branch {
+pub struct SupervisionTree {
     /// The supervisor's name.
     pub name: ObjectName,
     /// Which of its lives.
@@ -154,12 +154,12 @@ pub struct Branch {
     /// How many more restarts it would allow at this moment.
     pub restarts_left: u32,
     /// Its children in their start order.
-    pub children: Vec<Leaf>,
+    pub children: Vec<SupervisionTreeChild>,
 }
 
-/// One child in a [`Branch`].
+/// One child in a [`SupervisionTree`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Leaf {
+pub struct SupervisionTreeChild {
     /// Its name.
     pub name: ObjectName,
     /// Which of its lives.
@@ -171,5 +171,5 @@ pub struct Leaf {
     /// Its sending and receiving is forbidden.
     pub isolated: bool,
     /// What stands below it, if it is a supervisor.
-    pub below: Option<Branch>,
+    pub below: Option<SupervisionTree>,
 }

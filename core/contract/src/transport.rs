@@ -5,8 +5,8 @@
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
-use blastema_core::Parcel;
-use blastema_core::medium::impairment::{Carried, Impairment, Injected};
+use blastema_core::GatherBuffer;
+use blastema_core::medium::impairment::{Impairable, Impairment, Injected};
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -63,21 +63,21 @@ pub struct Transmit {
     /// To whom, on this medium.
     pub to: MediumAddress,
     /// The frame, whole, in one piece or two.
-    pub frame: Parcel,
+    pub frame: GatherBuffer,
     /// What it may overtake.
-    pub lane: Lane,
+    pub lane: TrafficClass,
 }
 
 impl Transmit {
     /// The usual, which overtakes nothing.
-    pub fn new(to: MediumAddress, frame: Parcel) -> Self {
-        Transmit { to, frame, lane: Lane::Usual }
+    pub fn new(to: MediumAddress, frame: GatherBuffer) -> Self {
+        Transmit { to, frame, lane: TrafficClass::Usual }
     }
 }
 
 /// Of what waits for a medium, hellos go first, then the urgent, then the usual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Lane {
+pub enum TrafficClass {
     /// Signs of life, without which the link falls. Links see that they are few.
     Hello,
     /// Acknowledgements, what routers tell each other, what keeps the robot together.
@@ -97,7 +97,7 @@ pub struct Received {
     pub frame: Bytes,
 }
 
-impl Carried for Transmit {
+impl Impairable for Transmit {
     type Peer = MediumAddress;
 
     fn peer(&self) -> &MediumAddress {
@@ -113,7 +113,7 @@ impl Carried for Transmit {
     }
 }
 
-impl Carried for Received {
+impl Impairable for Received {
     type Peer = MediumAddress;
 
     fn peer(&self) -> &MediumAddress {

@@ -3,7 +3,7 @@
 use crate::mock_transport::{Arrival, MockTransport};
 use crate::paused::now;
 use actix::Recipient;
-use blastema_core::medium::impairment::{Impairer, Impairment, Injected};
+use blastema_core::medium::impairment::{ImpairedDirection, Impairment, Injected};
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ struct Ends {
 
 /// One direction between two ends.
 struct Way {
-    medium: Impairer<Bytes>,
+    medium: ImpairedDirection<Bytes>,
     /// For when the sender has a timer running: one for all frames that are under way.
     armed: Option<Instant>,
 }
@@ -128,7 +128,7 @@ impl Ends {
             let mixed = names.fold(seed, |mixed, byte| {
                 (mixed ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3)
             });
-            Way { medium: Impairer::new(mixed, UNDER_WAY), armed: None }
+            Way { medium: ImpairedDirection::new(mixed, UNDER_WAY), armed: None }
         })
     }
 }

@@ -110,9 +110,10 @@ fn contract(
     });
     let former = from.as_ref().map(|from| {
         // At the earlier version's name, so that a missing conversion is reported there.
-        let chain = quote_spanned!(from.span()=> #facade::core::Former::<Self>::chain::<#from>());
+        let chain =
+            quote_spanned!(from.span()=> #facade::core::PreviousVersion::<Self>::chain::<#from>());
         quote! {
-            fn former() -> ::std::vec::Vec<#facade::core::Former<Self>> {
+            fn previous_versions() -> ::std::vec::Vec<#facade::core::PreviousVersion<Self>> {
                 #chain
             }
         }

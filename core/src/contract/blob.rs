@@ -1,6 +1,6 @@
 //! Bytes that are shared, and not copied.
 
-use crate::contract::gather_buffer::Parcel;
+use crate::contract::gather_buffer::GatherBuffer;
 use crate::contract::layout::{Described, Layout};
 use bytes::Bytes;
 use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
@@ -62,7 +62,7 @@ fn within_source(bytes: &[u8]) -> Option<Bytes> {
 
 /// The blob that is being encoded, if these are its bytes.
 pub(crate) fn given(bytes: &[u8]) -> Option<Bytes> {
-    if bytes.len() < Parcel::APART {
+    if bytes.len() < GatherBuffer::APART {
         return None;
     }
     let blob = GIVEN.take()?;
@@ -129,7 +129,7 @@ impl Described for Blob {
 
 impl Serialize for Blob {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        if self.len() < Parcel::APART {
+        if self.len() < GatherBuffer::APART {
             return to.serialize_bytes(self);
         }
         GIVEN.set(Some(self.0.clone()));
@@ -216,8 +216,8 @@ mod tests {
 
     #[test]
     fn a_large_one_that_ends_a_message_is_sent_as_it_lies_and_any_other_is_copied() {
-        let large = || Blob::from(vec![1; Parcel::APART]);
-        let small = || Blob::from(vec![2; Parcel::APART - 1]);
+        let large = || Blob::from(vec![1; GatherBuffer::APART]);
+        let small = || Blob::from(vec![2; GatherBuffer::APART - 1]);
         let check = |message: &(Blob, u8, Blob), stays: bool| {
             let parcel = codec::parcel_of(message, 100_000).unwrap();
             let place = message.2.as_ptr();
@@ -229,8 +229,8 @@ mod tests {
         check(&(small(), 7, large()), true);
         check(&(large(), 7, large()), true);
         check(&(large(), 7, small()), false);
-        let refused = codec::parcel_of(&(7, large()), Parcel::APART);
-        assert_eq!(refused, Err(crate::EncodeError::TooLarge { limit: Parcel::APART }));
+        let refused = codec::parcel_of(&(7, large()), GatherBuffer::APART);
+        assert_eq!(refused, Err(crate::EncodeError::TooLarge { limit: GatherBuffer::APART }));
 
         let (followed, same) = (large(), large());
         let parcel = codec::parcel_of(&(followed.clone(), 7), 100_000).unwrap();

@@ -10,7 +10,7 @@
 
 use crate::Contract;
 use crate::contract::blob::{given, sharing};
-use crate::contract::gather_buffer::Parcel;
+use crate::contract::gather_buffer::GatherBuffer;
 use crate::contract::layout::{Described, LayoutOf};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
@@ -111,7 +111,7 @@ pub fn encode_bounded<T: Serialize>(
 ///
 /// # Errors
 /// [`EncodeError`].
-pub fn encode_parcel<M: Contract>(message: &M) -> Result<Parcel, EncodeError> {
+pub fn encode_parcel<M: Contract>(message: &M) -> Result<GatherBuffer, EncodeError> {
     parcel_of(message, M::MAX_SIZE)
 }
 
@@ -120,7 +120,9 @@ pub fn encode_parcel<M: Contract>(message: &M) -> Result<Parcel, EncodeError> {
 ///
 /// # Errors
 /// [`EncodeError`]; the message is then as it was.
-pub fn encode_out_of<M: Contract>(message: &mut M) -> Result<(Parcel, Taken), EncodeError> {
+pub fn encode_out_of<M: Contract>(
+    message: &mut M,
+) -> Result<(GatherBuffer, DetachedBlob), EncodeError> {
     parcel_out_of(message, M::MAX_SIZE)
 }
 
@@ -128,15 +130,15 @@ pub fn encode_out_of<M: Contract>(message: &mut M) -> Result<(Parcel, Taken), En
 ///
 /// # Errors
 /// [`EncodeError`].
-pub fn encode_parcel_reply<M: Contract>(mut reply: M::Reply) -> Result<Parcel, EncodeError> {
+pub fn encode_parcel_reply<M: Contract>(mut reply: M::Reply) -> Result<GatherBuffer, EncodeError> {
     parcel_out_of(&mut reply, M::MAX_SIZE).map(|(parcel, _)| parcel)
 }
 
 /// The bytes that [`encode_out_of`] has taken out of a message; none, mostly.
 #[derive(Debug, Default)]
-pub struct Taken(Bytes);
+pub struct DetachedBlob(Bytes);
 
-impl Taken {
+impl DetachedBlob {
     /// Puts them back into the message, which is not sent after all. Copies them if its parcel still exists.
     pub fn put_back<M: Described>(self, message: &mut M) {
         if let (false, Some(place)) = (self.0.is_empty(), message.last_bytes()) {
@@ -148,17 +150,18 @@ impl Taken {
 fn parcel_out_of<T: Described>(
     value: &mut T,
     limit: usize,
-) -> Result<(Parcel, Taken), EncodeError> {
+) -> Result<(GatherBuffer, DetachedBlob), EncodeError> {
     // What is sent is counted by its length: room that it does not use must not be much of what it holds.
-    let is_large =
-        |bytes: &&mut Vec<u8>| bytes.len() >= Parcel::APART && bytes.capacity() / 2 <= bytes.len();
+    let is_large = |bytes: &&mut Vec<u8>| {
+        bytes.len() >= GatherBuffer::APART && bytes.capacity() / 2 <= bytes.len()
+    };
     let Some(place) = value.last_bytes().filter(is_large) else {
-        return Ok((parcel_of(value, limit)?, Taken::default()));
+        return Ok((parcel_of(value, limit)?, DetachedBlob::default()));
     };
     let bytes = Bytes::from(std::mem::take(place));
-    let taken = Taken(bytes.clone());
+    let taken = DetachedBlob(bytes.clone());
     match head_of(value, bytes.len(), limit) {
-        Ok(head) => Ok((Parcel::apart(head.into(), bytes), taken)),
+        Ok(head) => Ok((GatherBuffer::apart(head.into(), bytes), taken)),
         Err(error) => {
             drop(bytes);
             taken.put_back(value);
@@ -181,11 +184,14 @@ fn head_of<T: Serialize>(value: &T, taken: usize, limit: usize) -> Result<Vec<u8
     }
 }
 
-pub(crate) fn parcel_of<T: Serialize>(value: &T, limit: usize) -> Result<Parcel, EncodeError> {
+pub(crate) fn parcel_of<T: Serialize>(
+    value: &T,
+    limit: usize,
+) -> Result<GatherBuffer, EncodeError> {
     let writer = ParcelWriter { head: Vec::new(), last: None, left: limit };
     let ParcelWriter { head, last, .. } =
         write(value, writer).map_err(|refusal| encode_error(refusal, limit))?;
-    Ok(Parcel::apart(head.into(), last.unwrap_or_default()))
+    Ok(GatherBuffer::apart(head.into(), last.unwrap_or_default()))
 }
 
 /// Encodes a message into the beginning of `slice` and says how many bytes it took.

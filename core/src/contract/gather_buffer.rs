@@ -8,18 +8,18 @@ use std::ops::Range;
 /// A large payload is not copied behind what stands before it: it is cut into parts as it is, each layer puts
 /// its header before that, and the medium writes both pieces.
 #[derive(Clone, Debug, Default)]
-pub struct Parcel {
+pub struct GatherBuffer {
     head: Bytes,
     body: Bytes,
 }
 
-impl Parcel {
+impl GatherBuffer {
     /// Payloads from this size on stay where they are, in bytes.
     pub(crate) const APART: usize = 4096;
 
     /// What stands before a payload, and the payload.
     pub(crate) fn apart(head: Bytes, body: Bytes) -> Self {
-        Parcel { head, body }
+        GatherBuffer { head, body }
     }
 
     /// How many bytes it has.
@@ -54,9 +54,9 @@ impl Parcel {
     }
 
     /// Some of it, not copied.
-    pub(crate) fn slice(&self, range: Range<usize>) -> Parcel {
+    pub(crate) fn slice(&self, range: Range<usize>) -> GatherBuffer {
         let (head, body) = self.within(range);
-        Parcel { head: self.head.slice(head), body: self.body.slice(body) }
+        GatherBuffer { head: self.head.slice(head), body: self.body.slice(body) }
     }
 
     /// Writes some of it.
@@ -83,41 +83,41 @@ impl Parcel {
     }
 
     /// The same behind a header.
-    pub(crate) fn behind(&self, mut header: BytesMut) -> Parcel {
+    pub(crate) fn behind(&self, mut header: BytesMut) -> GatherBuffer {
         if self.is_bare() {
-            return Parcel { head: header.freeze(), body: self.head.clone() };
+            return GatherBuffer { head: header.freeze(), body: self.head.clone() };
         }
         header.put_slice(&self.head);
-        Parcel { head: header.freeze(), body: self.body.clone() }
+        GatherBuffer { head: header.freeze(), body: self.body.clone() }
     }
 }
 
-impl From<Bytes> for Parcel {
+impl From<Bytes> for GatherBuffer {
     fn from(bytes: Bytes) -> Self {
-        Parcel { head: bytes, body: Bytes::new() }
+        GatherBuffer { head: bytes, body: Bytes::new() }
     }
 }
 
-impl From<Vec<u8>> for Parcel {
+impl From<Vec<u8>> for GatherBuffer {
     fn from(bytes: Vec<u8>) -> Self {
         Bytes::from(bytes).into()
     }
 }
 
-impl From<&'static str> for Parcel {
+impl From<&'static str> for GatherBuffer {
     fn from(bytes: &'static str) -> Self {
         Bytes::from(bytes).into()
     }
 }
 
 /// Two that are the same message are equal, in however many pieces.
-impl PartialEq for Parcel {
+impl PartialEq for GatherBuffer {
     fn eq(&self, other: &Self) -> bool {
         self.clone().into_bytes() == other.clone().into_bytes()
     }
 }
 
-impl Eq for Parcel {}
+impl Eq for GatherBuffer {}
 
 #[cfg(test)]
 mod tests {
@@ -127,8 +127,8 @@ mod tests {
     fn any_part_of_two_pieces_is_that_part_of_the_whole() {
         let whole = Bytes::from_static(b"head and body");
         for cut in 0..=whole.len() {
-            let parcel = Parcel::apart(whole.slice(..cut), whole.slice(cut..));
-            assert_eq!(parcel, Parcel::from(whole.clone()));
+            let parcel = GatherBuffer::apart(whole.slice(..cut), whole.slice(cut..));
+            assert_eq!(parcel, GatherBuffer::from(whole.clone()));
             assert_eq!(parcel.pieces().concat(), whole);
             for start in 0..=whole.len() {
                 for end in start..=whole.len() {
@@ -140,16 +140,16 @@ mod tests {
 
     #[test]
     fn a_large_payload_stays_where_it_is_behind_any_number_of_headers() {
-        for length in [1, 10, Parcel::APART - 1, Parcel::APART, 100_000] {
+        for length in [1, 10, GatherBuffer::APART - 1, GatherBuffer::APART, 100_000] {
             let payload = Bytes::from(vec![7; length]);
             let place = payload.as_ptr();
 
-            let one = Parcel::from(payload.clone()).behind(BytesMut::from("inner"));
+            let one = GatherBuffer::from(payload.clone()).behind(BytesMut::from("inner"));
             let two = one.behind(BytesMut::from("outer "));
 
             assert_eq!(two.pieces().concat(), [b"outer inner", &payload[..]].concat());
             let stays = two.pieces().iter().any(|piece| piece.as_ptr() == place);
-            assert_eq!(stays, length >= Parcel::APART, "{length}");
+            assert_eq!(stays, length >= GatherBuffer::APART, "{length}");
         }
     }
 }

@@ -7,9 +7,9 @@ pub mod gather_buffer;
 pub mod layout;
 pub mod previous_version;
 
-use crate::{Delivery, Former, LayoutDescription, ObjectName, hash};
+use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, hash};
 use codec::DecodeError;
-use layout::difference::{Difference, Half, compare};
+use layout::difference::{ContractPart, Difference, compare};
 use layout::{Described, LayoutOf};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
@@ -50,7 +50,7 @@ pub trait Contract: Described + Send + 'static {
     const LATCHED: bool = false;
 
     /// The earlier versions that a receiver still understands, the latest first.
-    fn former() -> Vec<Former<Self>>
+    fn previous_versions() -> Vec<PreviousVersion<Self>>
     where
         Self: Sized,
     {
@@ -239,8 +239,8 @@ impl ContractIdentity {
         let mut lines = Vec::new();
         if let Some(there) = &peer.structure {
             let here = PeerStructure::of(self.message, self.reply);
-            lines.extend(compare(Half::Message, &here.message, &there.message));
-            lines.extend(compare(Half::Reply, &here.reply, &there.reply));
+            lines.extend(compare(ContractPart::Message, &here.message, &there.message));
+            lines.extend(compare(ContractPart::Reply, &here.reply, &there.reply));
         }
         if lines.is_empty() {
             lines.push(format!(

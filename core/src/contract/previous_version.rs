@@ -10,29 +10,30 @@
 
 use crate::contract::codec;
 use crate::contract::codec::{DecodeError, EncodeError};
-use crate::{Contract, ContractIdentity, Parcel};
+use crate::{Contract, ContractIdentity, GatherBuffer};
 use bytes::Bytes;
 use std::fmt;
 
 type Read<M> = Box<dyn Fn(&Bytes) -> Result<M, DecodeError> + Send + Sync>;
-type Answer<M> = Box<dyn Fn(<M as Contract>::Reply) -> Result<Parcel, EncodeError> + Send + Sync>;
+type Answer<M> =
+    Box<dyn Fn(<M as Contract>::Reply) -> Result<GatherBuffer, EncodeError> + Send + Sync>;
 
 /// An earlier version of the contract `M`, and how it is read and answered.
-pub struct Former<M: Contract> {
+pub struct PreviousVersion<M: Contract> {
     identity: ContractIdentity,
     read: Read<M>,
     answer: Answer<M>,
 }
 
-impl<M: Contract> fmt::Debug for Former<M> {
+impl<M: Contract> fmt::Debug for PreviousVersion<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} v{} for v{}", self.identity.name, self.identity.version, M::VERSION)
     }
 }
 
-impl<M: Contract> Former<M> {
+impl<M: Contract> PreviousVersion<M> {
     /// The version before, and all before that.
-    pub fn chain<P>() -> Vec<Former<M>>
+    pub fn chain<P>() -> Vec<PreviousVersion<M>>
     where
         P: Contract,
         M: From<P>,
@@ -42,16 +43,18 @@ impl<M: Contract> Former<M> {
             assert!(P::VERSION < M::VERSION, "the version that `from` names is not an earlier one");
             assert!(is_same(P::NAME, M::NAME), "the version that `from` names has another name");
         }
-        let before = Former::<M> {
+        let before = PreviousVersion::<M> {
             identity: ContractIdentity::of::<P>(),
             read: Box::new(|bytes| codec::decode_shared::<P>(bytes).map(M::from)),
             answer: Box::new(|reply| codec::encode_parcel_reply::<P>(P::Reply::from(reply))),
         };
         let earlier =
-            P::former().into_iter().map(|Former { identity, read, answer }| Former::<M> {
-                identity,
-                read: Box::new(move |bytes| read(bytes).map(M::from)),
-                answer: Box::new(move |reply| answer(P::Reply::from(reply))),
+            P::previous_versions().into_iter().map(|PreviousVersion { identity, read, answer }| {
+                PreviousVersion::<M> {
+                    identity,
+                    read: Box::new(move |bytes| read(bytes).map(M::from)),
+                    answer: Box::new(move |reply| answer(P::Reply::from(reply))),
+                }
             });
         std::iter::once(before).chain(earlier).collect()
     }
@@ -73,7 +76,7 @@ impl<M: Contract> Former<M> {
     ///
     /// # Errors
     /// [`EncodeError`].
-    pub fn answer(&self, reply: M::Reply) -> Result<Parcel, EncodeError> {
+    pub fn answer(&self, reply: M::Reply) -> Result<GatherBuffer, EncodeError> {
         (self.answer)(reply)
     }
 }

@@ -1,6 +1,6 @@
 //! What was not delivered, counted by receiver, contract and reason, and the latest of it.
 
-use crate::{Instant, NodeName, ObjectName, Why};
+use crate::{DeliveryError, Instant, NodeName, ObjectName};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, VecDeque};
@@ -75,28 +75,30 @@ impl fmt::Display for DeadReason {
     }
 }
 
-impl From<&Why> for DeadReason {
-    fn from(why: &Why) -> Self {
+impl From<&DeliveryError> for DeadReason {
+    fn from(why: &DeliveryError) -> Self {
         match why {
-            Why::Full => DeadReason::Full,
-            Why::Restarting => DeadReason::Restarting,
-            Why::WayFull { .. } => DeadReason::WayFull,
-            Why::Unreachable { .. } | Why::Undelivered { .. } | Why::OutcomeUnknown { .. } => {
-                DeadReason::Unreachable
+            DeliveryError::Full => DeadReason::Full,
+            DeliveryError::Restarting => DeadReason::Restarting,
+            DeliveryError::WayFull { .. } => DeadReason::WayFull,
+            DeliveryError::Unreachable { .. }
+            | DeliveryError::Undelivered { .. }
+            | DeliveryError::OutcomeUnknown { .. } => DeadReason::Unreachable,
+            DeliveryError::Left { .. } => DeadReason::Left,
+            DeliveryError::Stopped => DeadReason::Stopped,
+            DeliveryError::PeerDied { .. } => DeadReason::PeerDied,
+            DeliveryError::Expired => DeadReason::Expired,
+            DeliveryError::DeadlinePassed => DeadReason::DeadlinePassed,
+            DeliveryError::Quarantined { .. } => DeadReason::Quarantined,
+            DeliveryError::Isolated => DeadReason::Isolated,
+            DeliveryError::ContractDiffers { .. } => DeadReason::ContractDiffers,
+            DeliveryError::Unknown { .. }
+            | DeliveryError::Misspelt { .. }
+            | DeliveryError::NotServed { .. } => DeadReason::Unknown,
+            DeliveryError::TooLarge { .. } | DeliveryError::TooLargeForSession { .. } => {
+                DeadReason::TooLarge
             }
-            Why::Left { .. } => DeadReason::Left,
-            Why::Stopped => DeadReason::Stopped,
-            Why::PeerDied { .. } => DeadReason::PeerDied,
-            Why::Expired => DeadReason::Expired,
-            Why::DeadlinePassed => DeadReason::DeadlinePassed,
-            Why::Quarantined { .. } => DeadReason::Quarantined,
-            Why::Isolated => DeadReason::Isolated,
-            Why::ContractDiffers { .. } => DeadReason::ContractDiffers,
-            Why::Unknown { .. } | Why::Misspelt { .. } | Why::NotServed { .. } => {
-                DeadReason::Unknown
-            }
-            Why::TooLarge { .. } | Why::TooLargeForSession { .. } => DeadReason::TooLarge,
-            Why::Undecodable { .. } => DeadReason::Undecodable,
+            DeliveryError::Undecodable { .. } => DeadReason::Undecodable,
             _ => DeadReason::Refused,
         }
     }
@@ -282,25 +284,28 @@ mod tests {
     fn whatever_keeps_a_message_from_arriving_is_a_reason_of_its_own() {
         let (node, name, reason) = (|| "far".to_owned(), || "arm".to_owned(), || "x".to_owned());
         let whys = [
-            (Why::Full, DeadReason::Full),
-            (Why::Restarting, DeadReason::Restarting),
-            (Why::WayFull { node: node(), bulk: true }, DeadReason::WayFull),
-            (Why::Unreachable { node: node() }, DeadReason::Unreachable),
-            (Why::Undelivered { node: node(), reason: reason() }, DeadReason::Unreachable),
-            (Why::OutcomeUnknown { reason: reason() }, DeadReason::Unreachable),
-            (Why::Left { node: node() }, DeadReason::Left),
-            (Why::ContractDiffers { difference: reason() }, DeadReason::ContractDiffers),
-            (Why::Unknown { name: name() }, DeadReason::Unknown),
-            (Why::TooLarge { limit: 1 }, DeadReason::TooLarge),
-            (Why::TooLargeForSession { limit: 1 }, DeadReason::TooLarge),
-            (Why::Undecodable { reason: reason() }, DeadReason::Undecodable),
-            (Why::Stopped, DeadReason::Stopped),
-            (Why::PeerDied { incarnation: crate::Incarnation(1) }, DeadReason::PeerDied),
-            (Why::Expired, DeadReason::Expired),
-            (Why::DeadlinePassed, DeadReason::DeadlinePassed),
-            (Why::Quarantined { kills: 3 }, DeadReason::Quarantined),
-            (Why::Isolated, DeadReason::Isolated),
-            (Why::Fenced, DeadReason::Refused),
+            (DeliveryError::Full, DeadReason::Full),
+            (DeliveryError::Restarting, DeadReason::Restarting),
+            (DeliveryError::WayFull { node: node(), bulk: true }, DeadReason::WayFull),
+            (DeliveryError::Unreachable { node: node() }, DeadReason::Unreachable),
+            (
+                DeliveryError::Undelivered { node: node(), reason: reason() },
+                DeadReason::Unreachable,
+            ),
+            (DeliveryError::OutcomeUnknown { reason: reason() }, DeadReason::Unreachable),
+            (DeliveryError::Left { node: node() }, DeadReason::Left),
+            (DeliveryError::ContractDiffers { difference: reason() }, DeadReason::ContractDiffers),
+            (DeliveryError::Unknown { name: name() }, DeadReason::Unknown),
+            (DeliveryError::TooLarge { limit: 1 }, DeadReason::TooLarge),
+            (DeliveryError::TooLargeForSession { limit: 1 }, DeadReason::TooLarge),
+            (DeliveryError::Undecodable { reason: reason() }, DeadReason::Undecodable),
+            (DeliveryError::Stopped, DeadReason::Stopped),
+            (DeliveryError::PeerDied { incarnation: crate::Incarnation(1) }, DeadReason::PeerDied),
+            (DeliveryError::Expired, DeadReason::Expired),
+            (DeliveryError::DeadlinePassed, DeadReason::DeadlinePassed),
+            (DeliveryError::Quarantined { kills: 3 }, DeadReason::Quarantined),
+            (DeliveryError::Isolated, DeadReason::Isolated),
+            (DeliveryError::Fenced, DeadReason::Refused),
         ];
         for (why, reason) in whys {
             assert_eq!(DeadReason::from(&why), reason, "{why}");

@@ -36,14 +36,14 @@ impl fmt::Display for Delivery {
 /// Why a message was not delivered, or a request not answered.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[non_exhaustive]
-pub enum Why {
+pub enum DeliveryError {
     /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
     #[error("the receiver's queue is full")]
     Full,
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, or has ended for good. Where its whole node is at safe rest, the fault list
+    /// The receiver was stopped, or has ended for good. Where its whole node is in the safe state, the fault list
     /// says so. Or the sender's own node ends, or has ended: it takes nothing for other nodes any more.
     #[error("the receiver is stopped")]
     Stopped,
@@ -257,42 +257,44 @@ pub enum Outcome {
     TookEffect,
 }
 
-impl Why {
+impl DeliveryError {
     /// What is known of a request that failed for this reason, and did not come back.
     pub fn outcome(&self) -> Outcome {
         match self {
-            Why::Full
-            | Why::WayFull { .. }
-            | Why::Restarting
-            | Why::ContractDiffers { .. }
-            | Why::Quarantined { .. }
-            | Why::Expired
-            | Why::Unknown { .. }
-            | Why::Misspelt { .. }
-            | Why::NotServed { .. }
-            | Why::Unreachable { .. }
-            | Why::Undelivered { .. }
-            | Why::TooLarge { .. }
-            | Why::TooLargeForSession { .. }
-            | Why::Left { .. }
-            | Why::Undecided { .. }
-            | Why::Changed { .. }
-            | Why::CheckFailed { .. }
-            | Why::Held { .. }
-            | Why::LeaseEnded
-            | Why::Superseded { .. }
-            | Why::Unclaimed { .. }
-            | Why::NameTaken { .. } => Outcome::NotTaken,
+            DeliveryError::Full
+            | DeliveryError::WayFull { .. }
+            | DeliveryError::Restarting
+            | DeliveryError::ContractDiffers { .. }
+            | DeliveryError::Quarantined { .. }
+            | DeliveryError::Expired
+            | DeliveryError::Unknown { .. }
+            | DeliveryError::Misspelt { .. }
+            | DeliveryError::NotServed { .. }
+            | DeliveryError::Unreachable { .. }
+            | DeliveryError::Undelivered { .. }
+            | DeliveryError::TooLarge { .. }
+            | DeliveryError::TooLargeForSession { .. }
+            | DeliveryError::Left { .. }
+            | DeliveryError::Undecided { .. }
+            | DeliveryError::Changed { .. }
+            | DeliveryError::CheckFailed { .. }
+            | DeliveryError::Held { .. }
+            | DeliveryError::LeaseEnded
+            | DeliveryError::Superseded { .. }
+            | DeliveryError::Unclaimed { .. }
+            | DeliveryError::NameTaken { .. } => Outcome::NotTaken,
             // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
             // may be the reply.
-            Why::Stopped
-            | Why::Fenced
-            | Why::Isolated
-            | Why::Undecodable { .. }
-            | Why::DeadlinePassed
-            | Why::PeerDied { .. }
-            | Why::OutcomeUnknown { .. } => Outcome::Unknown,
-            Why::ReplyTooLarge { .. } | Why::NotKept { .. } => Outcome::TookEffect,
+            DeliveryError::Stopped
+            | DeliveryError::Fenced
+            | DeliveryError::Isolated
+            | DeliveryError::Undecodable { .. }
+            | DeliveryError::DeadlinePassed
+            | DeliveryError::PeerDied { .. }
+            | DeliveryError::OutcomeUnknown { .. } => Outcome::Unknown,
+            DeliveryError::ReplyTooLarge { .. } | DeliveryError::NotKept { .. } => {
+                Outcome::TookEffect
+            }
         }
     }
 }

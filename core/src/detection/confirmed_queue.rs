@@ -17,8 +17,8 @@ use std::time::Duration;
 ///                            └ tries used up: GivenUp
 /// ```
 #[derive(Clone, Debug)]
-pub struct Handover<T> {
-    limits: HandoverLimits,
+pub struct ConfirmedQueue<T> {
+    limits: ConfirmedQueueLimits,
     number: u64,
     waiting: BTreeMap<(u8, u64), T>,
     flight: Option<Flight<T>>,
@@ -26,12 +26,12 @@ pub struct Handover<T> {
     recent: VecDeque<Instant>,
     held_back: u64,
     given_up: u64,
-    outputs: VecDeque<Handed<T>>,
+    outputs: VecDeque<ConfirmedQueueOutput<T>>,
 }
 
-/// The bounds of a [`Handover`].
+/// The bounds of a [`ConfirmedQueue`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HandoverLimits {
+pub struct ConfirmedQueueLimits {
     /// How many items may wait. More survives a longer outage of the receiver and takes more memory.
     pub capacity: usize,
     /// How long a confirmation may take before the item is sent again; doubled from try to try. Less
@@ -45,9 +45,9 @@ pub struct HandoverLimits {
     pub per_second: usize,
 }
 
-impl Default for HandoverLimits {
+impl Default for ConfirmedQueueLimits {
     fn default() -> Self {
-        HandoverLimits {
+        ConfirmedQueueLimits {
             // Every one of a thousand objects may have something to tell at the same moment.
             capacity: 1024,
             // Both ends share an arbiter that turns in well under a millisecond.
@@ -61,9 +61,9 @@ impl Default for HandoverLimits {
     }
 }
 
-/// What a [`Handover`] wants done.
+/// What a [`ConfirmedQueue`] wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Handed<T> {
+pub enum ConfirmedQueueOutput<T> {
     /// Send it to the receiver.
     Deliver {
         /// Goes with the item and comes back with the confirmation.
@@ -89,11 +89,11 @@ struct Flight<T> {
     due: Instant,
 }
 
-impl<T: Clone> Handover<T> {
+impl<T: Clone> ConfirmedQueue<T> {
     /// A hand-over whose numbers begin after `first`. A sender that begins anew with nothing
     /// remembered gives the present time, in nanoseconds: larger than any number it used before.
-    pub fn new(limits: HandoverLimits, first: u64) -> Self {
-        Handover {
+    pub fn new(limits: ConfirmedQueueLimits, first: u64) -> Self {
+        ConfirmedQueue {
             limits,
             number: first,
             waiting: BTreeMap::new(),
@@ -190,8 +190,10 @@ impl<T: Clone> Handover<T> {
         let flight = self.flight.as_mut().expect("the caller has seen one");
         flight.tries += 1;
         flight.due = now + pause(&self.limits, flight.tries);
-        self.outputs
-            .push_back(Handed::Deliver { number: flight.number, item: flight.item.clone() });
+        self.outputs.push_back(ConfirmedQueueOutput::Deliver {
+            number: flight.number,
+            item: flight.item.clone(),
+        });
         if self.recent.len() >= self.limits.per_second {
             self.recent.pop_front();
         }
@@ -200,7 +202,7 @@ impl<T: Clone> Handover<T> {
 
     fn give_up(&mut self, item: T, tries: u32) {
         self.given_up += 1;
-        self.outputs.push_back(Handed::GivenUp { item, tries });
+        self.outputs.push_back(ConfirmedQueueOutput::GivenUp { item, tries });
     }
 
     /// When the next delivery is allowed by the limit per second.
@@ -214,16 +216,16 @@ impl<T: Clone> Handover<T> {
     }
 }
 
-fn pause(limits: &HandoverLimits, tries: u32) -> Duration {
+fn pause(limits: &ConfirmedQueueLimits, tries: u32) -> Duration {
     // Sixteen doublings exceed any sensible longest pause and cannot overflow.
     let doublings = tries.saturating_sub(1).min(16);
     limits.patience.saturating_mul(1 << doublings).min(limits.longest)
 }
 
-impl<T: Clone> Machine for Handover<T> {
-    type Output = Handed<T>;
+impl<T: Clone> Machine for ConfirmedQueue<T> {
+    type Output = ConfirmedQueueOutput<T>;
 
-    fn poll_output(&mut self) -> Option<Handed<T>> {
+    fn poll_output(&mut self) -> Option<ConfirmedQueueOutput<T>> {
         self.outputs.pop_front()
     }
 
@@ -254,7 +256,7 @@ impl<T: Clone> Machine for Handover<T> {
 mod tests {
     use super::*;
 
-    const LIMITS: HandoverLimits = HandoverLimits {
+    const LIMITS: ConfirmedQueueLimits = ConfirmedQueueLimits {
         capacity: 3,
         patience: Duration::from_millis(100),
         longest: Duration::from_millis(300),
@@ -266,24 +268,24 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn drain<T: Clone>(handover: &mut Handover<T>) -> Vec<Handed<T>> {
+    fn drain<T: Clone>(handover: &mut ConfirmedQueue<T>) -> Vec<ConfirmedQueueOutput<T>> {
         std::iter::from_fn(|| handover.poll_output()).collect()
     }
 
     /// What is delivered; panics on anything else.
-    fn delivered(handover: &mut Handover<&'static str>) -> Vec<(u64, &'static str)> {
+    fn delivered(handover: &mut ConfirmedQueue<&'static str>) -> Vec<(u64, &'static str)> {
         drain(handover)
             .into_iter()
             .map(|handed| match handed {
-                Handed::Deliver { number, item } => (number, item),
-                Handed::GivenUp { item, .. } => panic!("{item} was given up"),
+                ConfirmedQueueOutput::Deliver { number, item } => (number, item),
+                ConfirmedQueueOutput::GivenUp { item, .. } => panic!("{item} was given up"),
             })
             .collect()
     }
 
     #[test]
     fn items_go_one_at_a_time_and_in_order() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
 
         handover.hand(1, "a", at(0));
         handover.hand(1, "b", at(0));
@@ -298,7 +300,7 @@ mod tests {
 
     #[test]
     fn lower_ranks_overtake_what_waits_but_not_what_is_under_way() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
 
         handover.hand(2, "warning", at(0));
         handover.hand(2, "error", at(0));
@@ -311,7 +313,7 @@ mod tests {
 
     #[test]
     fn what_is_not_confirmed_is_repeated_with_back_off_and_given_up_loudly() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));
 
@@ -321,16 +323,16 @@ mod tests {
             told.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
         }
 
-        let a = |millis| (millis, Handed::Deliver { number: 1, item: "a" });
-        let lost = (900, Handed::GivenUp { item: "a", tries: 4 });
-        let b = (900, Handed::Deliver { number: 2, item: "b" });
+        let a = |millis| (millis, ConfirmedQueueOutput::Deliver { number: 1, item: "a" });
+        let lost = (900, ConfirmedQueueOutput::GivenUp { item: "a", tries: 4 });
+        let b = (900, ConfirmedQueueOutput::Deliver { number: 2, item: "b" });
         assert_eq!(told, [a(0), a(100), a(300), a(600), lost, b]);
         assert_eq!(handover.given_up(), 1);
     }
 
     #[test]
     fn a_delivery_known_to_have_failed_is_repeated_at_once_and_only_once() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         delivered(&mut handover);
 
@@ -344,7 +346,7 @@ mod tests {
 
     #[test]
     fn a_confirmation_of_something_else_changes_nothing() {
-        let mut handover = Handover::new(LIMITS, 7);
+        let mut handover = ConfirmedQueue::new(LIMITS, 7);
         handover.hand(0, "a", at(0));
         delivered(&mut handover);
 
@@ -357,7 +359,7 @@ mod tests {
 
     #[test]
     fn when_there_is_no_room_the_least_important_is_given_up() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
         for item in ["under way", "b", "c", "d"] {
             handover.hand(2, item, at(0));
         }
@@ -365,13 +367,13 @@ mod tests {
 
         handover.hand(0, "critical", at(0));
 
-        assert_eq!(drain(&mut handover), [Handed::GivenUp { item: "d", tries: 0 }]);
+        assert_eq!(drain(&mut handover), [ConfirmedQueueOutput::GivenUp { item: "d", tries: 0 }]);
         assert_eq!(handover.pending(), 4);
     }
 
     #[test]
     fn more_than_so_many_a_second_are_held_back_and_counted() {
-        let mut handover = Handover::new(HandoverLimits { per_second: 2, ..LIMITS }, 0);
+        let mut handover = ConfirmedQueue::new(ConfirmedQueueLimits { per_second: 2, ..LIMITS }, 0);
         handover.hand(0, "a", at(0));
         handover.handle_confirmed(1, at(10));
         handover.hand(0, "b", at(20));
@@ -388,7 +390,7 @@ mod tests {
 
     #[test]
     fn an_item_is_withdrawn_only_while_it_waits() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));
 
@@ -399,7 +401,7 @@ mod tests {
 
     #[test]
     fn a_body_that_begins_anew_sends_what_was_under_way_again_under_the_same_number() {
-        let mut handover = Handover::new(LIMITS, 0);
+        let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));
         delivered(&mut handover);

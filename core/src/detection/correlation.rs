@@ -1,6 +1,6 @@
 //! What depends on what, and so: which fault is a symptom of which.
 
-use super::Chronicle;
+use super::FaultLog;
 use crate::{Fault, FaultId, FaultKind, NodeName, ObjectAddress, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -11,16 +11,16 @@ use std::sync::Arc;
 /// is on another node needs that node, and a link needs the node at its other end. A cycle of
 /// dependencies is allowed and harmless.
 #[derive(Clone, Debug)]
-pub(super) struct Dependencies {
+pub(super) struct DependencyIndex {
     node: NodeName,
     needs: BTreeMap<ObjectName, Arc<[ObjectAddress]>>,
     /// The same the other way round: who needs it.
     users: BTreeMap<ObjectAddress, BTreeSet<ObjectName>>,
 }
 
-impl Dependencies {
+impl DependencyIndex {
     pub(super) fn new(node: NodeName) -> Self {
-        Dependencies { node, needs: BTreeMap::new(), users: BTreeMap::new() }
+        DependencyIndex { node, needs: BTreeMap::new(), users: BTreeMap::new() }
     }
 
     /// Says what an object needs, in place of what was said before.
@@ -78,14 +78,14 @@ impl Dependencies {
 
     /// The root of what a fault at `place` would be a symptom of: of everything needed that is down,
     /// what was found first.
-    pub(super) fn root_above(&self, place: &Place, chronicle: &Chronicle) -> Option<FaultId> {
+    pub(super) fn root_above(&self, place: &Place, chronicle: &FaultLog) -> Option<FaultId> {
         let needs = self.needs_of(place);
         let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));
         down.filter(|fault| fault.place != *place).map(|fault| chronicle.root(fault.id)).min()
     }
 
     /// Who here cannot work without `place`, directly or through others.
-    pub(super) fn users_of(&self, place: &Place) -> Users {
+    pub(super) fn users_of(&self, place: &Place) -> Dependents {
         let (mut objects, mut open) = (BTreeSet::new(), Vec::new());
         match place {
             Place::Object(address) => open.extend(self.users.get(address)),
@@ -107,19 +107,19 @@ impl Dependencies {
             Place::Node(node) => Some(node.clone()),
             Place::Object(_) | Place::Link { .. } => None,
         };
-        Users { here: self.node.clone(), objects, node }
+        Dependents { here: self.node.clone(), objects, node }
     }
 }
 
 /// Everything that cannot work without one place.
-pub(super) struct Users {
+pub(super) struct Dependents {
     here: NodeName,
     objects: BTreeSet<ObjectName>,
     /// The place, if it is a node: then all that is there, and all links that lead there, need it.
     node: Option<NodeName>,
 }
 
-impl Users {
+impl Dependents {
     pub(super) fn contain(&self, place: &Place) -> bool {
         match place {
             Place::Object(address) if address.node == self.here => {
@@ -175,8 +175,8 @@ mod tests {
         ObjectAddress::new(node("m"), ObjectName::new(name).expect("a name"))
     }
 
-    fn dependencies(pairs: &[(&str, &[&str])]) -> Dependencies {
-        let mut dependencies = Dependencies::new(node("m"));
+    fn dependencies(pairs: &[(&str, &[&str])]) -> DependencyIndex {
+        let mut dependencies = DependencyIndex::new(node("m"));
         for (object, needs) in pairs {
             let needs = needs.iter().map(|need| need.parse().unwrap_or_else(|_| here(need)));
             dependencies.declare(&here(object).object, needs.collect());
@@ -217,7 +217,7 @@ mod tests {
             pairs in prop::collection::vec((0..6usize, prop::collection::vec(0..8usize, 0..4)), 0..8)
         ) {
             let names = ["a", "b", "c", "d", "e", "f", "n:x", "n:y"];
-            let mut dependencies = Dependencies::new(node("m"));
+            let mut dependencies = DependencyIndex::new(node("m"));
             for (object, needs) in pairs {
                 let parse = |name: usize| names[name].parse().unwrap_or_else(|_| here(names[name]));
                 let needs = needs.into_iter().map(parse).collect();

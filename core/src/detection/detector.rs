@@ -1,11 +1,12 @@
 //! What is wrong, where, and why: the judge of the fault chain.
 
-use super::correlation::{Dependencies, is_down};
+use super::correlation::{DependencyIndex, is_down};
 use super::crash_loops::CrashLoops;
-use super::offence_window::Conduct;
-use super::reminders::{Reminder, Reminders};
+use super::offence_window::OffenceWindow;
+use super::reminders::{DecisionTimeout, DecisionTimeouts};
 use super::{
-    Chronicle, Handed, Handover, HandoverLimits, Notice, Observation, Outcome, Record, Turn,
+    ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultLog, FaultNotice, FaultRecord,
+    FaultTransition, Observation, RecoveryOutcome,
 };
 use crate::{
     Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName,
@@ -32,22 +33,22 @@ use std::time::Duration;
 pub struct Detector {
     limits: DetectorLimits,
     objects: BTreeMap<ObjectName, Seen>,
-    needs: Dependencies,
+    needs: DependencyIndex,
     /// Those that may end themselves in order.
     may_end: BTreeSet<ObjectName>,
     /// Who stands still behind which hang.
     behind: BTreeMap<ObjectName, FaultId>,
-    chronicle: Chronicle,
+    chronicle: FaultLog,
     /// Faults that may turn out to be symptoms.
     explicable: BTreeSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
     handed: BTreeSet<FaultId>,
     /// Symptoms that stand behind what keeps their thread, and were only told.
     unhanded: BTreeSet<FaultId>,
-    reminders: Reminders,
-    conduct: Conduct,
+    reminders: DecisionTimeouts,
+    conduct: OffenceWindow,
     crash_loops: CrashLoops,
-    handover: Handover<Notice>,
+    handover: ConfirmedQueue<FaultNotice>,
     told: VecDeque<DetectorOutput>,
     last_number: u64,
     last_id: u64,
@@ -77,7 +78,7 @@ pub struct DetectorLimits {
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
     /// The hand-over to the notifier.
-    pub handover: HandoverLimits,
+    pub handover: ConfirmedQueueLimits,
 }
 
 impl Default for DetectorLimits {
@@ -98,7 +99,7 @@ impl Default for DetectorLimits {
             crash_loop_restarts: 3,
             // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
             crash_loop_period: Duration::from_secs(60),
-            handover: HandoverLimits::default(),
+            handover: ConfirmedQueueLimits::default(),
         }
     }
 }
@@ -111,12 +112,12 @@ pub enum DetectorOutput {
         /// The number under which it is confirmed.
         number: u64,
         /// What the notifier must know.
-        notice: Notice,
+        notice: FaultNotice,
     },
     /// The notifier never confirmed this: tell a person.
     GivenUp {
         /// What it should have known.
-        notice: Notice,
+        notice: FaultNotice,
         /// How often it was sent.
         tries: u32,
     },
@@ -127,7 +128,7 @@ pub enum DetectorOutput {
         /// When it was so.
         at: Instant,
         /// What happened.
-        turn: Turn,
+        turn: FaultTransition,
     },
 }
 
@@ -172,17 +173,17 @@ impl Detector {
         Detector {
             limits,
             objects: BTreeMap::new(),
-            needs: Dependencies::new(node),
+            needs: DependencyIndex::new(node),
             may_end: BTreeSet::new(),
             behind: BTreeMap::new(),
-            chronicle: Chronicle::new(limits.record),
+            chronicle: FaultLog::new(limits.record),
             explicable: BTreeSet::new(),
             handed: BTreeSet::new(),
             unhanded: BTreeSet::new(),
-            reminders: Reminders::default(),
-            conduct: Conduct::new(limits.offences, limits.offences_period),
+            reminders: DecisionTimeouts::default(),
+            conduct: OffenceWindow::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
-            handover: Handover::new(limits.handover, now.as_nanos()),
+            handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             told: VecDeque::new(),
             last_number: 0,
             last_id: 0,
@@ -208,27 +209,27 @@ impl Detector {
     }
 
     /// The recoverer tells what becomes of a fault.
-    pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: Outcome) {
+    pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
         let Some(entry) = self.chronicle.entry_mut(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
         self.reminders.cancel(id);
         match outcome {
-            Outcome::Decided { measure } => {
+            RecoveryOutcome::Decided { measure } => {
                 entry.decided = Some((at, measure.clone()));
                 let fault = entry.fault.clone();
                 self.told.push_back(DetectorOutput::Tell {
                     fault,
                     at,
-                    turn: Turn::Decided { measure },
+                    turn: FaultTransition::Decided { measure },
                 });
             }
-            Outcome::Recovered => {
+            RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
                 self.recover(id, at);
             }
-            Outcome::GaveUp { reason } => self.give_up(id, at, reason),
+            RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
     }
 
@@ -243,7 +244,7 @@ impl Detector {
     }
 
     /// The record, roots before their symptoms.
-    pub fn read_record(&self) -> Record {
+    pub fn read_record(&self) -> FaultRecord {
         self.chronicle.read()
     }
 
@@ -281,10 +282,10 @@ impl Detector {
             return id;
         }
         let due = scene.at + self.limits.decision;
-        self.reminders.set(id, Reminder { due, sent: 0 });
+        self.reminders.set(id, DecisionTimeout { due, sent: 0 });
         self.handed.insert(id);
         let fault = self.chronicle.entry(id).expect("it was just recorded").fault.clone();
-        self.hand_over(Notice::Found(fault), scene.at);
+        self.hand_over(FaultNotice::Found(fault), scene.at);
         self.explain_by(id, scene.at);
         id
     }
@@ -294,7 +295,7 @@ impl Detector {
         let Some(entry) = self.chronicle.entry_mut(id) else { return };
         entry.fault.symptom_of = None;
         let fault = entry.fault.clone();
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Explained });
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Explained });
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another life.
@@ -311,7 +312,8 @@ impl Detector {
         }
         if entry.fault.count.is_power_of_two() {
             let fault = entry.fault.clone();
-            let tell = DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Repeated };
+            let tell =
+                DetectorOutput::Tell { fault, at: scene.at, turn: FaultTransition::Repeated };
             self.told.push_back(tell);
         }
         true
@@ -348,7 +350,11 @@ impl Detector {
             self.unhanded.remove(&dropped);
             self.reminders.cancel(dropped);
         }
-        self.told.push_back(DetectorOutput::Tell { fault, at: scene.at, turn: Turn::Found });
+        self.told.push_back(DetectorOutput::Tell {
+            fault,
+            at: scene.at,
+            turn: FaultTransition::Found,
+        });
         id
     }
 
@@ -383,7 +389,11 @@ impl Detector {
             let entry = self.chronicle.entry_mut(symptom).expect("it was just found there");
             entry.fault.symptom_of = Some(root);
             let fault = entry.fault.clone();
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Explained });
+            self.told.push_back(DetectorOutput::Tell {
+                fault,
+                at,
+                turn: FaultTransition::Explained,
+            });
         }
     }
 
@@ -412,9 +422,9 @@ impl Detector {
     fn withdraw(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let place = entry.fault.place.clone();
-        let waits = |notice: &Notice| notice.id() == id;
+        let waits = |notice: &FaultNotice| notice.id() == id;
         if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
-            self.hand_over(Notice::Cleared { id, place }, at);
+            self.hand_over(FaultNotice::Cleared { id, place }, at);
         }
     }
 
@@ -432,7 +442,7 @@ impl Detector {
             self.unhanded.remove(&id);
             self.chronicle.repair(id, at);
         }
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Recovered });
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Recovered });
     }
 
     /// The cause is away.
@@ -442,7 +452,7 @@ impl Detector {
         let Some(entry) = self.chronicle.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
         self.chronicle.repair(id, at);
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::Cleared });
+        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
     }
 
     /// Nothing more is tried. The fault stands.
@@ -451,19 +461,23 @@ impl Detector {
         let Some(entry) = self.chronicle.entry_mut(id) else { return };
         entry.given_up = Some((at, reason.clone()));
         let fault = entry.fault.clone();
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: Turn::GaveUp { reason } });
+        self.told.push_back(DetectorOutput::Tell {
+            fault,
+            at,
+            turn: FaultTransition::GaveUp { reason },
+        });
     }
 
-    fn hand_over(&mut self, notice: Notice, now: Instant) {
+    fn hand_over(&mut self, notice: FaultNotice, now: Instant) {
         self.handover.hand(notice.rank(), notice, now);
     }
 
     /// Nobody has decided about this fault. That is as it should be for a symptom whose root is in
     /// treatment.
-    fn remind(&mut self, id: FaultId, reminder: Reminder, now: Instant) {
+    fn remind(&mut self, id: FaultId, reminder: DecisionTimeout, now: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();
-        let next = Reminder { due: now + self.limits.decision, ..reminder };
+        let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
             let root = self.chronicle.entry(root);
             root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
@@ -471,9 +485,9 @@ impl Detector {
         if fault.symptom_of.is_some_and(in_hand) {
             self.reminders.set(id, next);
         } else if reminder.sent < self.limits.reminders {
-            self.reminders.set(id, Reminder { sent: reminder.sent + 1, ..next });
+            self.reminders.set(id, DecisionTimeout { sent: reminder.sent + 1, ..next });
             self.handover.withdraw(|notice| notice.id() == id);
-            self.hand_over(Notice::Found(fault), now);
+            self.hand_over(FaultNotice::Found(fault), now);
         } else {
             self.give_up(id, now, "no recoverer has decided about it".into());
         }
@@ -488,8 +502,12 @@ impl Machine for Detector {
             return Some(told);
         }
         self.handover.poll_output().map(|handed| match handed {
-            Handed::Deliver { number, item } => DetectorOutput::HandOver { number, notice: item },
-            Handed::GivenUp { item, tries } => DetectorOutput::GivenUp { notice: item, tries },
+            ConfirmedQueueOutput::Deliver { number, item } => {
+                DetectorOutput::HandOver { number, notice: item }
+            }
+            ConfirmedQueueOutput::GivenUp { item, tries } => {
+                DetectorOutput::GivenUp { notice: item, tries }
+            }
         })
     }
 

@@ -1,13 +1,13 @@
 //! What the monitor remembers of one object.
 
-use super::{Current, Exit, ObjectKind, Opinion, Row, Watch};
+use super::{CurrentHandler, ExitReason, Liveness, MonitorRow, ObjectKind, Opinion};
 use crate::{FaultKind, Incarnation, Instant, Lifecycle, Place};
 
 /// One line of the monitor's table, as it is kept.
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
+pub(super) struct MonitoredObject {
     pub(super) kind: ObjectKind,
-    pub(super) watch: Watch,
+    pub(super) watch: Liveness,
     pub(super) incarnation: Incarnation,
     pub(super) state: Option<Lifecycle>,
     /// A guard reports its states.
@@ -23,7 +23,7 @@ pub(super) struct Entry {
     pub(super) silent: bool,
     /// What it has been doing for too long, and since when.
     pub(super) current: Option<(&'static str, Instant)>,
-    pub(super) end: Option<Ending>,
+    pub(super) end: Option<LastExit>,
     pub(super) isolated: bool,
     /// What stands beside it and why, the newest last: one for each cause.
     notes: Vec<(NoteCause, String)>,
@@ -41,7 +41,7 @@ pub(super) enum NoteCause {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ending {
+pub(super) enum LastExit {
     /// It reached `Finalized`; its guard has not yet said how it ended.
     Finalized,
     /// Its guard saw it end as it was told.
@@ -50,11 +50,11 @@ pub(super) enum Ending {
     Died,
 }
 
-impl Entry {
+impl MonitoredObject {
     pub(super) fn new(kind: ObjectKind, incarnation: Incarnation) -> Self {
-        Entry {
+        MonitoredObject {
             kind,
-            watch: Watch::Guard,
+            watch: Liveness::Guard,
             incarnation,
             state: None,
             guarded: false,
@@ -84,17 +84,17 @@ impl Entry {
 
     /// Empties the history: what was known was known of another life. Isolation outlives a restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
-        let Entry { kind, watch, guarded, may_end, isolated, restarts, .. } = *self;
+        let MonitoredObject { kind, watch, guarded, may_end, isolated, restarts, .. } = *self;
         let first = self.incarnation == Incarnation::default();
         let restarts = restarts.saturating_add(u32::from(!first));
-        let fresh = Entry::new(kind, incarnation);
-        *self = Entry { watch, guarded, may_end, isolated, restarts, ..fresh };
+        let fresh = MonitoredObject::new(kind, incarnation);
+        *self = MonitoredObject { watch, guarded, may_end, isolated, restarts, ..fresh };
     }
 
     fn opinion(&self) -> Opinion {
         match self.end {
-            Some(Ending::Died) => Opinion::Failed,
-            Some(Ending::Stopped | Ending::Finalized) => Opinion::AtRest,
+            Some(LastExit::Died) => Opinion::Failed,
+            Some(LastExit::Stopped | LastExit::Finalized) => Opinion::AtRest,
             None if self.silent || self.current.is_some() => Opinion::Failed,
             None if self.suspect => Opinion::Suspect,
             None if self.last_sign.is_none() => Opinion::Unheard,
@@ -103,29 +103,33 @@ impl Entry {
     }
 
     /// The row of the table, but for what only the watchdog and the inquiry know.
-    pub(super) fn row(&self, place: Place, now: Instant) -> Row {
-        Row {
+    pub(super) fn row(&self, place: Place, now: Instant) -> MonitorRow {
+        MonitorRow {
             incarnation: self.incarnation,
             state: self.state,
             opinion: self.opinion(),
             last_sign: self.last_sign.map(|sign| now - sign),
             restarts: self.restarts,
             suspicions: self.suspicions,
-            current: self.current.map(|(during, since)| Current { during, age: now - since }),
+            current: self
+                .current
+                .map(|(during, since)| CurrentHandler { during, age: now - since }),
             isolated: self.isolated,
             note: self.notes.last().map(|(_, text)| text.clone()),
-            ..Row::blank(place, self.kind)
+            ..MonitorRow::blank(place, self.kind)
         }
     }
 }
 
 /// How a life ended, as a note.
-pub(super) fn describe(exit: &Exit) -> String {
+pub(super) fn describe(exit: &ExitReason) -> String {
     match exit {
-        Exit::Returned => "it ended itself".into(),
-        Exit::Fatal => "it could not go on".into(),
-        Exit::Panicked { text, at, during } => format!("panicked in {during} at {at}: {text}"),
-        Exit::Aborted => "its arbiter went away".into(),
-        Exit::Stopped => "it was told to stop".into(),
+        ExitReason::Returned => "it ended itself".into(),
+        ExitReason::Fatal => "it could not go on".into(),
+        ExitReason::Panicked { text, at, during } => {
+            format!("panicked in {during} at {at}: {text}")
+        }
+        ExitReason::Aborted => "its arbiter went away".into(),
+        ExitReason::Stopped => "it was told to stop".into(),
     }
 }

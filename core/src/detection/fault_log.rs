@@ -1,6 +1,6 @@
 //! The record of faults, and which of them stand.
 
-use super::{Entry, Record};
+use super::{FaultEntry, FaultRecord};
 use crate::{Fault, FaultId, FaultKind, Instant, Place};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,17 +13,17 @@ use std::collections::{BTreeMap, BTreeSet};
 /// The record is bounded. To make room, the oldest fault that is over goes first; where none is,
 /// the oldest of all, with its latch, so that it would be found again.
 #[derive(Clone, Debug)]
-pub struct Chronicle {
-    entries: BTreeMap<FaultId, Entry>,
+pub struct FaultLog {
+    entries: BTreeMap<FaultId, FaultEntry>,
     latches: BTreeMap<(Place, FaultKind), FaultId>,
     capacity: usize,
     dropped: u64,
 }
 
-impl Chronicle {
+impl FaultLog {
     /// An empty record with room for so many faults; at least one.
     pub fn new(capacity: usize) -> Self {
-        Chronicle {
+        FaultLog {
             entries: BTreeMap::new(),
             latches: BTreeMap::new(),
             capacity: capacity.max(1),
@@ -37,7 +37,7 @@ impl Chronicle {
         let dropped = if full { self.make_room() } else { None };
         let (seat, kind, id) = (seat(&fault.place), fault.kind.clone(), fault.id);
         self.latches.insert((seat, kind), id);
-        self.entries.insert(id, Entry::new(fault));
+        self.entries.insert(id, FaultEntry::new(fault));
         dropped
     }
 
@@ -70,12 +70,12 @@ impl Chronicle {
     }
 
     /// One fault.
-    pub fn entry(&self, id: FaultId) -> Option<&Entry> {
+    pub fn entry(&self, id: FaultId) -> Option<&FaultEntry> {
         self.entries.get(&id)
     }
 
     /// One fault, to write down what becomes of it. Its place and kind must not be changed.
-    pub(super) fn entry_mut(&mut self, id: FaultId) -> Option<&mut Entry> {
+    pub(super) fn entry_mut(&mut self, id: FaultId) -> Option<&mut FaultEntry> {
         self.entries.get_mut(&id)
     }
 
@@ -103,16 +103,16 @@ impl Chronicle {
 
     /// The record as it is read: each root in the order in which they were found, each followed by its
     /// symptoms.
-    pub fn read(&self) -> Record {
-        let mut entries: Vec<(FaultId, &Entry)> =
+    pub fn read(&self) -> FaultRecord {
+        let mut entries: Vec<(FaultId, &FaultEntry)> =
             self.entries.iter().map(|(&id, entry)| (self.root(id), entry)).collect();
         entries.sort_by_key(|&(root, entry)| (root, entry.fault.id != root, entry.fault.id));
         let entries = entries.into_iter().map(|(_, entry)| entry.clone()).collect();
-        Record { entries, dropped: self.dropped }
+        FaultRecord { entries, dropped: self.dropped }
     }
 
     fn make_room(&mut self) -> Option<FaultId> {
-        let over = |entry: &&Entry| !entry.stands();
+        let over = |entry: &&FaultEntry| !entry.stands();
         let oldest = self.entries.values().find(over).or(self.entries.values().next());
         let id = oldest?.fault.id;
         self.latches.retain(|_, latched| *latched != id);
@@ -158,13 +158,13 @@ mod tests {
         }
     }
 
-    fn ids(record: &Record) -> Vec<u64> {
+    fn ids(record: &FaultRecord) -> Vec<u64> {
         record.entries.iter().map(|entry| entry.fault.id.0).collect()
     }
 
     #[test]
     fn a_link_is_the_same_place_before_and_after_its_neighbour_is_known() {
-        let mut chronicle = Chronicle::new(8);
+        let mut chronicle = FaultLog::new(8);
 
         chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
 
@@ -175,9 +175,9 @@ mod tests {
 
     #[test]
     fn a_fault_stands_until_its_cause_is_away_though_its_service_is_restored_or_it_is_given_up() {
-        let mut chronicle = Chronicle::new(8);
+        let mut chronicle = FaultLog::new(8);
         chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
-        let status = |chronicle: &Chronicle| chronicle.entry(FaultId(1)).map(Entry::status);
+        let status = |chronicle: &FaultLog| chronicle.entry(FaultId(1)).map(FaultEntry::status);
         assert_eq!(status(&chronicle), Some(FaultStatus::Open));
 
         let entry = chronicle.entry_mut(FaultId(1)).expect("it is recorded");
@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn each_root_is_read_before_its_symptoms_and_symptoms_follow_their_root() {
-        let mut chronicle = Chronicle::new(8);
+        let mut chronicle = FaultLog::new(8);
         let place = |name| Place::Node(node(name));
         chronicle.open(fault(1, place("symptom"), FaultKind::Silence, Some(3)));
         chronicle.open(fault(2, place("other"), FaultKind::Silence, None));
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn symptoms_that_name_each_other_end_the_search_for_their_root() {
-        let mut chronicle = Chronicle::new(8);
+        let mut chronicle = FaultLog::new(8);
         chronicle.open(fault(1, cable(None), FaultKind::Silence, Some(2)));
         chronicle.open(fault(2, cable(None), FaultKind::Hang, Some(1)));
 
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn the_oldest_that_has_ended_makes_room_and_is_counted() {
-        let mut chronicle = Chronicle::new(2);
+        let mut chronicle = FaultLog::new(2);
         chronicle.open(fault(1, Place::Node(node("a")), FaultKind::NodeLost, None));
         chronicle.open(fault(2, Place::Node(node("b")), FaultKind::NodeLost, None));
         chronicle.repair(FaultId(2), Instant::from_millis(5));

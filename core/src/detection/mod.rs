@@ -9,7 +9,7 @@
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
 //! middleware's own objects have none, and are asked.
 //!
-//! `══►` is a [`Handover`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
+//! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
 //! and judges nothing but silence. The detector keeps the lifecycle of each object, compares with the
 //! list of faults, tells roots from symptoms and keeps the record. The notifier limits storms. None of
 //! them decides what is done about a fault, and none of them restarts anything.
@@ -47,13 +47,17 @@ pub mod dependencies;
 pub mod hang;
 
 pub use checks::{CheckFailed, Freshness, Invariant, Range, Rate};
-pub use confirmed_queue::{Handed, Handover, HandoverLimits};
+pub use confirmed_queue::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput};
 pub use detector::{Detector, DetectorLimits, DetectorOutput};
-pub use fault_log::Chronicle;
+pub use fault_log::FaultLog;
 pub use monitor::{Monitor, MonitorLimits, MonitorOutput};
-pub use notifier::{Notifier, NotifierLimits, NotifierOutput, Port, PortRow};
-pub use observation::{Exit, Finding, LinkCondition, NodeCondition, Observation, Progress};
-pub use outcome::{Entry, FaultStatus, Notice, Outcome, Record, Turn};
-pub use ping::{Inquiry, InquiryOutput, Verdict};
-pub use registration::{EnrolError, Enrolment, ObjectKind, Pull, Push, Watch};
-pub use table::{Current, Opinion, QueueSeen, Row};
+pub use notifier::{Notifier, NotifierLimits, NotifierOutput, RecovererPort, RecovererPortRow};
+pub use observation::{
+    ExitReason, Finding, LinkCondition, NodeCondition, Observation, WorkProgress,
+};
+pub use outcome::{
+    FaultEntry, FaultNotice, FaultRecord, FaultStatus, FaultTransition, RecoveryOutcome,
+};
+pub use ping::{PingMonitor, PingOutput, Verdict};
+pub use registration::{Liveness, ObjectKind, Pull, Push, Registration, RegistrationError};
+pub use table::{CurrentHandler, MonitorRow, Opinion, QueueSample};

@@ -1,11 +1,12 @@
 //! Who lives, in which life and state: the table, and what is new in it.
 
-use super::entry::{Ending, Entry, NoteCause, describe};
-use super::peer_table::{Neighbourhood, News};
-use super::ping::InquiryOutput;
+use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
+use super::peer_table::{PeerChange, PeerTable};
+use super::ping::PingOutput;
 use super::{
-    EnrolError, Enrolment, Exit, Finding, Handed, Handover, HandoverLimits, Inquiry, LinkCondition,
-    NodeCondition, ObjectKind, Observation, Opinion, Progress, Row, Verdict, Watch,
+    ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, ExitReason, Finding, LinkCondition,
+    Liveness, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion, PingMonitor,
+    Registration, RegistrationError, Verdict, WorkProgress,
 };
 use crate::{
     FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress, ObjectName, Place,
@@ -25,10 +26,10 @@ use std::sync::Arc;
 pub struct Monitor {
     node: NodeName,
     limits: MonitorLimits,
-    objects: BTreeMap<ObjectName, Entry>,
-    around: Neighbourhood,
-    inquiry: Inquiry,
-    handover: Handover<Observation>,
+    objects: BTreeMap<ObjectName, MonitoredObject>,
+    around: PeerTable,
+    inquiry: PingMonitor,
+    handover: ConfirmedQueue<Observation>,
     asks: VecDeque<ObjectName>,
     stale: u64,
     stalls: u64,
@@ -41,7 +42,7 @@ pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
     /// The hand-over to the detector.
-    pub handover: HandoverLimits,
+    pub handover: ConfirmedQueueLimits,
 }
 
 impl Default for MonitorLimits {
@@ -51,7 +52,7 @@ impl Default for MonitorLimits {
         // At start every object is enrolled at once, and some of them have more to tell.
         MonitorLimits {
             rows,
-            handover: HandoverLimits { capacity: 4 * rows, ..Default::default() },
+            handover: ConfirmedQueueLimits { capacity: 4 * rows, ..Default::default() },
         }
     }
 }
@@ -87,9 +88,9 @@ impl Monitor {
             node,
             limits,
             objects: BTreeMap::new(),
-            around: Neighbourhood::default(),
-            inquiry: Inquiry::new(),
-            handover: Handover::new(limits.handover, now.as_nanos()),
+            around: PeerTable::default(),
+            inquiry: PingMonitor::new(),
+            handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
             stale: 0,
             stalls: 0,
@@ -100,20 +101,24 @@ impl Monitor {
     /// Watches an object, or changes how it is watched.
     ///
     /// # Errors
-    /// [`EnrolError::TableFull`]
-    pub fn enrol(&mut self, enrolment: Enrolment, now: Instant) -> Result<(), EnrolError> {
-        let Enrolment { object, kind, incarnation, watch, depends_on, may_end } = enrolment;
+    /// [`RegistrationError::TableFull`]
+    pub fn enrol(
+        &mut self,
+        enrolment: Registration,
+        now: Instant,
+    ) -> Result<(), RegistrationError> {
+        let Registration { object, kind, incarnation, watch, depends_on, may_end } = enrolment;
         if self.is_full() && !self.objects.contains_key(&object) {
-            return Err(EnrolError::TableFull { object, limit: self.limits.rows });
+            return Err(RegistrationError::TableFull { object, limit: self.limits.rows });
         }
-        let fresh = || Entry::new(kind, incarnation);
+        let fresh = || MonitoredObject::new(kind, incarnation);
         let entry = self.objects.entry(object.clone()).or_insert_with(fresh);
         if entry.incarnation < incarnation {
             entry.begin(incarnation);
         }
         (entry.kind, entry.watch, entry.may_end) = (kind, watch, may_end);
         let incarnation = entry.incarnation;
-        if !matches!(watch, Watch::Pull(_)) {
+        if !matches!(watch, Liveness::Pull(_)) {
             self.inquiry.dismiss(&object);
         }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
@@ -132,7 +137,7 @@ impl Monitor {
     }
 
     /// An object has answered.
-    pub fn handle_alive(&mut self, object: &ObjectName, progress: Progress, now: Instant) {
+    pub fn handle_alive(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
         self.inquiry.handle_answer(object, progress, now);
         if self.objects.contains_key(object)
             && let Some(entry) = self.alive(object, progress.incarnation, now)
@@ -160,25 +165,25 @@ impl Monitor {
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
-        exit: Exit,
+        exit: ExitReason,
         restarted_as: Option<Incarnation>,
         now: Instant,
     ) {
         // The orderly end of somebody unknown, such as the dismissed, is no news.
-        if exit == Exit::Stopped && !self.objects.contains_key(object) {
+        if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
         }
         let Some(entry) = self.admit(object, incarnation, now) else { return };
-        if matches!(entry.end, Some(Ending::Stopped | Ending::Died)) {
+        if matches!(entry.end, Some(LastExit::Stopped | LastExit::Died)) {
             self.stale += 1;
             return;
         }
         let died = match exit {
-            Exit::Stopped => false,
-            Exit::Returned => !entry.may_end,
-            Exit::Fatal | Exit::Panicked { .. } | Exit::Aborted => true,
+            ExitReason::Stopped => false,
+            ExitReason::Returned => !entry.may_end,
+            ExitReason::Fatal | ExitReason::Panicked { .. } | ExitReason::Aborted => true,
         };
-        entry.end = Some(if died { Ending::Died } else { Ending::Stopped });
+        entry.end = Some(if died { LastExit::Died } else { LastExit::Stopped });
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
@@ -211,7 +216,7 @@ impl Monitor {
             None => entry.erase(&NoteCause::State),
         }
         if state == Lifecycle::Finalized {
-            entry.end.get_or_insert(Ending::Finalized);
+            entry.end.get_or_insert(LastExit::Finalized);
             self.inquiry.handle_end(object, incarnation, now);
         }
         self.observe_object(object, incarnation, Finding::State { state, reason }, now);
@@ -263,7 +268,7 @@ impl Monitor {
             return;
         }
         let news = self.around.handle_link(node, link, neighbour, condition, now);
-        if let Some(News { place, incarnation, finding }) = news {
+        if let Some(PeerChange { place, incarnation, finding }) = news {
             self.observe(place, incarnation, finding, now);
         }
     }
@@ -281,7 +286,7 @@ impl Monitor {
             return;
         }
         match self.around.handle_node(node, incarnation, condition, now) {
-            Ok(Some(News { place, incarnation, finding })) => {
+            Ok(Some(PeerChange { place, incarnation, finding })) => {
                 self.observe(place, incarnation, finding, now);
             }
             Ok(None) => {}
@@ -307,7 +312,7 @@ impl Monitor {
     }
 
     /// The whole table: objects by name, then links, then nodes.
-    pub fn read_table(&self, now: Instant) -> Vec<Row> {
+    pub fn read_table(&self, now: Instant) -> Vec<MonitorRow> {
         let objects = self.objects.iter().map(|(object, entry)| {
             let address = ObjectAddress::new(self.node.clone(), object.clone());
             entry.row(Place::Object(address), now)
@@ -334,7 +339,7 @@ impl Monitor {
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         let mut monitor = Monitor {
-            inquiry: Inquiry::new(),
+            inquiry: PingMonitor::new(),
             handover: self.handover.reborn(now),
             asks: VecDeque::new(),
             ..self
@@ -353,7 +358,7 @@ impl Monitor {
     /// Sets the inquiry on an object of the table, if its entry says so.
     fn watch_over(&mut self, object: &ObjectName, now: Instant) {
         let Some(entry) = self.objects.get(object) else { return };
-        if let Watch::Pull(pull) = entry.watch {
+        if let Liveness::Pull(pull) = entry.watch {
             self.inquiry.enrol(object, pull, entry.incarnation, now);
         }
         // Whoever has not begun yet may have to wait for others that are started before it.
@@ -368,13 +373,14 @@ impl Monitor {
         object: &ObjectName,
         incarnation: Incarnation,
         now: Instant,
-    ) -> Option<&mut Entry> {
+    ) -> Option<&mut MonitoredObject> {
         if !self.objects.contains_key(object) {
             if self.is_full() {
                 self.refused += 1;
                 return None;
             }
-            self.objects.insert(object.clone(), Entry::new(ObjectKind::Component, incarnation));
+            self.objects
+                .insert(object.clone(), MonitoredObject::new(ObjectKind::Component, incarnation));
         }
         let entry = self.objects.get_mut(object).expect("it was just put in");
         if incarnation < entry.incarnation {
@@ -394,8 +400,9 @@ impl Monitor {
         object: &ObjectName,
         incarnation: Incarnation,
         now: Instant,
-    ) -> Option<&mut Entry> {
-        let ended = |entry: &Entry| entry.incarnation == incarnation && entry.end.is_some();
+    ) -> Option<&mut MonitoredObject> {
+        let ended =
+            |entry: &MonitoredObject| entry.incarnation == incarnation && entry.end.is_some();
         if self.objects.get(object).is_some_and(ended) {
             self.stale += 1;
             return None;
@@ -423,8 +430,8 @@ impl Monitor {
     fn settle(&mut self, now: Instant) {
         while let Some(output) = self.inquiry.poll_output() {
             match output {
-                InquiryOutput::Ask { object } => self.asks.push_back(object),
-                InquiryOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
+                PingOutput::Ask { object } => self.asks.push_back(object),
+                PingOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
             }
         }
     }
@@ -466,10 +473,12 @@ impl Machine for Monitor {
             return Some(MonitorOutput::Ask { object });
         }
         self.handover.poll_output().map(|handed| match handed {
-            Handed::Deliver { number, item } => {
+            ConfirmedQueueOutput::Deliver { number, item } => {
                 MonitorOutput::Observe { number, observation: item }
             }
-            Handed::GivenUp { item, tries } => MonitorOutput::GivenUp { observation: item, tries },
+            ConfirmedQueueOutput::GivenUp { item, tries } => {
+                MonitorOutput::GivenUp { observation: item, tries }
+            }
         })
     }
 

@@ -1,6 +1,6 @@
 //! Who is told about a fault: the ports to recoverers, here and on other nodes.
 
-use super::{Handed, Handover, HandoverLimits, Notice};
+use super::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultNotice};
 use crate::{FaultId, Instant, Machine, NodeName};
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
@@ -14,7 +14,7 @@ use std::time::Duration;
 #[derive(Clone, Debug)]
 pub struct Notifier {
     limits: NotifierLimits,
-    ports: BTreeMap<Port, Lane>,
+    ports: BTreeMap<RecovererPort, Lane>,
     outputs: VecDeque<NotifierOutput>,
     refused: u64,
 }
@@ -25,14 +25,14 @@ pub struct NotifierLimits {
     /// How many ports there may be.
     pub ports: usize,
     /// The hand-over to the local recoverer.
-    pub local: HandoverLimits,
+    pub local: ConfirmedQueueLimits,
     /// The hand-over to another node's recoverer.
-    pub remote: HandoverLimits,
+    pub remote: ConfirmedQueueLimits,
 }
 
 impl Default for NotifierLimits {
     fn default() -> Self {
-        let remote = HandoverLimits {
+        let remote = ConfirmedQueueLimits {
             // A round trip over two hops and a change of path takes less.
             patience: Duration::from_millis(250),
             longest: Duration::from_secs(2),
@@ -40,11 +40,11 @@ impl Default for NotifierLimits {
             // other things to carry.
             per_second: 50,
             capacity: 256,
-            ..HandoverLimits::default()
+            ..ConfirmedQueueLimits::default()
         };
         // A recoverer takes in a fault in microseconds; a robot on which two hundred things break each
         // second is better served by the most important ones.
-        let local = HandoverLimits { per_second: 200, ..HandoverLimits::default() };
+        let local = ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::default() };
         // A robot of more than thirty nodes tells the rest over its fleet.
         NotifierLimits { ports: 32, local, remote }
     }
@@ -52,18 +52,18 @@ impl Default for NotifierLimits {
 
 /// Whose recoverer is told.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Port {
+pub enum RecovererPort {
     /// This node's.
     Local,
     /// Another node's.
     Remote(NodeName),
 }
 
-impl fmt::Display for Port {
+impl fmt::Display for RecovererPort {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Port::Local => f.write_str("here"),
-            Port::Remote(node) => write!(f, "{node}"),
+            RecovererPort::Local => f.write_str("here"),
+            RecovererPort::Remote(node) => write!(f, "{node}"),
         }
     }
 }
@@ -75,18 +75,18 @@ pub enum NotifierOutput {
     /// [`Notifier::handle_confirmed`].
     HandOver {
         /// Which port.
-        port: Port,
+        port: RecovererPort,
         /// The number under which it is confirmed.
         number: u64,
         /// What the recoverer must know.
-        notice: Notice,
+        notice: FaultNotice,
     },
     /// The recoverer never confirmed this, or there was no room: tell a person.
     GivenUp {
         /// Which port.
-        port: Port,
+        port: RecovererPort,
         /// What the recoverer should have known.
-        notice: Notice,
+        notice: FaultNotice,
         /// How often it was sent.
         tries: u32,
     },
@@ -95,9 +95,9 @@ pub enum NotifierOutput {
 /// How the hand-overs of one port stand.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct PortRow {
+pub struct RecovererPortRow {
     /// Which port.
-    pub port: Port,
+    pub port: RecovererPort,
     /// How many notices wait or are under way.
     pub pending: usize,
     /// How many were confirmed.
@@ -112,7 +112,7 @@ pub struct PortRow {
 
 #[derive(Clone, Debug)]
 struct Lane {
-    handover: Handover<Notice>,
+    handover: ConfirmedQueue<FaultNotice>,
     confirmed: u64,
     suppressed: u64,
 }
@@ -124,17 +124,17 @@ impl Notifier {
     }
 
     /// Opens a port; no, if there are too many. A port that is open stays as it is.
-    pub fn add_port(&mut self, port: Port, now: Instant) -> bool {
+    pub fn add_port(&mut self, port: RecovererPort, now: Instant) -> bool {
         if self.ports.len() >= self.limits.ports && !self.ports.contains_key(&port) {
             self.refused += 1;
             return false;
         }
         let limits = match port {
-            Port::Local => self.limits.local,
-            Port::Remote(_) => self.limits.remote,
+            RecovererPort::Local => self.limits.local,
+            RecovererPort::Remote(_) => self.limits.remote,
         };
         let fresh = || Lane {
-            handover: Handover::new(limits, now.as_nanos()),
+            handover: ConfirmedQueue::new(limits, now.as_nanos()),
             confirmed: 0,
             suppressed: 0,
         };
@@ -143,12 +143,12 @@ impl Notifier {
     }
 
     /// Closes a port and forgets what waits there.
-    pub fn remove_port(&mut self, port: &Port) {
+    pub fn remove_port(&mut self, port: &RecovererPort) {
         self.ports.remove(port);
     }
 
     /// The detector hands over what all recoverers must know.
-    pub fn handle_notice(&mut self, notice: Notice, now: Instant) {
+    pub fn handle_notice(&mut self, notice: FaultNotice, now: Instant) {
         for lane in self.ports.values_mut() {
             lane.take(&notice, now);
         }
@@ -156,7 +156,7 @@ impl Notifier {
     }
 
     /// A recoverer has confirmed.
-    pub fn handle_confirmed(&mut self, port: &Port, number: u64, now: Instant) {
+    pub fn handle_confirmed(&mut self, port: &RecovererPort, number: u64, now: Instant) {
         if let Some(lane) = self.ports.get_mut(port) {
             let before = lane.handover.pending();
             lane.handover.handle_confirmed(number, now);
@@ -166,7 +166,7 @@ impl Notifier {
     }
 
     /// A notice is known not to have reached the recoverer.
-    pub fn handle_failed(&mut self, port: &Port, number: u64, now: Instant) {
+    pub fn handle_failed(&mut self, port: &RecovererPort, number: u64, now: Instant) {
         if let Some(lane) = self.ports.get_mut(port) {
             lane.handover.handle_failed(number, now);
         }
@@ -174,8 +174,8 @@ impl Notifier {
     }
 
     /// How the hand-overs stand, port by port.
-    pub fn read_ports(&self) -> Vec<PortRow> {
-        let row = |(port, lane): (&Port, &Lane)| PortRow {
+    pub fn read_ports(&self) -> Vec<RecovererPortRow> {
+        let row = |(port, lane): (&RecovererPort, &Lane)| RecovererPortRow {
             port: port.clone(),
             pending: lane.handover.pending(),
             confirmed: lane.confirmed,
@@ -194,7 +194,7 @@ impl Notifier {
     /// A notifier that knows the same plain facts, for a body that was struck in the middle of an input.
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
-        let renew = |(port, lane): (Port, Lane)| {
+        let renew = |(port, lane): (RecovererPort, Lane)| {
             (port, Lane { handover: lane.handover.reborn(now), ..lane })
         };
         let ports = self.ports.into_iter().map(renew).collect();
@@ -208,10 +208,10 @@ impl Notifier {
             while let Some(handed) = lane.handover.poll_output() {
                 let port = port.clone();
                 self.outputs.push_back(match handed {
-                    Handed::Deliver { number, item } => {
+                    ConfirmedQueueOutput::Deliver { number, item } => {
                         NotifierOutput::HandOver { port, number, notice: item }
                     }
-                    Handed::GivenUp { item, tries } => {
+                    ConfirmedQueueOutput::GivenUp { item, tries } => {
                         NotifierOutput::GivenUp { port, notice: item, tries }
                     }
                 });
@@ -221,14 +221,14 @@ impl Notifier {
 }
 
 impl Lane {
-    fn take(&mut self, notice: &Notice, now: Instant) {
+    fn take(&mut self, notice: &FaultNotice, now: Instant) {
         let id: FaultId = notice.id();
         let waited = self.handover.withdraw(|waiting| waiting.id() == id).is_some();
         self.suppressed += u64::from(waited);
         match notice {
             // Nobody behind this port has heard of it: there is nothing to take back.
-            Notice::Cleared { .. } if waited => {}
-            Notice::Found(_) if self.handover.under_way().map(Notice::id) == Some(id) => {
+            FaultNotice::Cleared { .. } if waited => {}
+            FaultNotice::Found(_) if self.handover.under_way().map(FaultNotice::id) == Some(id) => {
                 self.suppressed += 1;
             }
             notice => self.handover.hand(notice.rank(), notice.clone(), now),
@@ -268,12 +268,12 @@ mod tests {
         NodeName::new(name).expect("a name")
     }
 
-    fn remote() -> Port {
-        Port::Remote(node("n"))
+    fn remote() -> RecovererPort {
+        RecovererPort::Remote(node("n"))
     }
 
-    fn fault(id: u64, kind: FaultKind) -> Notice {
-        Notice::Found(Fault {
+    fn fault(id: u64, kind: FaultKind) -> FaultNotice {
+        FaultNotice::Found(Fault {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
@@ -286,11 +286,11 @@ mod tests {
         })
     }
 
-    fn cleared(id: u64) -> Notice {
-        Notice::Cleared { id: FaultId(id), place: Place::Node(node("x")) }
+    fn cleared(id: u64) -> FaultNotice {
+        FaultNotice::Cleared { id: FaultId(id), place: Place::Node(node("x")) }
     }
 
-    fn notifier(ports: &[Port]) -> Notifier {
+    fn notifier(ports: &[RecovererPort]) -> Notifier {
         let mut notifier = Notifier::new(NotifierLimits::default());
         for port in ports {
             assert!(notifier.add_port(port.clone(), at(0)));
@@ -304,7 +304,7 @@ mod tests {
         while let Some(output) = notifier.poll_output() {
             match output {
                 NotifierOutput::HandOver { port, number, notice } => {
-                    let sign = if matches!(notice, Notice::Found(_)) { '+' } else { '-' };
+                    let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
                     handed.push(format!("{port} {sign}{}", notice.id().0));
                     if confirm {
                         notifier.handle_confirmed(&port, number, now);
@@ -320,7 +320,7 @@ mod tests {
 
     #[test]
     fn every_port_is_told_of_every_fault() {
-        let mut notifier = notifier(&[Port::Local, remote()]);
+        let mut notifier = notifier(&[RecovererPort::Local, remote()]);
 
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(cleared(1), at(0));
@@ -332,7 +332,7 @@ mod tests {
 
     #[test]
     fn a_port_that_cannot_be_reached_holds_up_nobody_else_and_is_given_up_loudly() {
-        let mut notifier = notifier(&[Port::Local, remote()]);
+        let mut notifier = notifier(&[RecovererPort::Local, remote()]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
         let mut told = Vec::new();
@@ -340,8 +340,8 @@ mod tests {
         loop {
             while let Some(output) = notifier.poll_output() {
                 match output {
-                    NotifierOutput::HandOver { port: Port::Local, number, .. } => {
-                        notifier.handle_confirmed(&Port::Local, number, now);
+                    NotifierOutput::HandOver { port: RecovererPort::Local, number, .. } => {
+                        notifier.handle_confirmed(&RecovererPort::Local, number, now);
                         told.push("here".to_string());
                     }
                     NotifierOutput::HandOver { .. } => told.push("n".into()),
@@ -361,7 +361,7 @@ mod tests {
 
     #[test]
     fn critical_faults_overtake_and_what_is_over_goes_before_them() {
-        let mut notifier = notifier(&[Port::Local]);
+        let mut notifier = notifier(&[RecovererPort::Local]);
         notifier.handle_notice(fault(1, FaultKind::Overload), at(0));
         notifier.handle_notice(fault(2, FaultKind::Overload), at(0));
         notifier.handle_notice(fault(3, FaultKind::Panic), at(0));
@@ -375,11 +375,11 @@ mod tests {
 
     #[test]
     fn a_symptom_goes_after_the_roots_of_its_severity() {
-        let mut notifier = notifier(&[Port::Local]);
+        let mut notifier = notifier(&[RecovererPort::Local]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
-        let Notice::Found(symptom) = fault(2, FaultKind::Silence) else { return };
+        let FaultNotice::Found(symptom) = fault(2, FaultKind::Silence) else { return };
         let symptom = Fault { symptom_of: Some(FaultId(1)), ..symptom };
-        notifier.handle_notice(Notice::Found(symptom), at(0));
+        notifier.handle_notice(FaultNotice::Found(symptom), at(0));
         notifier.handle_notice(fault(3, FaultKind::Panic), at(0));
 
         assert_eq!(handed(&mut notifier, true, at(1)), ["here +1", "here +3", "here +2"]);
@@ -387,7 +387,7 @@ mod tests {
 
     #[test]
     fn one_fault_is_never_twice_in_a_queue_and_one_that_is_over_in_time_not_once() {
-        let mut notifier = notifier(&[Port::Local]);
+        let mut notifier = notifier(&[RecovererPort::Local]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
@@ -401,9 +401,9 @@ mod tests {
 
     #[test]
     fn a_storm_is_held_back_to_so_many_a_second_with_the_critical_ones_first() {
-        let local = HandoverLimits { per_second: 3, ..HandoverLimits::default() };
+        let local = ConfirmedQueueLimits { per_second: 3, ..ConfirmedQueueLimits::default() };
         let mut notifier = Notifier::new(NotifierLimits { local, ..NotifierLimits::default() });
-        notifier.add_port(Port::Local, at(0));
+        notifier.add_port(RecovererPort::Local, at(0));
         for id in 1..=8 {
             let kind = if id == 8 { FaultKind::Fatal } else { FaultKind::Panic };
             notifier.handle_notice(fault(id, kind), at(0));
@@ -422,11 +422,11 @@ mod tests {
     fn too_many_ports_are_refused_and_a_known_one_keeps_what_waits() {
         let limits = NotifierLimits { ports: 1, ..NotifierLimits::default() };
         let mut notifier = Notifier::new(limits);
-        assert!(notifier.add_port(Port::Local, at(0)));
+        assert!(notifier.add_port(RecovererPort::Local, at(0)));
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
         assert!(!notifier.add_port(remote(), at(0)));
-        assert!(notifier.add_port(Port::Local, at(0)));
+        assert!(notifier.add_port(RecovererPort::Local, at(0)));
 
         assert_eq!((notifier.refused(), notifier.read_ports()[0].pending), (1, 1));
     }
@@ -446,7 +446,7 @@ mod tests {
 
     #[test]
     fn a_notifier_that_was_struck_hands_over_again_what_was_not_confirmed() {
-        let mut notifier = notifier(&[Port::Local, remote()]);
+        let mut notifier = notifier(&[RecovererPort::Local, remote()]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
         handed(&mut notifier, false, at(0));

@@ -33,7 +33,7 @@ pub enum Finding {
     /// A life ended.
     Exited {
         /// How.
-        exit: Exit,
+        exit: ExitReason,
         /// The guard carried out its standing order: this life has begun in the old one's place.
         restarted_as: Option<Incarnation>,
     },
@@ -110,7 +110,7 @@ pub enum Finding {
 
 /// How a life ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Exit {
+pub enum ExitReason {
     /// It ended itself, in order.
     Returned,
     /// It could not go on: it did not come to work, or declared a fatal fault. What it had declared
@@ -133,7 +133,7 @@ pub enum Exit {
 
 /// An object's answer to the question whether it is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Progress {
+pub struct WorkProgress {
     /// Which life answers.
     pub incarnation: Incarnation,
     /// Where it stands.
@@ -183,7 +183,7 @@ pub enum NodeCondition {
     },
     /// It is isolated no longer.
     Admitted,
-    /// It says that it has come to safe rest: it can be reached, and nothing of it serves.
+    /// It says that it has enter the safe state: it can be reached, and nothing of it serves.
     AtRest {
         /// Why.
         reason: String,

@@ -12,16 +12,16 @@ const NODES_MAX: usize = 256;
 
 /// The offences of other nodes, in a sliding window.
 #[derive(Clone, Debug)]
-pub(super) struct Conduct {
+pub(super) struct OffenceWindow {
     limit: usize,
     period: Duration,
     offences: BTreeMap<NodeName, VecDeque<(Instant, String)>>,
 }
 
-impl Conduct {
+impl OffenceWindow {
     /// So many offences within one period are too many.
     pub(super) fn new(limit: u32, period: Duration) -> Self {
-        Conduct { limit: limit.max(1) as usize, period, offences: BTreeMap::new() }
+        OffenceWindow { limit: limit.max(1) as usize, period, offences: BTreeMap::new() }
     }
 
     /// A node has done harm. Answers what it has done, each time that it was once too often.
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn several_offences_within_the_period_are_too_many_and_spread_ones_never() {
-        let mut conduct = Conduct::new(3, Duration::from_secs(60));
+        let mut conduct = OffenceWindow::new(3, Duration::from_secs(60));
         let mut offends = |who: &str, second: u64| {
             let at = Instant::from_millis(second * 1000);
             conduct.handle_offence(&node(who), "it floods".into(), at).is_some()
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn the_reason_counts_what_was_done_and_an_admitted_node_begins_anew() {
-        let mut conduct = Conduct::new(3, Duration::from_secs(60));
+        let mut conduct = OffenceWindow::new(3, Duration::from_secs(60));
         let now = Instant::from_millis(1000);
         let mut offends = |what: &str| conduct.handle_offence(&node("a"), what.into(), now);
         assert_eq!((offends("it died"), offends("it floods")), (None, None));
@@ -99,7 +99,7 @@ mod tests {
 
     #[test]
     fn more_nodes_than_there_can_be_are_not_remembered() {
-        let mut conduct = Conduct::new(2, Duration::from_secs(60));
+        let mut conduct = OffenceWindow::new(2, Duration::from_secs(60));
         for n in 0..1000 {
             let at = Instant::from_millis(n);
             conduct.handle_offence(&node(&format!("n{n}")), "it floods".into(), at);

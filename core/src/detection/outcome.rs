@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// What the recoverer tells the detector, for the record.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Outcome {
+pub enum RecoveryOutcome {
     /// A measure was chosen.
     Decided {
         /// Which, as a person reads it: "restart", "re-route".
@@ -14,7 +14,7 @@ pub enum Outcome {
     },
     /// Service is restored.
     Recovered,
-    /// Nothing more will be tried; what is left is safe rest.
+    /// Nothing more will be tried; what is left is safe state.
     GaveUp {
         /// Why.
         reason: String,
@@ -24,7 +24,7 @@ pub enum Outcome {
 /// One step in the history of a fault, as subscribers are told it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Turn {
+pub enum FaultTransition {
     /// It was found.
     Found,
     /// It was seen again while it stood; told at powers of two, so that a storm stays readable.
@@ -50,7 +50,7 @@ pub enum Turn {
 
 /// What goes from the detector to the notifier, and on to every recoverer.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Notice {
+pub enum FaultNotice {
     /// A fault was found.
     Found(Fault),
     /// It went away by itself: what is not yet under way for it need not begin.
@@ -62,19 +62,19 @@ pub enum Notice {
     },
 }
 
-impl Notice {
+impl FaultNotice {
     /// Which fault it is about.
     pub fn id(&self) -> FaultId {
         match self {
-            Notice::Found(fault) => fault.id,
-            Notice::Cleared { id, .. } => *id,
+            FaultNotice::Found(fault) => fault.id,
+            FaultNotice::Cleared { id, .. } => *id,
         }
     }
 
     /// The order in which notices that wait are handed over: what is over, so that nobody acts upon it;
     /// then critical faults, errors, warnings; of each the roots first.
     pub fn rank(&self) -> u8 {
-        let Notice::Found(fault) = self else { return 0 };
+        let FaultNotice::Found(fault) = self else { return 0 };
         let severity = match fault.severity {
             Severity::Critical => 1,
             Severity::Error => 3,
@@ -90,7 +90,7 @@ impl Notice {
 /// a standing fault while its traffic takes another path: [`recovered_at`](Entry::recovered_at) is
 /// set, [`repaired_at`](Entry::repaired_at) is not. See [`Fault::is_repaired_by_recovery`].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct FaultEntry {
     /// The fault; [`Fault::found_at`] is when it was found.
     pub fault: Fault,
     /// The measure that was chosen last, and when.
@@ -104,10 +104,10 @@ pub struct Entry {
     pub given_up: Option<(Instant, String)>,
 }
 
-impl Entry {
+impl FaultEntry {
     /// An entry for a fault that was just found.
     pub fn new(fault: Fault) -> Self {
-        Entry { fault, decided: None, recovered_at: None, repaired_at: None, given_up: None }
+        FaultEntry { fault, decided: None, recovered_at: None, repaired_at: None, given_up: None }
     }
 
     /// Whether the cause is not known to be away.
@@ -165,9 +165,9 @@ impl fmt::Display for FaultStatus {
 
 /// The record of faults, as it is read.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Record {
+pub struct FaultRecord {
     /// Each root in the order in which they were found, each followed by its symptoms.
-    pub entries: Vec<Entry>,
+    pub entries: Vec<FaultEntry>,
     /// How many older entries had to make room.
     pub dropped: u64,
 }

@@ -1,6 +1,6 @@
 //! What this node sees of its links and of other nodes.
 
-use super::{Finding, LinkCondition, NodeCondition, ObjectKind, Opinion, Row};
+use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Opinion};
 use crate::{Incarnation, Instant, NodeName, Place};
 use std::collections::BTreeMap;
 use std::mem::discriminant;
@@ -8,13 +8,13 @@ use std::sync::Arc;
 
 /// The table of links and nodes. It tells what is news from what was said before.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Neighbourhood {
+pub(super) struct PeerTable {
     links: BTreeMap<(NodeName, Arc<str>), LinkSeen>,
     nodes: BTreeMap<NodeName, NodeSeen>,
 }
 
 /// Something that was not known before.
-pub(super) struct News {
+pub(super) struct PeerChange {
     pub(super) place: Place,
     pub(super) incarnation: Incarnation,
     pub(super) finding: Finding,
@@ -35,7 +35,7 @@ struct NodeSeen {
     restarts: u32,
     /// Who has isolated it, and why.
     isolated: Option<String>,
-    /// Why it is at safe rest, as it says itself.
+    /// Why it is in the safe state, as it says itself.
     rest: Option<String>,
 }
 
@@ -62,7 +62,7 @@ impl NodeSeen {
     }
 }
 
-impl Neighbourhood {
+impl PeerTable {
     /// How many rows it has.
     pub(super) fn len(&self) -> usize {
         self.links.len() + self.nodes.len()
@@ -85,13 +85,13 @@ impl Neighbourhood {
         neighbour: Option<NodeName>,
         condition: LinkCondition,
         now: Instant,
-    ) -> Option<News> {
+    ) -> Option<PeerChange> {
         let carries = !matches!(condition, LinkCondition::Down { .. });
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
             let (place, incarnation) = (Place::Link { node, link, neighbour }, Incarnation(0));
-            return Some(News { place, incarnation, finding: Finding::Link(condition) });
+            return Some(PeerChange { place, incarnation, finding: Finding::Link(condition) });
         }
         let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
             (LinkCondition::Down { reason: before }, LinkCondition::Down { reason }) => {
@@ -109,7 +109,7 @@ impl Neighbourhood {
         let is_news = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_news.then_some(News { place, incarnation: Incarnation::default(), finding })
+        is_news.then_some(PeerChange { place, incarnation: Incarnation::default(), finding })
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
@@ -125,7 +125,7 @@ impl Neighbourhood {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<News>, Incarnation> {
+    ) -> Result<Option<PeerChange>, Incarnation> {
         use NodeCondition::{Admitted, AtRest, AtWork, Isolated, Offends};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_conduct(node, condition));
@@ -181,11 +181,11 @@ impl Neighbourhood {
         let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
+        Ok(is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding }))
     }
 
     /// What others think of a node, or what it has done: whatever life of it is known.
-    fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<News> {
+    fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
@@ -196,7 +196,7 @@ impl Neighbourhood {
         seen.isolated = isolated;
         let is_news = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_news.then_some(News { place: Place::Node(node), incarnation, finding })
+        is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding })
     }
 
     /// What a node says of itself: another one, or this.
@@ -206,7 +206,7 @@ impl Neighbourhood {
         incarnation: Incarnation,
         condition: NodeCondition,
         now: Instant,
-    ) -> Result<Option<News>, Incarnation> {
+    ) -> Result<Option<PeerChange>, Incarnation> {
         let rest = match &condition {
             NodeCondition::AtRest { reason } => Some(reason.clone()),
             _ => None,
@@ -225,11 +225,11 @@ impl Neighbourhood {
         let is_news = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(News { place: Place::Node(node), incarnation, finding }))
+        Ok(is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding }))
     }
 
     /// Links, then nodes.
-    pub(super) fn rows(&self, now: Instant) -> impl Iterator<Item = Row> {
+    pub(super) fn rows(&self, now: Instant) -> impl Iterator<Item = MonitorRow> {
         let links = self.links.iter().map(move |((node, link), seen)| {
             let (opinion, note) = match &seen.condition {
                 LinkCondition::Up | LinkCondition::Forgotten => (Opinion::Trusted, None),
@@ -240,11 +240,11 @@ impl Neighbourhood {
                 }
             };
             let (node, link, neighbour) = (node.clone(), link.clone(), seen.neighbour.clone());
-            Row {
+            MonitorRow {
                 opinion,
                 note: note.cloned(),
                 last_sign: seen.last_sign.map(|sign| now - sign),
-                ..Row::blank(Place::Link { node, link, neighbour }, ObjectKind::Link)
+                ..MonitorRow::blank(Place::Link { node, link, neighbour }, ObjectKind::Link)
             }
         });
         let nodes = self.nodes.iter().map(move |(node, seen)| {
@@ -256,20 +256,20 @@ impl Neighbourhood {
             };
             let (opinion, note) = match (&seen.standing, &seen.rest) {
                 (Standing::Here, Some(reason)) => {
-                    (Opinion::AtRest, Some(format!("at safe rest: {reason}")))
+                    (Opinion::AtRest, Some(format!("in the safe state: {reason}")))
                 }
                 _ => (opinion, note),
             };
             let isolated = seen.isolated.as_ref().map(|reason| format!("isolated {reason}"));
             let opinion = if isolated.is_some() { Opinion::Failed } else { opinion };
-            Row {
+            MonitorRow {
                 isolated: isolated.is_some(),
                 incarnation: seen.incarnation,
                 opinion,
                 note: isolated.or(note),
                 last_sign: seen.last_sign.map(|sign| now - sign),
                 restarts: seen.restarts,
-                ..Row::blank(Place::Node(node.clone()), ObjectKind::Node)
+                ..MonitorRow::blank(Place::Node(node.clone()), ObjectKind::Node)
             }
         });
         links.chain(nodes)
@@ -302,7 +302,7 @@ mod tests {
     fn every_change_of_a_link_is_news_and_no_repetition_is() {
         for from in conditions() {
             for to in conditions() {
-                let mut around = Neighbourhood::default();
+                let mut around = PeerTable::default();
                 let mut report = |condition: &LinkCondition, neighbour| {
                     let condition = condition.clone();
                     around.handle_link(node("a"), "eth".into(), neighbour, condition, at(1))
@@ -312,7 +312,7 @@ mod tests {
                 let news = report(&to, None);
 
                 assert_eq!(news.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(News { place: Place::Link { neighbour, .. }, .. }) = news {
+                if let Some(PeerChange { place: Place::Link { neighbour, .. }, .. }) = news {
                     assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
                 }
             }
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn a_link_that_is_forgotten_has_no_row() {
-        let mut around = Neighbourhood::default();
+        let mut around = PeerTable::default();
         let mut tell = |condition| {
             around
                 .handle_link(node("a"), "eth/b".into(), Some(node("b")), condition, at(1))
@@ -338,7 +338,7 @@ mod tests {
         use NodeCondition::{Left, Lost, Reachable, Restarted};
         let lost = || Lost { reason: "gone".into() };
         let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
-            let mut around = Neighbourhood::default();
+            let mut around = PeerTable::default();
             if let Some((life, condition)) = before {
                 let first = around.handle_node(node("b"), Incarnation(life), condition, at(1));
                 assert!(first.is_ok_and(|news| news.is_some()));
@@ -383,7 +383,7 @@ mod tests {
     #[test]
     fn that_an_isolated_node_is_lost_is_no_news_and_what_it_did_always_is() {
         use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
-        let mut around = Neighbourhood::default();
+        let mut around = PeerTable::default();
         let mut told = |condition: &NodeCondition| {
             let news = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
             let finding = news.expect("no life is over").map(|news| news.finding);
@@ -404,7 +404,7 @@ mod tests {
 
     /// Tells of one node's lives; answers whether that is news, and whether the node is at rest then.
     fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
-        let mut around = Neighbourhood::default();
+        let mut around = PeerTable::default();
         move |life, condition| {
             let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
             let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
@@ -457,9 +457,9 @@ mod tests {
 
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
-        let mut around = Neighbourhood::default();
+        let mut around = PeerTable::default();
         let [up, _, down, _] = conditions();
-        let told = |around: &mut Neighbourhood, condition: &LinkCondition| {
+        let told = |around: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
         };
@@ -477,15 +477,15 @@ mod tests {
 
     #[test]
     fn rows_show_what_is_down_and_for_how_long_nothing_was_heard() {
-        let mut around = Neighbourhood::default();
+        let mut around = PeerTable::default();
         let [up, _, down, _] = conditions();
         around.handle_link(node("a"), "eth".into(), Some(node("b")), up, at(0));
         around.handle_link(node("a"), "eth".into(), None, down, at(50));
         let _ = around.handle_node(node("b"), Incarnation(7), NodeCondition::Reachable, at(60));
 
-        let rows: Vec<Row> = around.rows(at(100)).collect();
+        let rows: Vec<MonitorRow> = around.rows(at(100)).collect();
 
-        let shown = |row: &Row| (row.opinion, row.last_sign.map(|age| age.as_millis()));
+        let shown = |row: &MonitorRow| (row.opinion, row.last_sign.map(|age| age.as_millis()));
         assert_eq!(shown(&rows[0]), (Opinion::Failed, Some(100)));
         assert_eq!(shown(&rows[1]), (Opinion::Trusted, Some(40)));
         assert_eq!((rows[0].place.to_string(), around.len()), ("a -eth- b".into(), 2));

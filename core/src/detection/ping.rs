@@ -1,6 +1,6 @@
 //! The pull model: objects are asked "are you alive?", and must answer in time.
 
-use super::{Opinion, Progress, Pull};
+use super::{Opinion, Pull, WorkProgress};
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -16,16 +16,16 @@ use std::time::Duration;
 /// ```
 /// There is one open question per object, so that a stuck one is not buried under questions.
 #[derive(Clone, Debug, Default)]
-pub struct Inquiry {
+pub struct PingMonitor {
     asked: BTreeMap<ObjectName, Asked>,
     /// When to look at whom: exactly one look for each object from which something is due.
     looks: BTreeSet<(Instant, ObjectName)>,
-    outputs: VecDeque<InquiryOutput>,
+    outputs: VecDeque<PingOutput>,
 }
 
-/// What an [`Inquiry`] wants done, or has found.
+/// What an [`PingMonitor`] wants done, or has found.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum InquiryOutput {
+pub enum PingOutput {
     /// Ask this object.
     Ask {
         /// Whom.
@@ -98,10 +98,10 @@ impl Asked {
     }
 }
 
-impl Inquiry {
+impl PingMonitor {
     /// An inquiry that asks nobody yet.
     pub fn new() -> Self {
-        Inquiry::default()
+        PingMonitor::default()
     }
 
     /// Asks an object from now on, whose life `incarnation` begins or goes on.
@@ -132,7 +132,7 @@ impl Inquiry {
     }
 
     /// An object has answered. Answers of older lives do not count.
-    pub fn handle_answer(&mut self, object: &ObjectName, progress: Progress, now: Instant) {
+    pub fn handle_answer(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
         let Some(asked) = self.asked.get_mut(object) else { return };
         if progress.incarnation < asked.incarnation || asked.opinion == Opinion::AtRest {
             return self.handle_unanswered(object, now);
@@ -151,7 +151,7 @@ impl Inquiry {
         let (incarnation, opinion) = (asked.incarnation, Opinion::Trusted);
         if std::mem::replace(&mut asked.opinion, opinion) != opinion {
             let verdict = Verdict { object: object.clone(), incarnation, opinion, silence };
-            self.outputs.push_back(InquiryOutput::Verdict(verdict));
+            self.outputs.push_back(PingOutput::Verdict(verdict));
         }
         schedule(&mut self.looks, object, asked);
     }
@@ -213,7 +213,7 @@ impl Inquiry {
                 Opinion::Suspect => Opinion::Failed,
                 _ => Opinion::Suspect,
             };
-            self.outputs.push_back(InquiryOutput::Verdict(Verdict {
+            self.outputs.push_back(PingOutput::Verdict(Verdict {
                 object: object.clone(),
                 incarnation: asked.incarnation,
                 opinion: asked.opinion,
@@ -224,7 +224,7 @@ impl Inquiry {
             asked.open = true;
             asked.unanswered = asked.unanswered.or(Some(now));
             asked.next = now + asked.pull.interval;
-            self.outputs.push_back(InquiryOutput::Ask { object: object.clone() });
+            self.outputs.push_back(PingOutput::Ask { object: object.clone() });
         }
         schedule(&mut self.looks, &object, asked);
     }
@@ -245,10 +245,10 @@ fn schedule(looks: &mut BTreeSet<(Instant, ObjectName)>, object: &ObjectName, as
     }
 }
 
-impl Machine for Inquiry {
-    type Output = InquiryOutput;
+impl Machine for PingMonitor {
+    type Output = PingOutput;
 
-    fn poll_output(&mut self) -> Option<InquiryOutput> {
+    fn poll_output(&mut self) -> Option<PingOutput> {
         self.outputs.pop_front()
     }
 
@@ -290,18 +290,18 @@ mod tests {
         }
     }
 
-    fn inquiry() -> Inquiry {
-        let mut inquiry = Inquiry::new();
+    fn inquiry() -> PingMonitor {
+        let mut inquiry = PingMonitor::new();
         inquiry.enrol(&map(), pull(), ONE, at(0));
         inquiry
     }
 
-    fn progress(incarnation: Incarnation) -> Progress {
-        Progress { incarnation, state: Lifecycle::Active }
+    fn progress(incarnation: Incarnation) -> WorkProgress {
+        WorkProgress { incarnation, state: Lifecycle::Active }
     }
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
-    fn run(inquiry: &mut Inquiry, until: u64) -> Vec<(u64, String)> {
+    fn run(inquiry: &mut PingMonitor, until: u64) -> Vec<(u64, String)> {
         let mut told = Vec::new();
         loop {
             let now = inquiry.poll_timeout().unwrap_or(at(until)).min(at(until));
@@ -309,8 +309,8 @@ mod tests {
             let millis = now.as_nanos() / 1_000_000;
             while let Some(output) = inquiry.poll_output() {
                 let text = match output {
-                    InquiryOutput::Ask { .. } => "ask".into(),
-                    InquiryOutput::Verdict(verdict) => verdict.opinion.to_string(),
+                    PingOutput::Ask { .. } => "ask".into(),
+                    PingOutput::Verdict(verdict) => verdict.opinion.to_string(),
                 };
                 told.push((millis, text));
             }
@@ -412,7 +412,7 @@ mod tests {
         while let Some(due) = inquiry.poll_timeout() {
             inquiry.handle_timeout(due + Duration::from_secs(1));
             while let Some(output) = inquiry.poll_output() {
-                let InquiryOutput::Verdict(verdict) = output else { panic!("{output:?}") };
+                let PingOutput::Verdict(verdict) = output else { panic!("{output:?}") };
                 opinions.push((verdict.opinion, verdict.silence > Duration::from_secs(1)));
             }
         }

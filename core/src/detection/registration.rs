@@ -7,19 +7,19 @@ use std::time::Duration;
 /// What the monitor must know of an object to watch it.
 ///
 /// ```
-/// use blastema_core::detection::{Enrolment, Watch};
+/// use blastema_core::detection::{Registration, Liveness};
 /// use blastema_core::ObjectName;
 /// use std::time::Duration;
 ///
-/// let enrolment = Enrolment::new(ObjectName::new("laser")?)
-///     .watch(Watch::push(Duration::from_millis(100), 3))
+/// let enrolment = Registration::new(ObjectName::new("laser")?)
+///     .liveness(Liveness::push(Duration::from_millis(100), 3))
 ///     .depends_on(["module1:power".parse()?]);
 /// assert_eq!(enrolment.depends_on.len(), 1);
 /// # Ok::<(), blastema_core::NameError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Enrolment {
+pub struct Registration {
     /// Who.
     pub object: ObjectName,
     /// What kind of object it is.
@@ -28,7 +28,7 @@ pub struct Enrolment {
     /// first life begins, and nothing is expected of it before.
     pub incarnation: Incarnation,
     /// How its signs of life come.
-    pub watch: Watch,
+    pub watch: Liveness,
     /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
     /// them is down is taken for a symptom.
     pub depends_on: Arc<[ObjectAddress]>,
@@ -36,14 +36,14 @@ pub struct Enrolment {
     pub may_end: bool,
 }
 
-impl Enrolment {
+impl Registration {
     /// A component in its first life that depends on nothing and is watched by its guard alone.
     pub fn new(object: ObjectName) -> Self {
-        Enrolment {
+        Registration {
             object,
             kind: ObjectKind::Component,
             incarnation: Incarnation::FIRST,
-            watch: Watch::Guard,
+            watch: Liveness::Guard,
             depends_on: Arc::new([]),
             may_end: false,
         }
@@ -65,7 +65,7 @@ impl Enrolment {
 
     /// Sets how its signs of life come.
     #[must_use]
-    pub fn watch(mut self, watch: Watch) -> Self {
+    pub fn watch(mut self, watch: Liveness) -> Self {
         self.watch = watch;
         self
     }
@@ -88,7 +88,7 @@ impl Enrolment {
 /// Why an object is not watched.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum EnrolError {
+pub enum RegistrationError {
     /// Dismiss what is no longer needed, or raise the limit.
     #[error("{object} is not watched: the monitor's table already has {limit} rows")]
     TableFull {
@@ -121,7 +121,7 @@ pub enum ObjectKind {
 /// How an object's signs of life come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Watch {
+pub enum Liveness {
     /// Its guard tells how it ends, and the watch thread sees it hang. It says nothing of its own.
     Guard,
     /// It says "I am alive" by itself.
@@ -130,15 +130,15 @@ pub enum Watch {
     Pull(Pull),
 }
 
-impl Watch {
+impl Liveness {
     /// A sign of life every `interval`; `tolerance` of them in a row may be lost.
     pub fn push(interval: Duration, tolerance: u32) -> Self {
-        Watch::Push(Push { interval, tolerance, ..Push::default() })
+        Liveness::Push(Push { interval, tolerance, ..Push::default() })
     }
 
     /// A question every `interval`, to be answered `within` that time.
     pub fn pull(interval: Duration, within: Duration) -> Self {
-        Watch::Pull(Pull { interval, within, ..Pull::default() })
+        Liveness::Pull(Pull { interval, within, ..Pull::default() })
     }
 }
 

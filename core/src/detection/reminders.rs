@@ -5,25 +5,25 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// When to remind of which fault on which nobody has decided: one reminder per fault.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Reminders {
+pub(super) struct DecisionTimeouts {
     agenda: BTreeSet<(Instant, FaultId)>,
-    by_fault: BTreeMap<FaultId, Reminder>,
+    by_fault: BTreeMap<FaultId, DecisionTimeout>,
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Reminder {
+pub(super) struct DecisionTimeout {
     pub(super) due: Instant,
     /// How many were sent before this one.
     pub(super) sent: u32,
 }
 
-impl Reminders {
+impl DecisionTimeouts {
     /// When the next one is due.
     pub(super) fn next(&self) -> Option<Instant> {
         self.agenda.first().map(|&(due, _)| due)
     }
 
-    pub(super) fn set(&mut self, id: FaultId, reminder: Reminder) {
+    pub(super) fn set(&mut self, id: FaultId, reminder: DecisionTimeout) {
         self.cancel(id);
         self.agenda.insert((reminder.due, id));
         self.by_fault.insert(id, reminder);
@@ -35,7 +35,7 @@ impl Reminders {
         }
     }
 
-    pub(super) fn pop_due(&mut self, now: Instant) -> Option<(FaultId, Reminder)> {
+    pub(super) fn pop_due(&mut self, now: Instant) -> Option<(FaultId, DecisionTimeout)> {
         let &(due, id) = self.agenda.first()?;
         if due > now {
             return None;

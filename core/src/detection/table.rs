@@ -11,7 +11,7 @@ use std::time::Duration;
 /// be sent to another node, and nothing old in it looks current: see [`last_sign`](Row::last_sign).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Row {
+pub struct MonitorRow {
     /// What the row is about.
     pub place: Place,
     /// What kind of thing that is.
@@ -35,12 +35,12 @@ pub struct Row {
     /// How often it was suspect in this life.
     pub suspicions: u32,
     /// Its queue.
-    pub queue: Option<QueueSeen>,
+    pub queue: Option<QueueSample>,
     /// Rounds that it has missed in this life: a round was due, and the one before had not ended, or
     /// another component kept the thread.
     pub missed_rounds: u64,
     /// What it was seen to be doing for too long.
-    pub current: Option<Current>,
+    pub current: Option<CurrentHandler>,
     /// Its sending and receiving is forbidden.
     pub isolated: bool,
     /// Why it is in error, has ended, or what it has declared; or a link's or node's condition. It
@@ -48,10 +48,10 @@ pub struct Row {
     pub note: Option<String>,
 }
 
-impl Row {
+impl MonitorRow {
     /// A row of which nothing is known yet.
     pub fn blank(place: Place, kind: ObjectKind) -> Self {
-        Row {
+        MonitorRow {
             place,
             kind,
             incarnation: Incarnation::default(),
@@ -106,7 +106,7 @@ impl fmt::Display for Opinion {
 
 /// A queue, as it was when it was looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct QueueSeen {
+pub struct QueueSample {
     /// How many messages waited.
     pub queued: usize,
     /// How long the oldest had waited by then.
@@ -117,7 +117,7 @@ pub struct QueueSeen {
 
 /// A handler that was seen to take long.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Current {
+pub struct CurrentHandler {
     /// The contract or hook in service.
     pub during: &'static str,
     /// For how long it has been, at least.

@@ -19,11 +19,11 @@
 //! use a service, which needs a majority.
 
 pub use self::types::{
-    ClaimPolicy, ClaimRefused, ClaimsConfig, ClaimsOutput, Holder, NameHeld, Wanted,
+    ClaimPolicy, ClaimRefused, ClaimRequest, GlobalNamesConfig, GlobalNamesOutput, Holder, NameHeld,
 };
-pub use self::unmet::Without;
+pub use self::unmet::UnmetClaims;
 
-use self::types::{Message, Stake, Told};
+use self::types::{ClaimRecord, GlobalNameMessage, NameClaim};
 use crate::contract::codec;
 use crate::net::wire::Refusals;
 use crate::{Incarnation, Instant, Machine, NodeName, ObjectName};
@@ -56,7 +56,7 @@ struct Peer {
     /// A session is open.
     open: bool,
     heard: Instant,
-    claims: BTreeMap<ObjectName, Stake>,
+    claims: BTreeMap<ObjectName, NameClaim>,
     sum: u64,
     /// Which of them it has told of since it began to tell all of them.
     telling: Option<BTreeSet<ObjectName>>,
@@ -71,13 +71,13 @@ struct Peer {
 
 /// The claims of all nodes, as one node knows them.
 #[derive(Debug)]
-pub struct Claims {
-    config: ClaimsConfig,
+pub struct GlobalNames {
+    config: GlobalNamesConfig,
     own: BTreeMap<ObjectName, Own>,
     sum: u64,
     peers: BTreeMap<NodeName, Peer>,
     /// Who has claimed which name, or stands by.
-    known: BTreeMap<ObjectName, BTreeMap<NodeName, Stake>>,
+    known: BTreeMap<ObjectName, BTreeMap<NodeName, NameClaim>>,
     /// Who was last told to hold which.
     shown: BTreeMap<ObjectName, Holder>,
     /// Names that we stand by for and that nobody holds, and when we take them.
@@ -88,17 +88,17 @@ pub struct Claims {
     settles: Option<Instant>,
     /// In the place of another machine of the same life: it has forgotten what it was told.
     forgetful: bool,
-    outputs: VecDeque<ClaimsOutput>,
+    outputs: VecDeque<GlobalNamesOutput>,
 }
 
-impl Claims {
+impl GlobalNames {
     /// Nothing is claimed yet.
-    pub fn new(config: ClaimsConfig, now: Instant) -> Self {
+    pub fn new(config: GlobalNamesConfig, now: Instant) -> Self {
         // Above what an earlier life of this node gave out, should nobody be left who remembers.
         let last_epoch = config.incarnation.0.saturating_mul(1 << 16).min(EPOCH_MAX - (1 << 32));
         let alive_at = now + config.lease / 4;
         let settles = (!config.settle.is_zero()).then(|| now + config.settle);
-        Claims {
+        GlobalNames {
             config,
             own: BTreeMap::new(),
             sum: 0,
@@ -117,15 +117,15 @@ impl Claims {
     /// Claims in the place of others of the same life that were lost: with what that life claims, and
     /// under which epochs. What others claim, they are asked when their sessions are told of again.
     pub fn reborn(
-        config: ClaimsConfig,
-        own: impl IntoIterator<Item = (Wanted, Option<u64>)>,
+        config: GlobalNamesConfig,
+        own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,
         now: Instant,
     ) -> Self {
         // Two chances to hear what the others have, should the first be missed.
         let settle = config.lease / 2;
-        let mut claims = Claims::new(ClaimsConfig { settle, ..config }, now);
+        let mut claims = GlobalNames::new(GlobalNamesConfig { settle, ..config }, now);
         claims.forgetful = true;
-        for (Wanted { name, object, policy }, epoch) in own {
+        for (ClaimRequest { name, object, policy }, epoch) in own {
             claims.last_epoch = claims.last_epoch.max(epoch.unwrap_or_default());
             claims.set_own(&name, Some(Own { object, policy, epoch }));
         }
@@ -167,10 +167,10 @@ impl Claims {
     /// [`ClaimRefused`] where somebody else holds it and the policy is to be refused.
     pub fn handle_claim(
         &mut self,
-        wanted: Wanted,
+        wanted: ClaimRequest,
         now: Instant,
     ) -> Result<Option<u64>, ClaimRefused> {
-        let Wanted { name, object, policy } = wanted;
+        let ClaimRequest { name, object, policy } = wanted;
         if self.own.len() >= CLAIMS_MAX && !self.own.contains_key(&name) {
             return Err(ClaimRefused::TooMany { limit: CLAIMS_MAX });
         }
@@ -220,7 +220,7 @@ impl Claims {
         (peer.open, peer.heard, peer.telling) = (true, now, None);
         self.tell_all(&node, now);
         if self.forgetful {
-            self.send(node, &Message::TellAll);
+            self.send(node, &GlobalNameMessage::TellAll);
         }
     }
 
@@ -240,30 +240,32 @@ impl Claims {
     /// A node tells something.
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
         let Some(peer) = self.peers.get_mut(from).filter(|peer| peer.open) else { return };
-        let Ok(message) = codec::decode_bounded::<Message, MESSAGE_MAX>(message) else {
+        let Ok(message) = codec::decode_bounded::<GlobalNameMessage, MESSAGE_MAX>(message) else {
             peer.refusals.malformed += 1;
             return;
         };
         peer.heard = now;
         match message {
-            Message::All { first, last, claims } => self.hear_all(from, (first, last), claims, now),
-            Message::Changed { claims, gone } => {
+            GlobalNameMessage::All { first, last, claims } => {
+                self.hear_all(from, (first, last), claims, now)
+            }
+            GlobalNameMessage::Changed { claims, gone } => {
                 gone.iter().for_each(|name| self.unhear(from, name, now));
                 claims.into_iter().for_each(|told| self.hear(from, told, now));
             }
-            Message::Alive { sum } => {
+            GlobalNameMessage::Alive { sum } => {
                 let again = self.config.lease / 4;
                 let patient = peer.asked.is_some_and(|asked| now - asked < again);
                 if sum != peer.sum && !patient {
                     peer.asked = Some(now);
-                    self.send(from.clone(), &Message::TellAll);
+                    self.send(from.clone(), &GlobalNameMessage::TellAll);
                 }
             }
             // However often it asks: everything may be megabytes.
-            Message::TellAll if now < peer.told + self.config.lease / 8 => {
+            GlobalNameMessage::TellAll if now < peer.told + self.config.lease / 8 => {
                 peer.refusals.unexpected += 1;
             }
-            Message::TellAll => self.tell_all(from, now),
+            GlobalNameMessage::TellAll => self.tell_all(from, now),
         }
     }
 
@@ -273,7 +275,7 @@ impl Claims {
         &mut self,
         from: &NodeName,
         (first, last): (bool, bool),
-        claims: Vec<Told>,
+        claims: Vec<ClaimRecord>,
         now: Instant,
     ) {
         if let (true, Some(peer)) = (first, self.peers.get_mut(from)) {
@@ -292,9 +294,9 @@ impl Claims {
         }
     }
 
-    fn hear(&mut self, from: &NodeName, told: Told, now: Instant) {
+    fn hear(&mut self, from: &NodeName, told: ClaimRecord, now: Instant) {
         let Some(peer) = self.peers.get_mut(from) else { return };
-        let Told { name, stake } = told;
+        let ClaimRecord { name, stake } = told;
         let full = peer.claims.len() >= CLAIMS_MAX && !peer.claims.contains_key(&name)
             || self.known.len() >= NAMES_MAX && !self.known.contains_key(&name);
         let beyond = stake.epoch.is_some_and(|epoch| epoch >= EPOCH_MAX);
@@ -355,17 +357,17 @@ impl Claims {
                 let stands_by = policy == ClaimPolicy::Standby;
                 self.set_own(name, stands_by.then_some(Own { object, policy, epoch: None }));
                 let (name, to) = (name.clone(), node);
-                self.outputs.push_back(ClaimsOutput::Lost { name, to, epoch, stands_by });
+                self.outputs.push_back(GlobalNamesOutput::Lost { name, to, epoch, stands_by });
             }
             (Some(Holder { node: holder, epoch, .. }), None) if policy == ClaimPolicy::Refuse => {
                 self.handle_withdrawn(name);
                 let held = NameHeld { name: name.clone(), holder, epoch };
-                self.outputs.push_back(ClaimsOutput::Refused(held));
+                self.outputs.push_back(GlobalNamesOutput::Refused(held));
             }
             (Some(_), Some(_)) => {}
             (Some(_), None) => {
                 self.vacant.remove(name);
-                self.outputs.push_back(ClaimsOutput::StandsBy { name: name.clone() });
+                self.outputs.push_back(GlobalNamesOutput::StandsBy { name: name.clone() });
             }
             (None, _) if self.settles.is_some() || self.vacant.contains_key(name) => {}
             (None, _) => {
@@ -387,7 +389,7 @@ impl Claims {
             Some(holder) => self.shown.insert(name.clone(), holder.clone()),
             None => self.shown.remove(name),
         };
-        self.outputs.push_back(ClaimsOutput::Held { name: name.clone(), holder });
+        self.outputs.push_back(GlobalNamesOutput::Held { name: name.clone(), holder });
     }
 
     /// The others have been heard: what waited is granted, if nobody has it.
@@ -407,7 +409,7 @@ impl Claims {
         self.last_epoch = (self.last_epoch + 1).min(EPOCH_MAX - 1);
         let epoch = self.last_epoch;
         self.set_own(name, Some(Own { object, policy, epoch: Some(epoch) }));
-        self.outputs.push_back(ClaimsOutput::Granted { name: name.clone(), epoch });
+        self.outputs.push_back(GlobalNamesOutput::Granted { name: name.clone(), epoch });
         Some(epoch)
     }
 
@@ -424,10 +426,13 @@ impl Claims {
         let changed = match stake {
             Some(stake) => {
                 self.sum = self.sum.wrapping_add(stake.sum(name));
-                Message::Changed { claims: vec![Told { name: name.clone(), stake }], gone: vec![] }
+                GlobalNameMessage::Changed {
+                    claims: vec![ClaimRecord { name: name.clone(), stake }],
+                    gone: vec![],
+                }
             }
             None if before.is_some() => {
-                Message::Changed { claims: vec![], gone: vec![name.clone()] }
+                GlobalNameMessage::Changed { claims: vec![], gone: vec![name.clone()] }
             }
             None => return,
         };
@@ -436,11 +441,11 @@ impl Claims {
         self.show(name, holder);
     }
 
-    fn tell_everybody(&mut self, message: &Message) {
+    fn tell_everybody(&mut self, message: &GlobalNameMessage) {
         let message = Bytes::from(codec::encode_unbounded(message));
         for (node, _) in self.peers.iter().filter(|(_, peer)| peer.open) {
             let (to, message) = (node.clone(), message.clone());
-            self.outputs.push_back(ClaimsOutput::Send { to, message });
+            self.outputs.push_back(GlobalNamesOutput::Send { to, message });
         }
     }
 
@@ -448,37 +453,39 @@ impl Claims {
         if let Some(peer) = self.peers.get_mut(to) {
             peer.told = now;
         }
-        let told =
-            |(name, own): (&ObjectName, &Own)| Told { name: name.clone(), stake: own.stake(name) };
-        let all: Vec<Told> = self.own.iter().map(told).collect();
+        let told = |(name, own): (&ObjectName, &Own)| ClaimRecord {
+            name: name.clone(),
+            stake: own.stake(name),
+        };
+        let all: Vec<ClaimRecord> = self.own.iter().map(told).collect();
         let mut parts: Vec<_> = all.chunks(CLAIMS_PER_MESSAGE).map(<[_]>::to_vec).collect();
         if parts.is_empty() {
             parts.push(vec![]);
         }
         let count = parts.len();
         for (n, claims) in parts.into_iter().enumerate() {
-            let message = Message::All { first: n == 0, last: n + 1 == count, claims };
+            let message = GlobalNameMessage::All { first: n == 0, last: n + 1 == count, claims };
             self.send(to.clone(), &message);
         }
     }
 
-    fn send(&mut self, to: NodeName, message: &Message) {
+    fn send(&mut self, to: NodeName, message: &GlobalNameMessage) {
         let message = codec::encode_unbounded(message).into();
-        self.outputs.push_back(ClaimsOutput::Send { to, message });
+        self.outputs.push_back(GlobalNamesOutput::Send { to, message });
     }
 }
 
 impl Own {
-    fn stake(&self, name: &ObjectName) -> Stake {
+    fn stake(&self, name: &ObjectName) -> NameClaim {
         let object = (self.object != *name).then(|| self.object.clone());
-        Stake { epoch: self.epoch, object }
+        NameClaim { epoch: self.epoch, object }
     }
 }
 
-impl Machine for Claims {
-    type Output = ClaimsOutput;
+impl Machine for GlobalNames {
+    type Output = GlobalNamesOutput;
 
-    fn poll_output(&mut self) -> Option<ClaimsOutput> {
+    fn poll_output(&mut self) -> Option<GlobalNamesOutput> {
         self.outputs.pop_front()
     }
 
@@ -499,7 +506,7 @@ impl Machine for Claims {
             self.alive_at = now + self.config.lease / 4;
             if !self.own.is_empty() {
                 let sum = self.sum;
-                self.tell_everybody(&Message::Alive { sum });
+                self.tell_everybody(&GlobalNameMessage::Alive { sum });
             }
         }
         let lapsed = |peer: &Peer| now >= peer.heard + self.config.lease;

@@ -18,7 +18,7 @@ fn map() -> ObjectName {
 /// Nodes `a`, `b`, `c` … that hear each other at once, unless they are parted.
 struct Robot {
     now: u64,
-    nodes: BTreeMap<NodeName, Claims>,
+    nodes: BTreeMap<NodeName, GlobalNames>,
     parted: bool,
     told: Vec<String>,
     /// Of nodes that start from now on.
@@ -38,8 +38,9 @@ impl Robot {
     fn start(&mut self, name: &str, incarnation: u64) {
         let incarnation = Incarnation(incarnation);
         let (settle, expected) = (self.settle, self.expected.clone());
-        let config = ClaimsConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
-        let mut claims = Claims::new(config, ms(self.now));
+        let config =
+            GlobalNamesConfig { node: node(name), incarnation, lease: LEASE, settle, expected };
+        let mut claims = GlobalNames::new(config, ms(self.now));
         for (other, theirs) in &mut self.nodes {
             theirs.handle_opened(node(name), incarnation, ms(self.now));
             claims.handle_opened(other.clone(), theirs.config.incarnation, ms(self.now));
@@ -64,22 +65,22 @@ impl Robot {
             }
             for (from, output) in outputs {
                 match output {
-                    ClaimsOutput::Send { to, message } if self.can_hear(&from, &to) => {
+                    GlobalNamesOutput::Send { to, message } if self.can_hear(&from, &to) => {
                         if let Some(claims) = self.nodes.get_mut(&to) {
                             claims.handle_message(&from, &message, ms(self.now));
                         }
                     }
-                    ClaimsOutput::Send { .. } | ClaimsOutput::StandsBy { .. } => {}
-                    ClaimsOutput::Granted { name, .. } => {
+                    GlobalNamesOutput::Send { .. } | GlobalNamesOutput::StandsBy { .. } => {}
+                    GlobalNamesOutput::Granted { name, .. } => {
                         self.told.push(format!("{from} has {name}"))
                     }
-                    ClaimsOutput::Lost { name, to, .. } => {
+                    GlobalNamesOutput::Lost { name, to, .. } => {
                         self.told.push(format!("{from} lost {name} to {to}"));
                     }
-                    ClaimsOutput::Refused(held) => {
+                    GlobalNamesOutput::Refused(held) => {
                         self.told.push(format!("{from} is refused {}", held.name));
                     }
-                    ClaimsOutput::Held { name, holder } => {
+                    GlobalNamesOutput::Held { name, holder } => {
                         let known = self.nodes[&from].shown.get(&name).cloned();
                         let overtaken = known != holder;
                         assert!(overtaken || self.nodes[&from].holder(&name) == holder);
@@ -90,7 +91,7 @@ impl Robot {
     }
 
     fn claim(&mut self, who: &str, policy: ClaimPolicy) -> Result<Option<u64>, ClaimRefused> {
-        let wanted = Wanted::new(map(), policy);
+        let wanted = ClaimRequest::new(map(), policy);
         let claimed = self.nodes.get_mut(&node(who)).unwrap().handle_claim(wanted, ms(self.now));
         self.carry();
         claimed
@@ -218,7 +219,7 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     claims.handle_message(&node("a"), b"\xff\xff", ms(0));
     claims.handle_message(&node("stranger"), b"\0", ms(0));
     for _ in 0..10 {
-        let tell_all = codec::encode_unbounded(&Message::TellAll);
+        let tell_all = codec::encode_unbounded(&GlobalNameMessage::TellAll);
         claims.handle_message(&node("a"), &tell_all, ms(60));
     }
 
@@ -268,7 +269,7 @@ fn a_name_that_nobody_has_is_granted_once_all_that_are_expected_were_heard_or_ar
 
     robot.expected = ["a", "gone"].map(node).into();
     robot.start("d", 9);
-    let other = Wanted::new(ObjectName::new("plan").unwrap(), ClaimPolicy::Refuse);
+    let other = ClaimRequest::new(ObjectName::new("plan").unwrap(), ClaimPolicy::Refuse);
     let claims = robot.nodes.get_mut(&node("d")).unwrap();
     assert_eq!(claims.handle_claim(other, ms(robot.now)), Ok(None));
     robot.told();
@@ -300,14 +301,15 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
     while claims.poll_output().is_some() {}
 
     let epoch = claims.holder(&map()).unwrap().epoch;
-    let first = Message::All { first: true, last: false, claims: vec![] };
+    let first = GlobalNameMessage::All { first: true, last: false, claims: vec![] };
     claims.handle_message(&node("a"), &codec::encode_unbounded(&first), ms(1));
     assert_eq!(claims.held(), 2);
-    let last = Message::All { first: false, last: true, claims: vec![told("map", epoch)] };
+    let last =
+        GlobalNameMessage::All { first: false, last: true, claims: vec![told("map", epoch)] };
     claims.handle_message(&node("a"), &codec::encode_unbounded(&last), ms(2));
 
     let old = ObjectName::new("old").unwrap();
-    assert_eq!(claims.poll_output(), Some(ClaimsOutput::Held { name: old, holder: None }));
+    assert_eq!(claims.poll_output(), Some(GlobalNamesOutput::Held { name: old, holder: None }));
     assert_eq!((claims.poll_output(), claims.held()), (None, 1));
 }
 
@@ -322,11 +324,11 @@ fn claims_that_begin_anew_within_their_nodes_life_keep_what_they_hold_and_ask_fo
         let claims = robot.nodes.remove(&node(name)).unwrap();
         let own = claims.own.iter().map(|(name, own)| {
             (
-                Wanted { name: name.clone(), object: own.object.clone(), policy: own.policy },
+                ClaimRequest { name: name.clone(), object: own.object.clone(), policy: own.policy },
                 own.epoch,
             )
         });
-        let mut anew = Claims::reborn(claims.config.clone(), own, ms(robot.now));
+        let mut anew = GlobalNames::reborn(claims.config.clone(), own, ms(robot.now));
         for (other, peer) in &claims.peers {
             anew.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
         }
@@ -339,7 +341,7 @@ fn claims_that_begin_anew_within_their_nodes_life_keep_what_they_hold_and_ask_fo
     assert_eq!(robot.nodes[&node("b")].holder(&map()).map(|holder| holder.epoch), epoch);
 }
 
-fn told(name: &str, epoch: u64) -> Told {
-    let stake = Stake { epoch: Some(epoch), object: None };
-    Told { name: ObjectName::new(name).unwrap(), stake }
+fn told(name: &str, epoch: u64) -> ClaimRecord {
+    let stake = NameClaim { epoch: Some(epoch), object: None };
+    ClaimRecord { name: ObjectName::new(name).unwrap(), stake }
 }

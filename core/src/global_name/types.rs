@@ -18,7 +18,7 @@ pub enum ClaimPolicy {
 
 /// How claims are held.
 #[derive(Clone, Debug)]
-pub struct ClaimsConfig {
+pub struct GlobalNamesConfig {
     /// Our name.
     pub node: NodeName,
     /// Our life.
@@ -36,7 +36,7 @@ pub struct ClaimsConfig {
 
 /// What an object claims.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Wanted {
+pub struct ClaimRequest {
     /// The name.
     pub name: ObjectName,
     /// The object of this node that is meant by it.
@@ -45,10 +45,10 @@ pub struct Wanted {
     pub policy: ClaimPolicy,
 }
 
-impl Wanted {
+impl ClaimRequest {
     /// The name for the object that is called so on this node, too.
     pub fn new(name: ObjectName, policy: ClaimPolicy) -> Self {
-        Wanted { object: name.clone(), name, policy }
+        ClaimRequest { object: name.clone(), name, policy }
     }
 }
 
@@ -97,7 +97,7 @@ pub enum ClaimRefused {
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ClaimsOutput {
+pub enum GlobalNamesOutput {
     /// Tell this node.
     Send {
         /// Whom.
@@ -141,30 +141,30 @@ pub enum ClaimsOutput {
 
 /// What nodes tell each other.
 #[derive(Serialize, Deserialize)]
-pub(super) enum Message {
-    All { first: bool, last: bool, claims: Vec<Told> },
-    Changed { claims: Vec<Told>, gone: Vec<ObjectName> },
+pub(super) enum GlobalNameMessage {
+    All { first: bool, last: bool, claims: Vec<ClaimRecord> },
+    Changed { claims: Vec<ClaimRecord>, gone: Vec<ObjectName> },
     Alive { sum: u64 },
     TellAll,
 }
 
 /// A claim as it is told.
 #[derive(Clone, Serialize, Deserialize)]
-pub(super) struct Told {
+pub(super) struct ClaimRecord {
     pub(super) name: ObjectName,
-    pub(super) stake: Stake,
+    pub(super) stake: NameClaim,
 }
 
 /// What a node has of a name.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Stake {
+pub(super) struct NameClaim {
     /// Without one it stands by.
     pub(super) epoch: Option<u64>,
     /// The object that is meant, where it is not called as the name is.
     pub(super) object: Option<ObjectName>,
 }
 
-impl Stake {
+impl NameClaim {
     /// A hash of the claim.
     pub(super) fn sum(&self, name: &ObjectName) -> u64 {
         let epoch = self.epoch.unwrap_or_default().to_le_bytes();

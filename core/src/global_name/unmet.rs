@@ -10,7 +10,7 @@ const NAMED_MAX: usize = 8;
 /// Who goes without which name, and why. Nobody waits for what comes of a component's claim: what is
 /// said here is a fault for as long as there is any.
 #[derive(Clone, Debug, Default)]
-pub struct Without {
+pub struct UnmetClaims {
     /// By the name and the number of the claim; as many as components here claim.
     cases: BTreeMap<(ObjectName, u64), Case>,
 }
@@ -23,7 +23,7 @@ struct Case {
     held: bool,
 }
 
-impl Without {
+impl UnmetClaims {
     /// A claim of this component's was refused.
     pub fn handle_refused(
         &mut self,
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn all_are_named_who_go_without_and_no_others() {
-        let mut without = Without::default();
+        let mut without = UnmetClaims::default();
         assert_eq!(without.text(), None);
         without.handle_refused((name("map"), 1), name("one"), &held("a"));
         without.handle_doubled((name("map"), 2), name("two"), &name("one"));
@@ -118,7 +118,7 @@ mod tests {
 
     #[test]
     fn it_is_said_who_holds_the_name_now() {
-        let mut without = Without::default();
+        let mut without = UnmetClaims::default();
         without.handle_refused((name("map"), 1), name("one"), &held("a"));
         without.handle_refused((name("map"), 2), name("two"), &ClaimRefused::TooMany { limit: 1 });
 
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn of_many_the_first_are_named() {
-        let mut without = Without::default();
+        let mut without = UnmetClaims::default();
         (0..100).for_each(|n| without.handle_refused((name("map"), n), name("one"), &held("a")));
         assert!(without.text().unwrap().ends_with("; and 92 more"));
     }

@@ -43,7 +43,7 @@ pub struct Impairment {
 
 /// What becomes of one frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fate {
+pub enum FrameFate {
     /// It never arrives.
     Lost,
     /// It arrives after this time, and perhaps a second time.
@@ -68,13 +68,13 @@ impl Impairment {
     };
 
     /// Decides whether one frame is lost, and how often and when it arrives.
-    pub fn fate(&self, random: &mut Random) -> Fate {
+    pub fn fate(&self, random: &mut Random) -> FrameFate {
         if random.chance(self.loss) {
-            return Fate::Lost;
+            return FrameFate::Lost;
         }
         let after = self.latency(random);
         let again = random.chance(self.duplication).then(|| self.latency(random));
-        Fate::Arrives { after, again }
+        FrameFate::Arrives { after, again }
     }
 
     /// How long a frame of this length keeps the medium from the next.
@@ -93,7 +93,7 @@ impl Impairment {
 }
 
 /// What a medium moves, and can spoil.
-pub trait Carried: Clone {
+pub trait Impairable: Clone {
     /// Who is at the other end.
     type Peer: Ord;
 
@@ -108,7 +108,7 @@ pub trait Carried: Clone {
 }
 
 /// Between two ends there is one peer only.
-impl Carried for Bytes {
+impl Impairable for Bytes {
     type Peer = ();
 
     fn peer(&self) -> &() {
@@ -144,7 +144,7 @@ const OVERTAKEN_AFTER: Duration = Duration::from_millis(10);
 /// assert_eq!(medium.poll_output(), Some("hello".into()));
 /// ```
 #[derive(Debug)]
-pub struct Impairer<T: Carried> {
+pub struct ImpairedDirection<T: Impairable> {
     impairment: Impairment,
     cut: bool,
     parted_from: BTreeSet<T::Peer>,
@@ -185,10 +185,10 @@ pub struct Injected {
     pub overflowed: u64,
 }
 
-impl<T: Carried> Impairer<T> {
+impl<T: Impairable> ImpairedDirection<T> {
     /// A medium without a fault. At most `limit` frames are held back at one time.
     pub fn new(seed: u64, limit: usize) -> Self {
-        Impairer {
+        ImpairedDirection {
             impairment: Impairment::NONE,
             cut: false,
             parted_from: BTreeSet::new(),
@@ -261,7 +261,7 @@ impl<T: Carried> Impairer<T> {
             return;
         }
         let fate = self.impairment.fate(&mut self.random);
-        if fate == Fate::Lost {
+        if fate == FrameFate::Lost {
             self.injected.lost += 1;
             return;
         }
@@ -293,8 +293,8 @@ impl<T: Carried> Impairer<T> {
     }
 
     /// It goes onto the medium in its turn.
-    fn enter(&mut self, frame: T, fate: Fate, now: Instant) {
-        let Fate::Arrives { after, again } = fate else { return };
+    fn enter(&mut self, frame: T, fate: FrameFate, now: Instant) {
+        let FrameFate::Arrives { after, again } = fate else { return };
         let turn = self.free_at.max(now);
         let occupation = self.impairment.occupation(frame.length());
         let carried = turn + occupation;
@@ -325,7 +325,7 @@ impl<T: Carried> Impairer<T> {
     }
 }
 
-impl<T: Carried> Machine for Impairer<T> {
+impl<T: Impairable> Machine for ImpairedDirection<T> {
     type Output = T;
 
     fn poll_output(&mut self) -> Option<T> {
@@ -340,7 +340,7 @@ impl<T: Carried> Machine for Impairer<T> {
 
     fn handle_timeout(&mut self, now: Instant) {
         if let Some((due, frame)) = self.overtaken.take_if(|(due, _)| *due <= now) {
-            let fate = Fate::Arrives { after: self.impairment.delay, again: None };
+            let fate = FrameFate::Arrives { after: self.impairment.delay, again: None };
             self.enter(frame, fate, due);
         }
         while let Some(first) = self.under_way.first_entry()
@@ -359,7 +359,7 @@ mod tests {
     fn a_medium_without_a_fault_delivers_at_once_and_once() {
         let mut random = Random::new(1);
 
-        let once = Fate::Arrives { after: Duration::ZERO, again: None };
+        let once = FrameFate::Arrives { after: Duration::ZERO, again: None };
         assert!((0..1000).all(|_| Impairment::NONE.fate(&mut random) == once));
     }
 
@@ -379,11 +379,11 @@ mod tests {
 
         assert_eq!(fates(7), fates(7));
         assert_ne!(fates(7), fates(8));
-        let lost = fates(7).iter().filter(|fate| **fate == Fate::Lost).count();
+        let lost = fates(7).iter().filter(|fate| **fate == FrameFate::Lost).count();
         assert!((250..350).contains(&lost), "{lost}");
-        let timely = |fate: &Fate| match fate {
-            Fate::Lost => true,
-            Fate::Arrives { after, .. } => {
+        let timely = |fate: &FrameFate| match fate {
+            FrameFate::Lost => true,
+            FrameFate::Arrives { after, .. } => {
                 (5..15).contains(&u64::try_from(after.as_millis()).unwrap())
             }
         };
@@ -394,7 +394,7 @@ mod tests {
     #[derive(Clone, Debug)]
     struct Frame(Bytes, u8);
 
-    impl Carried for Frame {
+    impl Impairable for Frame {
         type Peer = u8;
 
         fn peer(&self) -> &u8 {
@@ -416,7 +416,7 @@ mod tests {
         }
     }
 
-    fn arrivals(medium: &mut Impairer<Frame>) -> Vec<u32> {
+    fn arrivals(medium: &mut ImpairedDirection<Frame>) -> Vec<u32> {
         let number = |frame: Frame| u32::from_be_bytes(*frame.0.first_chunk().expect("four bytes"));
         std::iter::from_fn(|| medium.poll_output().map(number)).collect()
     }
@@ -425,7 +425,7 @@ mod tests {
 
     #[test]
     fn frames_held_back_equally_long_keep_their_order() {
-        let mut medium = Impairer::new(1, 100);
+        let mut medium = ImpairedDirection::new(1, 100);
         medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
 
         (0..10).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
@@ -441,7 +441,7 @@ mod tests {
 
     #[test]
     fn a_cut_loses_what_is_under_way_and_what_comes_until_it_is_mended() {
-        let mut medium = Impairer::new(1, 100);
+        let mut medium = ImpairedDirection::new(1, 100);
         medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
         medium.handle_frame(1.into(), Instant::ORIGIN);
 
@@ -459,7 +459,7 @@ mod tests {
 
     #[test]
     fn what_is_held_back_is_bounded() {
-        let mut medium = Impairer::new(1, 10);
+        let mut medium = ImpairedDirection::new(1, 10);
         medium.impair(Impairment { delay: MS(5), duplication: 1.0, ..Impairment::NONE });
 
         (0..100).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
@@ -471,7 +471,7 @@ mod tests {
 
     #[test]
     fn a_frame_that_is_overtaken_comes_after_the_next_and_if_none_comes_late() {
-        let mut medium = Impairer::<Frame>::new(1, 100);
+        let mut medium = ImpairedDirection::<Frame>::new(1, 100);
         medium.impair(Impairment { reordering: 1.0, ..Impairment::NONE });
 
         (0..5).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
@@ -485,7 +485,7 @@ mod tests {
 
     #[test]
     fn a_share_of_frames_is_overtaken_and_none_is_lost_or_doubled() {
-        let mut medium = Impairer::<Frame>::new(1, 2000);
+        let mut medium = ImpairedDirection::<Frame>::new(1, 2000);
         medium.impair(Impairment { reordering: 0.2, delay: MS(5), ..Impairment::NONE });
 
         (0..1000).for_each(|n| medium.handle_frame(n.into(), Instant::ORIGIN));
@@ -501,7 +501,7 @@ mod tests {
 
     #[test]
     fn a_spoilt_frame_differs_in_one_bit() {
-        let mut medium = Impairer::<Frame>::new(1, 1000);
+        let mut medium = ImpairedDirection::<Frame>::new(1, 1000);
         medium.impair(Impairment { corruption: 0.5, ..Impairment::NONE });
 
         (0..1000).for_each(|_| medium.handle_frame(0.into(), Instant::ORIGIN));
@@ -518,7 +518,7 @@ mod tests {
 
     #[test]
     fn a_rate_lets_frames_wait_for_each_other_and_no_more_of_them_than_the_limit() {
-        let mut medium = Impairer::<Frame>::new(1, 10);
+        let mut medium = ImpairedDirection::<Frame>::new(1, 10);
         // A frame of four bytes each millisecond.
         medium.impair(Impairment { rate: 4_000, delay: MS(100), ..Impairment::NONE });
 
@@ -538,7 +538,7 @@ mod tests {
 
     #[test]
     fn a_partition_loses_what_goes_to_some_and_leaves_the_others() {
-        let mut medium = Impairer::<Frame>::new(1, 100);
+        let mut medium = ImpairedDirection::<Frame>::new(1, 100);
         medium.impair(Impairment { delay: MS(5), ..Impairment::NONE });
         let frame = |n: u8| Frame(Bytes::copy_from_slice(&u32::from(n).to_be_bytes()), n);
 

@@ -13,25 +13,25 @@ pub const QUIET: Duration = Duration::from_secs(60);
 
 /// What stands, by what it is; as much as there are things to be wrong.
 #[derive(Clone, Debug)]
-pub struct Latch<K> {
+pub struct ActiveAlarms<K> {
     /// When it was last heard of; `None` for what lasts until it is ended.
     last: BTreeMap<K, Option<Instant>>,
 }
 
-impl<K> Default for Latch<K> {
+impl<K> Default for ActiveAlarms<K> {
     fn default() -> Self {
-        Latch { last: BTreeMap::new() }
+        ActiveAlarms { last: BTreeMap::new() }
     }
 }
 
-impl<K: Ord + Clone> Latch<K> {
+impl<K: Ord + Clone> ActiveAlarms<K> {
     /// It is found now, and is over when nothing is heard of it any more.
-    pub fn begin(&mut self, what: K, now: Instant) {
+    pub fn raise(&mut self, what: K, now: Instant) {
         self.last.insert(what, Some(now));
     }
 
     /// It is found, and lasts until it is [ended](Latch::end).
-    pub fn hold(&mut self, what: K) {
+    pub fn raise_until_cleared(&mut self, what: K) {
         self.last.insert(what, None);
     }
 
@@ -43,7 +43,7 @@ impl<K: Ord + Clone> Latch<K> {
     }
 
     /// It has ended; answers whether it stood.
-    pub fn end(&mut self, what: &K) -> bool {
+    pub fn clear(&mut self, what: &K) -> bool {
         self.last.remove(what).is_some()
     }
 
@@ -77,9 +77,9 @@ mod tests {
 
     #[test]
     fn what_goes_on_stands_and_is_over_a_minute_after_it_was_last_heard_of() {
-        let mut latch = Latch::default();
-        latch.begin('a', at(0));
-        latch.hold('b');
+        let mut latch = ActiveAlarms::default();
+        latch.raise('a', at(0));
+        latch.raise_until_cleared('b');
         latch.go_on(&'a', at(50));
         latch.go_on(&'c', at(50));
 
@@ -88,6 +88,6 @@ mod tests {
         assert_eq!(latch.take_over(at(110)), ['a']);
         assert_eq!(latch.take_over(at(1000)), []);
         assert!(latch.iter().eq(&['b']));
-        assert_eq!((latch.end(&'b'), latch.end(&'b')), (true, false));
+        assert_eq!((latch.clear(&'b'), latch.clear(&'b')), (true, false));
     }
 }

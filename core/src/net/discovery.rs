@@ -38,31 +38,31 @@ pub const MESSAGE_MAX: usize = 32 * 1024;
 
 /// Who is admitted as a neighbour that nobody has described.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Admission {
+pub enum DiscoveryAdmission {
     /// Whoever is heard of.
     Anybody,
     /// These, and no others.
     Only(BTreeSet<NodeName>),
 }
 
-impl Admission {
+impl DiscoveryAdmission {
     fn admits(&self, node: &NodeName) -> bool {
         match self {
-            Admission::Anybody => true,
-            Admission::Only(names) => names.contains(node),
+            DiscoveryAdmission::Anybody => true,
+            DiscoveryAdmission::Only(names) => names.contains(node),
         }
     }
 }
 
 /// One network on which neighbours are learned, and told of.
 #[derive(Clone, Debug)]
-pub struct Ground {
+pub struct DiscoveryDomain {
     /// Its name in this node's configuration.
     pub name: String,
     /// What it is made of, such as `udp`.
     pub medium: String,
     /// Who is admitted.
-    pub admission: Admission,
+    pub admission: DiscoveryAdmission,
 }
 
 /// How neighbours are learned.
@@ -71,7 +71,7 @@ pub struct DiscoveryConfig {
     /// Our name.
     pub node: NodeName,
     /// The networks, by their place.
-    pub grounds: Vec<Ground>,
+    pub grounds: Vec<DiscoveryDomain>,
     /// How long what was learned may take to prove itself; after that it is not tried again for six times
     /// as long. Longer suits slow media; a forged address is sent hellos for as long.
     pub prove_within: Duration,
@@ -84,7 +84,7 @@ pub struct DiscoveryConfig {
 
 impl DiscoveryConfig {
     /// The usual behaviour for this node.
-    pub fn new(node: NodeName, grounds: Vec<Ground>) -> Self {
+    pub fn new(node: NodeName, grounds: Vec<DiscoveryDomain>) -> Self {
         DiscoveryConfig {
             node,
             grounds,
@@ -133,7 +133,7 @@ struct Gossip {
 }
 
 #[derive(Debug)]
-struct Neighbour {
+struct KnownNeighbour {
     address: String,
     up: bool,
     /// Since when it is up, or is not.
@@ -163,7 +163,7 @@ struct Teller {
 #[derive(Debug)]
 pub struct Discovery {
     config: DiscoveryConfig,
-    neighbours: BTreeMap<(usize, NodeName), Neighbour>,
+    neighbours: BTreeMap<(usize, NodeName), KnownNeighbour>,
     /// Addresses that did not prove themselves, and until when they are not tried.
     failed: BTreeMap<(usize, String), Instant>,
     /// Neighbours that were up once; as many as there are.
@@ -215,7 +215,7 @@ impl Discovery {
 
     fn note(&mut self, link: (usize, NodeName), address: String, up: bool, now: Instant) {
         let origin = Origin::Described;
-        let fresh = Neighbour { address, up: false, since: now, origin };
+        let fresh = KnownNeighbour { address, up: false, since: now, origin };
         let known = self.neighbours.entry(link).or_insert(fresh);
         if known.up != up {
             (known.up, known.since) = (up, now);
@@ -233,7 +233,7 @@ impl Discovery {
 
     /// This one was learned by the machine before this, and has a link.
     pub fn handle_learned(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
-        let known = Neighbour { address, up: false, since: now, origin: Origin::Learned };
+        let known = KnownNeighbour { address, up: false, since: now, origin: Origin::Learned };
         self.neighbours.insert((ground, node), known);
     }
 
@@ -318,7 +318,9 @@ impl Discovery {
         by: Option<&NodeName>,
         now: Instant,
     ) {
-        let Some(Ground { admission, .. }) = self.config.grounds.get(ground) else { return };
+        let Some(DiscoveryDomain { admission, .. }) = self.config.grounds.get(ground) else {
+            return;
+        };
         if node == self.config.node || !admission.admits(&node) {
             return;
         }
@@ -348,8 +350,12 @@ impl Discovery {
         if full || here(&[Origin::Tried]) >= TRIED_MAX {
             return self.refuse(by, |refusals| &mut refusals.too_large);
         }
-        let fresh =
-            Neighbour { address: address.clone(), up: false, since: now, origin: Origin::Tried };
+        let fresh = KnownNeighbour {
+            address: address.clone(),
+            up: false,
+            since: now,
+            origin: Origin::Tried,
+        };
         self.neighbours.insert(key, fresh);
         self.outputs.push_back(DiscoveryOutput::Connect { ground, node, address });
     }
@@ -365,7 +371,7 @@ impl Discovery {
     }
 
     /// When it is given up as what it is now; never what was described, nor who is up.
-    fn ends(&self, known: &Neighbour) -> Option<Instant> {
+    fn ends(&self, known: &KnownNeighbour) -> Option<Instant> {
         match known.origin {
             Origin::Tried => Some(known.since + self.config.prove_within),
             Origin::Learned if !known.up => Some(known.since + self.config.forget_after),
@@ -378,7 +384,7 @@ impl Discovery {
         let up = || self.neighbours.iter().filter(|(_, known)| known.up);
         let nodes: BTreeSet<&NodeName> = up().map(|((_, node), _)| node).collect();
         for to in nodes {
-            let gossip = |(n, ground): (usize, &Ground)| {
+            let gossip = |(n, ground): (usize, &DiscoveryDomain)| {
                 up().find(|((m, node), _)| *m == n && node == to)?;
                 let others = up().filter(|((m, node), _)| *m == n && node != to);
                 let others = others.map(|((_, node), known)| (node.clone(), known.address.clone()));
@@ -413,7 +419,7 @@ impl Machine for Discovery {
             self.tell();
         }
         self.failed.retain(|_, until| now < *until);
-        let over = |known: &Neighbour| self.ends(known).is_some_and(|end| now >= end);
+        let over = |known: &KnownNeighbour| self.ends(known).is_some_and(|end| now >= end);
         let gone: Vec<_> = self.neighbours.iter().filter(|(_, known)| over(known)).collect();
         let gone: Vec<_> = gone
             .into_iter()

@@ -34,17 +34,17 @@ const CAUSE_MAX: usize = 200;
 
 /// Whose votes count.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Judges {
+pub enum IsolationAuthority {
     /// More than half of the nodes that are there, without the accused.
     #[default]
     Majority,
     /// The newest word of any of these, whatever the others think.
-    Wardens(BTreeSet<NodeName>),
+    Named(BTreeSet<NodeName>),
 }
 
 /// What this node thinks of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Decision<'a> {
+pub struct IsolationDecision<'a> {
     /// Of which.
     pub node: &'a NodeName,
     /// It is to be kept out, or to be let in again.
@@ -55,7 +55,7 @@ pub struct Decision<'a> {
 
 /// Why this node has no say on another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NoSay {
+pub enum VoteRefused {
     /// It is this node itself.
     Oneself,
     /// It has voted on so many already.
@@ -117,7 +117,7 @@ struct Ballot {
 pub struct Isolation {
     own: NodeName,
     life: Incarnation,
-    judges: Judges,
+    judges: IsolationAuthority,
     /// By whom they are about, and whose they are.
     votes: BTreeMap<NodeName, BTreeMap<NodeName, Vote>>,
     kept_out: BTreeSet<NodeName>,
@@ -128,7 +128,7 @@ pub struct Isolation {
 
 impl Isolation {
     /// No votes yet.
-    pub fn new(own: NodeName, life: Incarnation, judges: Judges) -> Self {
+    pub fn new(own: NodeName, life: Incarnation, judges: IsolationAuthority) -> Self {
         Isolation {
             own,
             life,
@@ -172,10 +172,10 @@ impl Isolation {
     /// It has no say on this one.
     pub fn handle_decision(
         &mut self,
-        Decision { node, isolated, cause }: Decision<'_>,
-    ) -> Result<(), NoSay> {
+        IsolationDecision { node, isolated, cause }: IsolationDecision<'_>,
+    ) -> Result<(), VoteRefused> {
         if *node == self.own {
-            return Err(NoSay::Oneself);
+            return Err(VoteRefused::Oneself);
         }
         let own = self.votes.get(node).and_then(|votes| votes.get(&self.own));
         if own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node) {
@@ -183,7 +183,7 @@ impl Isolation {
         }
         if own.is_none() && !self.makes_room_for(&self.own.clone()) {
             self.refused += 1;
-            return Err(NoSay::TooMany { limit: VOTES_MAX });
+            return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
         let about = self.votes.get(node);
         // That it is admitted is said even where nobody is known to have objected: an earlier life of
@@ -307,7 +307,7 @@ impl Isolation {
     fn judge(&self, node: &NodeName) -> bool {
         let Some(votes) = self.votes.get(node) else { return false };
         match &self.judges {
-            Judges::Wardens(wardens) => {
+            IsolationAuthority::Named(wardens) => {
                 let counts = |(voter, _): &(&NodeName, &Vote)| {
                     **voter == self.own || wardens.contains(*voter)
                 };
@@ -315,7 +315,7 @@ impl Isolation {
                 let newest = words.max_by_key(|(voter, vote)| (vote.revision, *voter));
                 newest.is_some_and(|(_, vote)| vote.isolated)
             }
-            Judges::Majority => {
+            IsolationAuthority::Majority => {
                 let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
                 let here: BTreeSet<_> =
                     here.filter(|voter| *voter != node && !self.is_isolated(voter)).collect();

@@ -43,18 +43,18 @@ pub mod routing;
 pub mod session;
 pub mod wire;
 
-pub use crate::machine_set::Crowd;
-pub use link::link_set::{Bundle, BundleOutput};
+pub use crate::machine_set::MachineSet;
+pub use link::link_set::{LinkSet, LinkSetOutput};
 pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};
-pub use peer_protocol::receive_backlog::WaitingRoom;
-pub use peer_protocol::{Exchange, ExchangeOutput};
+pub use peer_protocol::receive_backlog::ReceiveBacklog;
+pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;
-pub use routing::{LinkNumber, Router, RouterConfig, RouterOutput};
-pub use session::ordering_key::Strand;
-pub use session::size_class::Load;
+pub use routing::{LinkId, Router, RouterConfig, RouterOutput};
+pub use session::ordering_key::OrderingKey;
+pub use session::size_class::SizeClass;
 pub use session::{Session, SessionConfig, SessionOutput};
 pub use wire::node_id::NodeId;
-pub use wire::packet::Class;
+pub use wire::packet::PacketPriority;
 pub use wire::{Refusals, WireError};
 
 /// Smaller segments are those of a medium that is taken for slow until it is measured: a serial line, or CAN,

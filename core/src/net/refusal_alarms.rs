@@ -3,7 +3,7 @@
 //! Something is always refused: a packet that was late, a peer that has just begun anew. What goes on
 //! for seconds is a broken peer or a hostile one, and somebody should look: until it was quiet for a while.
 
-use super::active_alarms::Latch;
+use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use crate::Instant;
 use std::collections::BTreeMap;
@@ -15,11 +15,11 @@ const LOOKS: u32 = 3;
 
 /// What was refused of whom, as seen at regular looks.
 #[derive(Clone, Debug)]
-pub struct Complaints<K> {
+pub struct RefusalAlarms<K> {
     /// As many as are looked at.
     seen: BTreeMap<K, Seen>,
     /// Of whom it was told.
-    told: Latch<K>,
+    told: ActiveAlarms<K>,
     /// It was told of somebody, and not yet that all of that is over.
     stands: bool,
 }
@@ -31,13 +31,13 @@ struct Seen {
     looks: u32,
 }
 
-impl<K> Default for Complaints<K> {
+impl<K> Default for RefusalAlarms<K> {
     fn default() -> Self {
-        Complaints { seen: BTreeMap::new(), told: Latch::default(), stands: false }
+        RefusalAlarms { seen: BTreeMap::new(), told: ActiveAlarms::default(), stands: false }
     }
 }
 
-impl<K: Ord + Clone> Complaints<K> {
+impl<K: Ord + Clone> RefusalAlarms<K> {
     /// What was refused of `who` up to now. Answers when it goes on for too long what was refused since
     /// the last look; and again each time that it has gone on for as long.
     pub fn handle_look(&mut self, who: K, refusals: Refusals, now: Instant) -> Option<Refusals> {
@@ -48,7 +48,7 @@ impl<K: Ord + Clone> Complaints<K> {
         let told = seen.looks > 0 && seen.looks.is_multiple_of(LOOKS);
         if told {
             self.stands = true;
-            self.told.begin(who, now);
+            self.told.raise(who, now);
         } else if many {
             self.told.go_on(&who, now);
         }
@@ -58,7 +58,7 @@ impl<K: Ord + Clone> Complaints<K> {
     /// Nobody looks at `who` any more.
     pub fn forget(&mut self, who: &K) {
         self.seen.remove(who);
-        self.told.end(who);
+        self.told.clear(who);
     }
 
     /// Whether all that was told is over by now, which it is when no look found many for
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn what_goes_on_is_told_and_what_passes_never() {
-        let mut complaints = Complaints::default();
+        let mut complaints = RefusalAlarms::default();
         let mut total = Refusals::default();
         let mut look = |malformed: u64| {
             total.malformed += malformed;
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn each_is_judged_by_its_own() {
-        let mut complaints = Complaints::default();
+        let mut complaints = RefusalAlarms::default();
         for n in 1..=3 {
             let many = Refusals { stale: n * 100, ..Refusals::default() };
             let few = Refusals { stale: n, ..Refusals::default() };
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn what_was_told_is_over_a_minute_after_the_last_of_them_and_told_again_when_it_repeats() {
-        let mut complaints = Complaints::default();
+        let mut complaints = RefusalAlarms::default();
         let mut refused = [0; 2];
         let mut second = |at: u64, many: [bool; 2]| {
             let now = Instant::from_millis(at * 1000);

@@ -1,4 +1,4 @@
-//! What is done about one kind of fault: first this, then that, at last safe rest.
+//! What is done about one kind of fault: first this, then that, at last safe state.
 
 use super::Backoff;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 /// One thing that can be done about a fault.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub enum Measure {
+pub enum RecoveryAction {
     /// Nothing but to keep it in the record: it passes, or somebody else has it in hand.
     Observe,
     /// Let the component recover by itself, in its present life (`on_reset`).
@@ -22,24 +22,24 @@ pub enum Measure {
     Reroute,
     /// Forbid its sending and receiving.
     Isolate,
-    /// Safe rest: safe outputs, and the object, or the node, comes to rest.
+    /// Safe state: safe outputs, and the object, or the node, comes to rest.
     SafeStop,
     /// A strategy of the application's own, by name.
     Custom(Arc<str>),
 }
 
-impl Measure {
+impl RecoveryAction {
     /// The name of the strategy that carries it out.
     pub fn name(&self) -> &str {
         match self {
-            Measure::Observe => "observe",
-            Measure::Reset => "reset",
-            Measure::Restart => "restart",
-            Measure::MoveToOwnThread => "move to own thread",
-            Measure::Reroute => "reroute",
-            Measure::Isolate => "isolate",
-            Measure::SafeStop => "safe stop",
-            Measure::Custom(name) => name,
+            RecoveryAction::Observe => "observe",
+            RecoveryAction::Reset => "reset",
+            RecoveryAction::Restart => "restart",
+            RecoveryAction::MoveToOwnThread => "move to own thread",
+            RecoveryAction::Reroute => "reroute",
+            RecoveryAction::Isolate => "isolate",
+            RecoveryAction::SafeStop => "safe stop",
+            RecoveryAction::Custom(name) => name,
         }
     }
 
@@ -47,17 +47,17 @@ impl Measure {
     /// computer, and for a restart the deadlines of a group of children one after the other.
     pub fn usual_limit(&self) -> Duration {
         match self {
-            Measure::Observe | Measure::Isolate => Duration::from_secs(1),
-            Measure::Reset | Measure::Reroute => Duration::from_secs(2),
-            Measure::SafeStop => Duration::from_secs(10),
-            Measure::Restart | Measure::MoveToOwnThread | Measure::Custom(_) => {
-                Duration::from_secs(30)
-            }
+            RecoveryAction::Observe | RecoveryAction::Isolate => Duration::from_secs(1),
+            RecoveryAction::Reset | RecoveryAction::Reroute => Duration::from_secs(2),
+            RecoveryAction::SafeStop => Duration::from_secs(10),
+            RecoveryAction::Restart
+            | RecoveryAction::MoveToOwnThread
+            | RecoveryAction::Custom(_) => Duration::from_secs(30),
         }
     }
 }
 
-impl fmt::Display for Measure {
+impl fmt::Display for RecoveryAction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
@@ -65,9 +65,9 @@ impl fmt::Display for Measure {
 
 /// One rung of a [`Ladder`].
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Step {
+pub struct LadderStep {
     /// What is done.
-    pub measure: Measure,
+    pub measure: RecoveryAction,
     /// How often it is tried before the next rung; at least 1.
     pub attempts: u32,
     /// How long to wait between two attempts.
@@ -78,28 +78,28 @@ pub struct Step {
 
 /// Measures in the order in which they are tried.
 ///
-/// A ladder that is exhausted ends in safe rest, whether or not that is its last rung.
+/// A ladder that is exhausted ends in safe state, whether or not that is its last rung.
 ///
 /// ```
-/// use blastema_core::recovery::{Ladder, Measure};
+/// use blastema_core::recovery::{Ladder, RecoveryAction};
 ///
-/// let ladder = Ladder::first(Measure::Reset).then(Measure::Restart).times(3);
+/// let ladder = Ladder::first(RecoveryAction::Reset).then(RecoveryAction::Restart).times(3);
 /// assert_eq!(ladder.steps()[1].attempts, 3);
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Ladder(Vec<Step>);
+pub struct Ladder(Vec<LadderStep>);
 
 impl Ladder {
     /// A ladder whose first rung is one attempt at `measure`.
-    pub fn first(measure: Measure) -> Self {
+    pub fn first(measure: RecoveryAction) -> Self {
         Ladder(Vec::new()).then(measure)
     }
 
     /// One more rung: one attempt at `measure`.
     #[must_use]
-    pub fn then(mut self, measure: Measure) -> Self {
+    pub fn then(mut self, measure: RecoveryAction) -> Self {
         let within = measure.usual_limit();
-        self.0.push(Step { measure, attempts: 1, backoff: Backoff::default(), within });
+        self.0.push(LadderStep { measure, attempts: 1, backoff: Backoff::default(), within });
         self
     }
 
@@ -125,11 +125,11 @@ impl Ladder {
     }
 
     /// The rungs, lowest first; never empty.
-    pub fn steps(&self) -> &[Step] {
+    pub fn steps(&self) -> &[LadderStep] {
         &self.0
     }
 
-    fn last(&mut self) -> &mut Step {
+    fn last(&mut self) -> &mut LadderStep {
         self.0.last_mut().expect("a ladder is made with its first rung")
     }
 }

@@ -3,13 +3,13 @@
 //! ```text
 //!            Plan                    Rules
 //!             │                        │
-//! Fault ─► Recoverer ─Order─► strategy ─► Supervision ─► start, stop, abandon, reset, isolate
+//! Fault ─► Recoverer ─RecoveryOrder─► strategy ─► Supervision ─► start, stop, abandon, reset, isolate
 //!          which measure               which children, in which order,
 //!          by fault kind               and whether it is still worth it
 //! ```
 //!
 //! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind of
-//! fault, one rung after the other, and ends in safe rest. [`Supervision`] keeps the tree as in
+//! fault, one rung after the other, and ends in safe state. [`Supervisor`] keeps the tree as in
 //! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than the
 //! intensity allows, and it ends and escalates. Neither of them detects anything.
 
@@ -22,11 +22,14 @@ pub mod recoverer;
 pub mod supervision;
 
 pub use crate::backoff::Backoff;
-pub use ladder::{Ladder, Measure, Step};
+pub use ladder::{Ladder, LadderStep, RecoveryAction};
 pub use plan::{Plan, PlanError};
-pub use recoverer::{Done, Failed, Order, Recoverer, RecovererAction, RecovererLimits, Settled};
+pub use recoverer::{
+    FaultResolution, Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed,
+    RecoveryOrder,
+};
 pub use restart_window::{RestartWindow, add_restart};
-pub use rules::{ChildRules, Restart, StandingOrder, Strategy, SupervisorRules, WhenExceeded};
+pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
-    Cause, ChildState, ChildStatus, GiveUpReason, Supervision, SupervisorAction, Ticket,
+    CallId, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
 };

@@ -1,6 +1,6 @@
 //! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
 
-use super::{Ladder, Measure, Step};
+use super::{Ladder, LadderStep, RecoveryAction};
 use crate::suggestion::nearest;
 use crate::{FaultKind, NodeName, ObjectName, Place};
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,13 +12,13 @@ use std::sync::Arc;
 /// another node is to observe it: that node's own recoverer has it in hand.
 ///
 /// ```
-/// use blastema_core::recovery::{Ladder, Measure, Plan};
+/// use blastema_core::recovery::{Ladder, RecoveryAction, Plan};
 /// use blastema_core::{FaultKind, ObjectName};
 ///
 /// let laser = ObjectName::new("laser")?;
 /// let plan = Plan::default()
-///     .on(FaultKind::Custom("L01".into()), Ladder::first(Measure::Restart))
-///     .on_component(laser.clone(), FaultKind::Silence, Ladder::first(Measure::SafeStop));
+///     .on(FaultKind::Custom("L01".into()), Ladder::first(RecoveryAction::Restart))
+///     .on_component(laser.clone(), FaultKind::Silence, Ladder::first(RecoveryAction::SafeStop));
 ///
 /// assert!(plan.check([&laser], [], []).is_ok());
 /// # Ok::<(), blastema_core::NameError>(())
@@ -70,7 +70,7 @@ pub enum PlanError {
         /// What it answers.
         what: String,
         /// With what.
-        measure: Measure,
+        measure: RecoveryAction,
         /// Why that cannot work.
         why: &'static str,
     },
@@ -82,7 +82,7 @@ pub enum PlanError {
         /// What it answers.
         what: String,
         /// With what.
-        measure: Measure,
+        measure: RecoveryAction,
     },
     /// No attempt at a rung can succeed, or its pauses are none.
     #[error("the plan answers {what} by {measure}, {why}")]
@@ -90,7 +90,7 @@ pub enum PlanError {
         /// What it answers.
         what: String,
         /// With what.
-        measure: Measure,
+        measure: RecoveryAction,
         /// What is wrong, and what to write.
         why: &'static str,
     },
@@ -110,7 +110,7 @@ pub enum PlanError {
         /// What it answers.
         what: String,
         /// The rung behind.
-        measure: Measure,
+        measure: RecoveryAction,
     },
 }
 
@@ -120,14 +120,15 @@ fn hint(nearest: &Option<String>) -> String {
 
 impl Default for Plan {
     fn default() -> Self {
-        let restart = Ladder::first(Measure::Restart).times(3).then(Measure::SafeStop);
-        let observe = Ladder::first(Measure::Observe);
-        let reroute = Ladder::first(Measure::Reroute).then(Measure::Observe);
+        let restart =
+            Ladder::first(RecoveryAction::Restart).times(3).then(RecoveryAction::SafeStop);
+        let observe = Ladder::first(RecoveryAction::Observe);
+        let reroute = Ladder::first(RecoveryAction::Reroute).then(RecoveryAction::Observe);
         let answer = |kind: &FaultKind| match kind {
-            FaultKind::ErrorState => Ladder::first(Measure::Reset)
-                .then(Measure::Restart)
+            FaultKind::ErrorState => Ladder::first(RecoveryAction::Reset)
+                .then(RecoveryAction::Restart)
                 .times(3)
-                .then(Measure::SafeStop),
+                .then(RecoveryAction::SafeStop),
             // Warnings: whether a wrong value is worth a life is the application's to say, and a restart
             // does not make work less.
             FaultKind::CheckFailed | FaultKind::Overload | FaultKind::ContractMismatch => {
@@ -136,7 +137,9 @@ impl Default for Plan {
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
             // What it sends does harm: nobody must have to take it, and it cannot be recovered from here.
-            FaultKind::NodeFaulty => Ladder::first(Measure::Isolate).then(Measure::Observe),
+            FaultKind::NodeFaulty => {
+                Ladder::first(RecoveryAction::Isolate).then(RecoveryAction::Observe)
+            }
             // Whoever gave the names has to give others.
             FaultKind::NameTaken => observe.clone(),
             // The actuator's node has applied the safe outputs already.
@@ -203,7 +206,7 @@ impl Plan {
     /// the plan's first measure is the built-in restart.
     pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
         let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
-        first.measure == Measure::Restart
+        first.measure == RecoveryAction::Restart
     }
 
     /// The codes of all faults of the application's own that the plan answers.
@@ -248,8 +251,9 @@ impl Plan {
         for (kind, ladder) in &self.abroad {
             check_code(kind)?;
             check_ladder(format!("{kind} of other nodes"), kind, ladder, &strategies)?;
-            let local =
-                |step: &&Step| !matches!(step.measure, Measure::Observe | Measure::Custom(_));
+            let local = |step: &&LadderStep| {
+                !matches!(step.measure, RecoveryAction::Observe | RecoveryAction::Custom(_))
+            };
             if let Some(step) = ladder.steps().iter().find(local) {
                 let (what, measure) = (format!("{kind} of other nodes"), step.measure.clone());
                 let why = "can only be carried out by that node itself: use a strategy of your own";
@@ -318,24 +322,28 @@ fn check_ladder(
             return Err(PlanError::BadTime { what, measure, why });
         }
         match &measure {
-            Measure::Observe => observed = true,
-            Measure::Reset | Measure::Restart | Measure::MoveToOwnThread if network => {
+            RecoveryAction::Observe => observed = true,
+            RecoveryAction::Reset | RecoveryAction::Restart | RecoveryAction::MoveToOwnThread
+                if network =>
+            {
                 let why = "needs a component, and there is none in a link or another node";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
-            Measure::Isolate if link => {
+            RecoveryAction::Isolate if link => {
                 let why = "needs a component or a node, and a link is neither";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
-            Measure::Reset if matches!(kind, FaultKind::Panic | FaultKind::UnexpectedExit) => {
+            RecoveryAction::Reset
+                if matches!(kind, FaultKind::Panic | FaultKind::UnexpectedExit) =>
+            {
                 let why = "needs a life, and that one has ended: use restart";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
-            Measure::Reset if *kind == FaultKind::Hang => {
+            RecoveryAction::Reset if *kind == FaultKind::Hang => {
                 let why = "asks a component that does not answer: use restart";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
-            Measure::Custom(name) if !strategies.contains(name.as_ref()) => {
+            RecoveryAction::Custom(name) if !strategies.contains(name.as_ref()) => {
                 let nearest = nearest(name, strategies.iter().copied()).map(str::to_owned);
                 return Err(PlanError::NoSuchStrategy {
                     what,
@@ -366,8 +374,10 @@ mod tests {
     }
 
     fn good() -> Plan {
-        Plan::default()
-            .on(FaultKind::Custom("GRIP".into()), Ladder::first(Measure::Custom("homing".into())))
+        Plan::default().on(
+            FaultKind::Custom("GRIP".into()),
+            Ladder::first(RecoveryAction::Custom("homing".into())),
+        )
     }
 
     #[test]
@@ -378,7 +388,7 @@ mod tests {
         for kind in &FaultKind::BUILT_IN {
             let ladder = &plan.kinds[kind];
             let last = &ladder.steps().last().expect("a rung").measure;
-            assert!(matches!(last, Measure::SafeStop | Measure::Observe), "{kind}");
+            assert!(matches!(last, RecoveryAction::SafeStop | RecoveryAction::Observe), "{kind}");
         }
     }
 
@@ -390,7 +400,7 @@ mod tests {
         let place = Place::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
 
-        assert_eq!(ladder.steps()[0].measure, Measure::Observe);
+        assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }
 
     #[test]
@@ -398,7 +408,7 @@ mod tests {
         let plan = Plan::default().on_component(
             name("laser"),
             FaultKind::Panic,
-            Ladder::first(Measure::Isolate),
+            Ladder::first(RecoveryAction::Isolate),
         );
 
         assert!(!plan.restarts_on_the_spot(&name("laser")));
@@ -408,8 +418,8 @@ mod tests {
             let node = node.parse().expect("a good name");
             plan.answer(&node, &FaultKind::Panic, &laser).steps()[0].measure.clone()
         };
-        assert_eq!(first("module1"), Measure::Isolate);
-        assert_eq!(first("module2"), Measure::Observe);
+        assert_eq!(first("module1"), RecoveryAction::Isolate);
+        assert_eq!(first("module2"), RecoveryAction::Observe);
     }
 
     #[test]
@@ -417,7 +427,7 @@ mod tests {
         assert_eq!(
             message(
                 &Plan::default()
-                    .on(FaultKind::Custom("GRID".into()), Ladder::first(Measure::Restart),)
+                    .on(FaultKind::Custom("GRID".into()), Ladder::first(RecoveryAction::Restart),)
             ),
             "the fault list holds \"GRIP\", but the plan has no answer to it; \
              did you mean \"GRID\"?"
@@ -426,7 +436,7 @@ mod tests {
             message(&good().on_component(
                 name("lazer"),
                 FaultKind::Hang,
-                Ladder::first(Measure::Restart),
+                Ladder::first(RecoveryAction::Restart),
             )),
             "the plan has an answer to hang of lazer, but there is no such component; \
              did you mean \"laser\"?"
@@ -435,14 +445,14 @@ mod tests {
             message(&good().on_component(
                 name("laser"),
                 FaultKind::Silence,
-                Ladder::first(Measure::Custom("home".into())),
+                Ladder::first(RecoveryAction::Custom("home".into())),
             )),
             "the plan answers silence of laser by \"home\", but no strategy of that name was handed \
              over"
         );
         assert_eq!(
             message(
-                &good().on(FaultKind::Silence, Ladder::first(Measure::Custom("homign".into())),)
+                &good().on(FaultKind::Silence, Ladder::first(RecoveryAction::Custom("homign".into())),)
             ),
             "the plan answers silence by \"homign\", but no strategy of that name was handed over; \
              did you mean \"homing\"?"
@@ -454,38 +464,46 @@ mod tests {
         let wrong = |kind, ladder| message(&good().on(kind, ladder));
 
         assert!(
-            wrong(FaultKind::LinkDown, Ladder::first(Measure::Restart))
+            wrong(FaultKind::LinkDown, Ladder::first(RecoveryAction::Restart))
                 .starts_with("the plan answers link down by restart, which needs a component")
         );
         assert!(
-            wrong(FaultKind::NodeLost, Ladder::first(Measure::MoveToOwnThread))
+            wrong(FaultKind::NodeLost, Ladder::first(RecoveryAction::MoveToOwnThread))
                 .contains("by move to own thread, which needs a component")
         );
         assert!(
-            wrong(FaultKind::Panic, Ladder::first(Measure::Reset))
+            wrong(FaultKind::Panic, Ladder::first(RecoveryAction::Reset))
                 .ends_with("that one has ended: use restart")
         );
         assert!(
-            wrong(FaultKind::Hang, Ladder::first(Measure::Restart).then(Measure::Reset))
-                .ends_with("does not answer: use restart")
+            wrong(
+                FaultKind::Hang,
+                Ladder::first(RecoveryAction::Restart).then(RecoveryAction::Reset)
+            )
+            .ends_with("does not answer: use restart")
         );
         assert!(
-            message(&good().on_other_nodes(FaultKind::Panic, Ladder::first(Measure::Restart)))
-                .contains("by that node itself")
+            message(
+                &good().on_other_nodes(FaultKind::Panic, Ladder::first(RecoveryAction::Restart))
+            )
+            .contains("by that node itself")
         );
         assert!(
-            wrong(FaultKind::Silence, Ladder::first(Measure::Restart).times(0))
+            wrong(FaultKind::Silence, Ladder::first(RecoveryAction::Restart).times(0))
                 .contains("with 0 attempts")
         );
         assert!(
-            wrong(FaultKind::Silence, Ladder::first(Measure::Observe).then(Measure::Restart))
-                .contains("behind observe")
+            wrong(
+                FaultKind::Silence,
+                Ladder::first(RecoveryAction::Observe).then(RecoveryAction::Restart)
+            )
+            .contains("behind observe")
         );
     }
 
     #[test]
     fn a_rung_without_time_and_pauses_without_length_are_refused() {
-        let rung = || Ladder::first(Measure::Restart);
+        let rung = || Ladder::first(RecoveryAction::Restart);
         let wrong = |ladder| message(&good().on(FaultKind::Silence, ladder));
 
         assert!(wrong(rung().within(Duration::ZERO)).ends_with("each attempt fails: give it some"));
@@ -496,7 +514,7 @@ mod tests {
     #[test]
     fn a_fault_of_ones_own_has_a_code_that_is_no_other_kinds() {
         let own = |code: &str| FaultKind::Custom(code.into());
-        let ladder = || Ladder::first(Measure::Observe);
+        let ladder = || Ladder::first(RecoveryAction::Observe);
 
         assert!(message(&good().on(own("B01"), ladder())).contains("a built-in kind has it"));
         assert!(message(&good().on(own(""), ladder())).contains("give it one"));

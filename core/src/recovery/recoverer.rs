@@ -9,7 +9,7 @@
 //! its root is settled, and is then either cleared by the detector or acted upon itself. Whether a
 //! restart is still worth it is not decided here but by the supervisor.
 
-use super::{Ladder, Measure, Plan};
+use super::{Ladder, Plan, RecoveryAction};
 use crate::{Fault, FaultId, FaultKind, Instant, Machine, NodeName, Place};
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,7 +18,9 @@ mod safe_state;
 mod tests;
 mod types;
 
-pub use self::types::{Done, Failed, Order, RecovererAction, RecovererLimits, Settled};
+pub use self::types::{
+    FaultResolution, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
+};
 
 /// The detector latches by place and kind: a place with more faults than this is out of its mind.
 const FAULTS_LIMIT: usize = 32;
@@ -92,11 +94,11 @@ pub struct Recoverer {
     cases: BTreeMap<Place, Case>,
     symptoms: BTreeMap<FaultId, Symptom>,
     memories: BTreeMap<(Place, FaultKind), Memory>,
-    open: BTreeMap<u64, (Place, Measure)>,
-    engaged: BTreeMap<Measure, Engaged>,
-    /// Its node is at safe rest.
+    open: BTreeMap<u64, (Place, RecoveryAction)>,
+    engaged: BTreeMap<RecoveryAction, Engaged>,
+    /// Its node is in the safe state.
     resting: bool,
-    outputs: VecDeque<RecovererAction>,
+    outputs: VecDeque<RecovererOutput>,
 }
 
 impl Recoverer {
@@ -181,7 +183,12 @@ impl Recoverer {
     }
 
     /// A strategy has answered, or has ended without an answer.
-    pub fn handle_outcome(&mut self, number: u64, outcome: Result<Done, Failed>, now: Instant) {
+    pub fn handle_outcome(
+        &mut self,
+        number: u64,
+        outcome: Result<RecoveryDone, RecoveryFailed>,
+        now: Instant,
+    ) {
         let Some((place, measure)) = self.close_order(number, now) else { return };
         let Some(case) = self.cases.get(&place) else { return };
         if case.order != number {
@@ -189,15 +196,15 @@ impl Recoverer {
         }
         match outcome {
             Ok(done) => self.settle_case(&place, &measure, done, now),
-            Err(Failed { reason }) => self.climb(&place, reason, now),
+            Err(RecoveryFailed { reason }) => self.climb(&place, reason, now),
         }
     }
 
     fn treat(&mut self, fault: Fault, now: Instant) {
         let since = self.orders;
         let ladder = self.plan.answer(&self.node, &fault.kind, &fault.place);
-        if ladder.steps()[0].measure == Measure::Observe {
-            return self.tell(&fault, Settled::Observed);
+        if ladder.steps()[0].measure == RecoveryAction::Observe {
+            return self.tell(&fault, FaultResolution::Observed);
         }
         if self.resting && matches!(fault.place, Place::Object(_)) {
             return self.tell_rest(&fault);
@@ -206,14 +213,14 @@ impl Recoverer {
         if let Some(case) = self.cases.get_mut(&place) {
             if case.faults.len() == FAULTS_LIMIT {
                 let reason = format!("{FAULTS_LIMIT} faults of {place} are being treated already");
-                return self.tell(&fault, Settled::GaveUp { reason });
+                return self.tell(&fault, FaultResolution::GaveUp { reason });
             }
             case.faults.push(Noted { fault, since, over: false });
             return;
         }
         if self.cases.len() == self.limits.cases {
             let reason = format!("{} places are being treated already", self.limits.cases);
-            return self.tell(&fault, Settled::GaveUp { reason });
+            return self.tell(&fault, FaultResolution::GaveUp { reason });
         }
         let ladder = ladder.clone();
         let remembered = self.memories.remove(&(place.clone(), fault.kind.clone()));
@@ -262,9 +269,9 @@ impl Recoverer {
         }
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
-        if step.measure == Measure::Observe {
+        if step.measure == RecoveryAction::Observe {
             for fault in self.close(place, now) {
-                self.tell(&fault, Settled::Observed);
+                self.tell(&fault, FaultResolution::Observed);
             }
             return;
         }
@@ -280,19 +287,20 @@ impl Recoverer {
     fn fall_back(&mut self, place: &Place, reason: String, now: Instant) -> bool {
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let untold = !std::mem::replace(&mut case.given_up, true);
-        let rested = case.ladder.steps().iter().any(|step| step.measure == Measure::SafeStop);
+        let rested =
+            case.ladder.steps().iter().any(|step| step.measure == RecoveryAction::SafeStop);
         if !rested {
-            case.ladder = case.ladder.clone().then(Measure::SafeStop);
+            case.ladder = case.ladder.clone().then(RecoveryAction::SafeStop);
         }
         if untold {
             for fault in case.known() {
-                self.tell(&fault, Settled::GaveUp { reason: reason.clone() });
+                self.tell(&fault, FaultResolution::GaveUp { reason: reason.clone() });
             }
         }
         if rested {
             let first = self.close(place, now).into_iter().next();
             let fault = first.expect("a case has its first fault");
-            self.outputs.push_back(RecovererAction::LastResort { fault, reason });
+            self.outputs.push_back(RecovererOutput::LastResort { fault, reason });
         }
         !rested
     }
@@ -320,21 +328,27 @@ impl Recoverer {
         let telling = telling.expect("a case has its first fault");
         let telling = telling.fault.clone();
         for fault in case.known() {
-            self.tell(&fault, Settled::Decided { measure: measure.clone(), attempt });
+            self.tell(&fault, FaultResolution::Decided { measure: measure.clone(), attempt });
         }
         self.open.insert(number, (place.clone(), measure.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
         self.engaged.entry(measure.clone()).or_insert(idle).orders += 1;
-        let order = Order { number, measure, fault: telling, attempt, within };
-        self.outputs.push_back(RecovererAction::CarryOut(order));
+        let order = RecoveryOrder { number, measure, fault: telling, attempt, within };
+        self.outputs.push_back(RecovererOutput::CarryOut(order));
     }
 
     /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
-    fn settle_case(&mut self, place: &Place, measure: &Measure, done: Done, now: Instant) {
+    fn settle_case(
+        &mut self,
+        place: &Place,
+        measure: &RecoveryAction,
+        done: RecoveryDone,
+        now: Instant,
+    ) {
         let case = self.cases.remove(place).expect("a case that is settled is open");
         let kind = case.faults[0].fault.kind.clone();
-        let contained = matches!(measure, Measure::Isolate | Measure::SafeStop);
-        let restarted = *measure == Measure::Restart;
+        let contained = matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
+        let restarted = *measure == RecoveryAction::Restart;
         // What came while the measure was under way may already belong to the new life.
         let cured = |noted: &Noted| {
             let replaced = done.incarnation.is_none_or(|life| noted.fault.incarnation < life);
@@ -345,14 +359,14 @@ impl Recoverer {
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
         for fault in &cured {
             let settled = if contained {
-                Settled::Contained { measure: measure.clone() }
+                FaultResolution::Contained { measure: measure.clone() }
             } else {
-                Settled::Recovered { incarnation: done.incarnation }
+                FaultResolution::Recovered { incarnation: done.incarnation }
             };
             self.tell(fault, settled);
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
-        if !contained && !restarted && *measure != Measure::Reroute {
+        if !contained && !restarted && *measure != RecoveryAction::Reroute {
             self.remember((place.clone(), kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&ids(&cured), now);
@@ -381,11 +395,11 @@ impl Recoverer {
             }
         }
         for fault in &released {
-            self.tell(fault, Settled::RootSettled);
+            self.tell(fault, FaultResolution::RootSettled);
         }
     }
 
-    fn close_order(&mut self, number: u64, now: Instant) -> Option<(Place, Measure)> {
+    fn close_order(&mut self, number: u64, now: Instant) -> Option<(Place, RecoveryAction)> {
         let (place, measure) = self.open.remove(&number)?;
         if let Some(engaged) = self.engaged.get_mut(&measure) {
             engaged.orders -= 1;
@@ -414,18 +428,18 @@ impl Recoverer {
         }
     }
 
-    fn tell(&mut self, fault: &Fault, settled: Settled) {
+    fn tell(&mut self, fault: &Fault, settled: FaultResolution) {
         if self.is_ours(fault) {
             let (fault, place) = (fault.id, fault.place.clone());
-            self.outputs.push_back(RecovererAction::Settle { fault, place, settled });
+            self.outputs.push_back(RecovererOutput::Settle { fault, place, settled });
         }
     }
 }
 
 impl Machine for Recoverer {
-    type Output = RecovererAction;
+    type Output = RecovererOutput;
 
-    fn poll_output(&mut self) -> Option<RecovererAction> {
+    fn poll_output(&mut self) -> Option<RecovererOutput> {
         self.outputs.pop_front()
     }
 
@@ -478,8 +492,8 @@ impl Machine for Recoverer {
         let (released, kept) =
             std::mem::take(&mut self.engaged).into_iter().partition(|(_, engaged)| idle(engaged));
         self.engaged = kept;
-        let released: BTreeMap<Measure, Engaged> = released;
-        let release = released.into_keys().map(|measure| RecovererAction::Release { measure });
+        let released: BTreeMap<RecoveryAction, Engaged> = released;
+        let release = released.into_keys().map(|measure| RecovererOutput::Release { measure });
         self.outputs.extend(release);
     }
 }

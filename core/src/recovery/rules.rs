@@ -27,7 +27,7 @@ pub enum WhenExceeded {
     StopChild,
     /// Restarts are counted for all children together, as in Erlang/OTP. When they exceed the intensity,
     /// the supervisor ends all children and itself, and its parent decides; the root's end is the node's
-    /// safe rest.
+    /// safe state.
     Escalate,
 }
 
@@ -54,7 +54,7 @@ pub struct ChildRules {
     pub shutdown_within: Duration,
     /// A panic's first measure is the built-in restart, so that the guard may restart on the spot.
     pub on_the_spot: bool,
-    /// The supervisor cannot do without it: if it is not worth restarting any more, or is put to safe rest
+    /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into the safe state
     /// because of a fault, the supervisor escalates.
     pub essential: bool,
 }
@@ -109,7 +109,7 @@ pub struct SupervisorRules {
     pub period: Duration,
     /// What is done when restarts exceed the intensity.
     pub when_exceeded: WhenExceeded,
-    /// Nobody stands above it: its end is the node's safe rest.
+    /// Nobody stands above it: its end is the node's safe state.
     pub root: bool,
 }
 
@@ -135,7 +135,7 @@ impl SupervisorRules {
 
 /// "Panic: restart on the spot, up to `times` in `period`."
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StandingOrder {
+pub struct RestartGrant {
     /// How many restarts the guard may make by itself in any one period, counting those that it has
     /// made already since it was started.
     pub times: u32,

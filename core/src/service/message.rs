@@ -2,7 +2,7 @@
 
 use super::change::Change;
 use super::table::Table;
-use crate::{MessageId, Why};
+use crate::{DeliveryError, MessageId};
 use serde::{Deserialize, Serialize};
 
 /// How far a replica has come: under which epoch its last entry was made, and the how manieth it was.
@@ -16,7 +16,7 @@ pub(super) struct Position {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Served {
     pub(super) id: MessageId,
-    pub(super) result: Result<Vec<u8>, Why>,
+    pub(super) result: Result<Vec<u8>, DeliveryError>,
 }
 
 /// What a standby needs of a request that was executed.

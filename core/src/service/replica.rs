@@ -17,7 +17,7 @@ use super::table::Table;
 use super::vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::contract::codec;
-use crate::{FaultKind, Instant, Machine, MessageId, NodeName, Why};
+use crate::{DeliveryError, FaultKind, Instant, Machine, MessageId, NodeName};
 use accord::Accord;
 use bytes::Bytes;
 use component::Health;
@@ -172,12 +172,12 @@ impl Replica {
         let ServiceRequest { caller, id, settled, until, request } = asked;
         self.handle_timeout(now);
         if let Some(difference) = self.dispute() {
-            let why = Why::ContractDiffers { difference: difference.to_owned() };
+            let why = DeliveryError::ContractDiffers { difference: difference.to_owned() };
             return self.answer(caller, ServiceOutcome::Refused(why));
         }
         if self.table.is_settled(id) {
             // It has wandered about while its caller was answered by another way: nobody waits.
-            return self.answer(caller, ServiceOutcome::Refused(Why::Expired));
+            return self.answer(caller, ServiceOutcome::Refused(DeliveryError::Expired));
         }
         let served = self.table.find(id).cloned();
         let primary = match &mut self.role {
@@ -198,7 +198,7 @@ impl Replica {
                 self.answer(caller, ServiceOutcome::Served(served.result.map(Bytes::from)));
             }
             None if primary.waiting.len() >= QUEUE_MAX => {
-                self.answer(caller, ServiceOutcome::Refused(Why::Full));
+                self.answer(caller, ServiceOutcome::Refused(DeliveryError::Full));
             }
             None => {
                 primary.waiting.insert(id, caller);
@@ -211,8 +211,8 @@ impl Replica {
     /// The component has served what it was to execute.
     pub fn handle_executed(
         &mut self,
-        result: Result<Bytes, Why>,
-        state: Option<Result<Bytes, Why>>,
+        result: Result<Bytes, DeliveryError>,
+        state: Option<Result<Bytes, DeliveryError>>,
         now: Instant,
     ) {
         self.now = now;
@@ -224,12 +224,17 @@ impl Replica {
         let (result, state) = self.kept(result, state);
         match self.working.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
-                (_, Err(Why::Stopped | Why::Isolated)) => self.handle_component_gone(now),
+                (_, Err(DeliveryError::Stopped | DeliveryError::Isolated)) => {
+                    self.handle_component_gone(now)
+                }
                 (Acting::Standby(_), _) if void => {}
                 // It was begun while this replica served: it counts, should it serve again.
                 (Acting::Standby(_), result) => self.note_late(id, result, state),
                 // It did not get that far: the same request may come again.
-                (Acting::Primary(primary), Err(why @ (Why::Restarting | Why::Full))) => {
+                (
+                    Acting::Primary(primary),
+                    Err(why @ (DeliveryError::Restarting | DeliveryError::Full)),
+                ) => {
                     let caller = primary.waiting.remove(&id);
                     caller.into_iter().for_each(|caller| {
                         self.answer(caller, ServiceOutcome::Refused(why.clone()));
@@ -250,9 +255,9 @@ impl Replica {
     /// that it had before.
     fn kept(
         &mut self,
-        result: Result<Bytes, Why>,
-        state: Option<Result<Bytes, Why>>,
-    ) -> (Result<Bytes, Why>, Option<Bytes>) {
+        result: Result<Bytes, DeliveryError>,
+        state: Option<Result<Bytes, DeliveryError>>,
+    ) -> (Result<Bytes, DeliveryError>, Option<Bytes>) {
         match (result, state.map(within_bounds)) {
             (Ok(reply), Some(Ok(state))) => {
                 self.state_refused = false;
@@ -268,9 +273,9 @@ impl Replica {
         }
     }
 
-    fn refuse_state(&mut self, why: &Why) {
+    fn refuse_state(&mut self, why: &DeliveryError) {
         // That a component dies is told by others.
-        let large = matches!(why, Why::TooLarge { .. });
+        let large = matches!(why, DeliveryError::TooLarge { .. });
         if large && !std::mem::replace(&mut self.state_refused, true) {
             let detail = format!(
                 "its state cannot be kept for its standbys, of which none can take over: {why}; let it \
@@ -282,7 +287,7 @@ impl Replica {
     }
 
     /// The component has given its state, or could not.
-    pub fn handle_saved(&mut self, state: Result<Bytes, Why>, now: Instant) {
+    pub fn handle_saved(&mut self, state: Result<Bytes, DeliveryError>, now: Instant) {
         match self.working.take() {
             Some(Job::Save) => {
                 let void = std::mem::take(&mut self.void);
@@ -410,7 +415,7 @@ impl Replica {
             if let Acting::Primary(primary) = &mut self.role
                 && let Some(caller) = primary.waiting.remove(id)
             {
-                self.answer(caller, ServiceOutcome::Refused(Why::DeadlinePassed));
+                self.answer(caller, ServiceOutcome::Refused(DeliveryError::DeadlinePassed));
             }
         }
     }
@@ -429,7 +434,7 @@ impl Replica {
                 // Nobody else knows of it.
                 StandbyKind::Cold => {
                     let reason = "the primary stopped while it served".into();
-                    ServiceOutcome::Served(Err(Why::OutcomeUnknown { reason }))
+                    ServiceOutcome::Served(Err(DeliveryError::OutcomeUnknown { reason }))
                 }
                 _ => ServiceOutcome::Elsewhere(primary.clone()),
             };
@@ -469,10 +474,12 @@ impl Replica {
 
 /// A state that can be kept. One that did not even fit into the component's reply is too large like any other: what
 /// has made it so is undone.
-fn within_bounds(state: Result<Bytes, Why>) -> Result<Bytes, Why> {
+fn within_bounds(state: Result<Bytes, DeliveryError>) -> Result<Bytes, DeliveryError> {
     match state {
-        Ok(state) if state.len() > STATE_MAX => Err(Why::TooLarge { limit: STATE_MAX }),
-        Err(Why::ReplyTooLarge { .. }) => Err(Why::TooLarge { limit: STATE_MAX }),
+        Ok(state) if state.len() > STATE_MAX => Err(DeliveryError::TooLarge { limit: STATE_MAX }),
+        Err(DeliveryError::ReplyTooLarge { .. }) => {
+            Err(DeliveryError::TooLarge { limit: STATE_MAX })
+        }
         other => other,
     }
 }

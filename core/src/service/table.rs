@@ -83,7 +83,7 @@ fn bytes_of(served: &Served) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Why;
+    use crate::DeliveryError;
 
     fn served(sender: u64, sequence: u64, length: usize) -> Served {
         Served { id: MessageId { sender, sequence }, result: Ok(vec![7; length]) }
@@ -114,7 +114,10 @@ mod tests {
         assert_eq!(table.served.len(), 7);
         table.note(served(3, 1, 2_000_000));
         assert_eq!(table.served.len(), 1, "the newest is kept whatever its size");
-        table.note(Served { id: MessageId { sender: 4, sequence: 1 }, result: Err(Why::Stopped) });
+        table.note(Served {
+            id: MessageId { sender: 4, sequence: 1 },
+            result: Err(DeliveryError::Stopped),
+        });
 
         (0..1000).for_each(|sender| table.settle(sender, 5));
         assert_eq!(table.settled.len(), CALLERS_MAX);

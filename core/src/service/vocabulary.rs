@@ -1,6 +1,6 @@
 //! What a replica is asked, becomes, and wants done.
 
-use crate::{FaultKind, Instant, MessageId, NodeName, Why};
+use crate::{DeliveryError, FaultKind, Instant, MessageId, NodeName};
 use bytes::Bytes;
 
 /// What a replica is.
@@ -39,9 +39,9 @@ pub struct ServiceRequest {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ServiceOutcome {
     /// It was served, or failed for good; the same request is never executed again.
-    Served(Result<Bytes, Why>),
+    Served(Result<Bytes, DeliveryError>),
     /// It was not taken.
-    Refused(Why),
+    Refused(DeliveryError),
     /// The service is on this node, if anywhere.
     Elsewhere(Option<NodeName>),
 }

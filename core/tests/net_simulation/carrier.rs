@@ -2,8 +2,10 @@
 
 use crate::world::{CALM, MS, STORM, World, for_seeds, name};
 use blastema_core::net::link::LinkState;
-use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
-use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::net::wire::advertisement::{
+    Advertisement, AdvertisementId, Edge, RoutingMessage,
+};
+use blastema_core::net::{LinkId, NodeId};
 use blastema_core::{Incarnation, Instant};
 use std::time::Duration;
 
@@ -148,11 +150,15 @@ fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing
             let with =
                 [1, 2].map(|to| Edge { to: NodeId::of(&name(to)), life: 1, cost: 1, mtu: 9000 });
             let edges = if n % 4 == 0 { with.to_vec() } else { Vec::new() };
-            let stamp = Stamp { origin, incarnation, sequence: 1000 + 2 * n };
+            let stamp = AdvertisementId { origin, incarnation, sequence: 1000 + 2 * n };
             let lie = Advertisement { stamp, node, edges, withdrawn: false };
             let now = world.now;
             let victim = world.nodes[1].as_mut().unwrap();
-            victim.router.handle_routing(LinkNumber(1), Routing::Announce(vec![lie]).encode(), now);
+            victim.router.handle_routing(
+                LinkId(1),
+                RoutingMessage::Announce(vec![lie]).encode(),
+                now,
+            );
             world.settle(1);
             assert!(world.send(0, 1, 50) && world.send(1, 0, 50));
             world.run(5 * MS);

@@ -2,8 +2,10 @@
 
 use crate::world::{CALM, MS, World, for_seeds, name};
 use blastema_core::Incarnation;
-use blastema_core::net::wire::advertisement::{Advertisement, Edge, Routing, Stamp};
-use blastema_core::net::{LinkNumber, NodeId};
+use blastema_core::net::wire::advertisement::{
+    Advertisement, AdvertisementId, Edge, RoutingMessage,
+};
+use blastema_core::net::{LinkId, NodeId};
 
 #[test]
 fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
@@ -36,7 +38,7 @@ fn lie(origin: usize, (life, sequence): (u64, u32), to: &[usize]) -> Advertiseme
     let (origin, incarnation) = (NodeId::of(&node), Incarnation(life));
     let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), life: 1, cost: 1, mtu: 9000 };
     let edges = to.iter().map(edge).collect();
-    let stamp = Stamp { origin, incarnation, sequence };
+    let stamp = AdvertisementId { origin, incarnation, sequence };
     Advertisement { stamp, node, edges, withdrawn: false }
 }
 
@@ -46,9 +48,9 @@ fn under_lies(seed: u64, lies: impl Fn(u32) -> Vec<Advertisement>) -> World {
     let mut world = World::new(seed, 4, &[(0, 1), (0, 3), (3, 2)], CALM);
     world.run(1000 * MS);
     for n in 0..200 {
-        let bytes = Routing::Announce(lies(n)).encode();
+        let bytes = RoutingMessage::Announce(lies(n)).encode();
         let now = world.now;
-        world.nodes[0].as_mut().unwrap().router.handle_routing(LinkNumber(0), bytes, now);
+        world.nodes[0].as_mut().unwrap().router.handle_routing(LinkId(0), bytes, now);
         world.settle(0);
         world.send(0, 2, 50);
         world.send(2, 0, 50);
@@ -58,7 +60,7 @@ fn under_lies(seed: u64, lies: impl Fn(u32) -> Vec<Advertisement>) -> World {
     assert!(world.returned.is_empty());
     assert_eq!(world.delivered.len() as u64, world.count_sent());
     let node = world.nodes[0].as_ref().unwrap();
-    assert_eq!(node.router.route(NodeId::of(&name(2))).unwrap().next, LinkNumber(1));
+    assert_eq!(node.router.route(NodeId::of(&name(2))).unwrap().next, LinkId(1));
     world
 }
 

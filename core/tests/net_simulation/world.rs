@@ -2,11 +2,10 @@
 //! double, are cut and mended, between nodes that die and live again: one seed, one run.
 
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::routing::{Health, LinkStatus};
+use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{
-    Link, LinkNumber, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig,
-    SessionOutput,
+    Link, LinkId, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig, SessionOutput,
 };
 use blastema_core::random::Random;
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
@@ -233,7 +232,7 @@ impl World {
     fn settle_links(&mut self, node: &mut Node) -> bool {
         let mut busy = false;
         for index in 0..node.links.len() {
-            let number = LinkNumber(index as u16);
+            let number = LinkId(index as u16);
             let (wire, side, _) = node.links[index];
             while let Some(output) = node.links[index].2.poll_output() {
                 busy = true;
@@ -243,10 +242,10 @@ impl World {
                     LinkOutput::Changed { .. } | LinkOutput::Quality(_) => {
                         let Some(neighbour) = link.neighbour().cloned() else { continue };
                         let health = match link.state() {
-                            LinkState::Up => Health::Up,
-                            LinkState::Suspect if link.is_proving() => Health::Proving,
-                            LinkState::Suspect => Health::Suspect,
-                            LinkState::Down | LinkState::Connecting => Health::Down,
+                            LinkState::Up => LinkHealth::Up,
+                            LinkState::Suspect if link.is_proving() => LinkHealth::Proving,
+                            LinkState::Suspect => LinkHealth::Suspect,
+                            LinkState::Down | LinkState::Connecting => LinkHealth::Down,
                         };
                         let given_up = link.is_given_up();
                         self.given_up += u64::from(given_up);

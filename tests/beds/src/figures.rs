@@ -8,7 +8,7 @@
 use crate::bed::{Bed, Kind, PARALLEL};
 use crate::host::Host;
 use crate::node::{Order, Parcel, describe, say};
-use blastema::core::net::LinkNumber;
+use blastema::core::net::LinkId;
 use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{LinkState, Route};
@@ -99,7 +99,7 @@ async fn in_use(node: &Node) -> usize {
     loop {
         let routes = node.routes().await;
         let links = node.links().await;
-        let up = |link: &LinkNumber| {
+        let up = |link: &LinkId| {
             links.get(usize::from(link.0)).is_some_and(|row| row.state == LinkState::Up)
         };
         let ready = |route: &&Route| {

@@ -119,7 +119,7 @@ async fn parcels(sender: Sender<Parcel>, from: String, stop: Arc<AtomicBool>) ->
         match sender.deliver(Parcel { from: from.clone(), number }).await {
             Ok(()) => number += 1,
             // It has come back, so it is sent again under the same number.
-            Err(error) => say(&format!("refused parcel {number}: {}", error.why)),
+            Err(error) => say(&format!("refused parcel {number}: {}", error.kind)),
         }
         tokio::time::sleep(PACE).await;
     }
@@ -134,7 +134,7 @@ async fn orders(sender: Sender<Order>, from: String, stop: Arc<AtomicBool>) -> (
             Ok(echoed) if echoed == number => {}
             Ok(_) => failed += 1,
             Err(error) => {
-                say(&format!("failed order {number}: {}", error.why));
+                say(&format!("failed order {number}: {}", error.kind));
                 failed += 1;
             }
         }

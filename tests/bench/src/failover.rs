@@ -7,7 +7,7 @@
 //! `CUTS=n` sets how many there are of each kind.
 
 use crate::measure::Quantiles;
-use blastema::core::net::LinkNumber;
+use blastema::core::net::LinkId;
 use blastema::core::random::Random;
 use blastema::prelude::*;
 use blastema::{Cable, Direction, Link, LinkState, Network};
@@ -108,7 +108,7 @@ impl Pair {
             let mut chosen = Vec::new();
             for node in [&self.near, &self.far] {
                 let (routes, links) = (node.routes().await, node.links().await);
-                let up = |link: &LinkNumber| {
+                let up = |link: &LinkId| {
                     links.get(usize::from(link.0)).is_some_and(|row| row.state == LinkState::Up)
                 };
                 let mut ready = routes.iter().filter(|route| {

@@ -181,7 +181,9 @@ impl Book {
         self.asked += 1;
         match answered {
             Ok(counted) => self.twice += u64::from(!self.sums.insert(counted.sum)),
-            Err(RequestError { why: Why::OutcomeUnknown { .. }, .. }) => self.unknown += 1,
+            Err(RequestError { kind: DeliveryError::OutcomeUnknown { .. }, .. }) => {
+                self.unknown += 1
+            }
             Err(error) => {
                 println!("{error}");
                 self.failed += 1;

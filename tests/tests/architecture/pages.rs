@@ -28,7 +28,7 @@ const VOCABULARY: [&str; 26] = [
     "intensity",
     "escalate",
     "proxy",
-    "safe rest",
+    "safe state",
     "degraded",
 ];
 

@@ -17,13 +17,13 @@ pub(crate) mod stamp;
 
 /// Stands for an arbiter that sweeps deadlines. None passes in a model.
 pub(crate) mod pulse {
-    use crate::reply::Revocable;
+    use crate::reply::Cancel;
     use std::sync::Arc;
     use std::time::Duration;
 
-    pub(crate) struct Pulse;
+    pub(crate) struct ArbiterHeartbeat;
 
-    impl Pulse {
+    impl ArbiterHeartbeat {
         pub(crate) fn beats_here() -> bool {
             true
         }
@@ -32,7 +32,7 @@ pub(crate) mod pulse {
     pub(crate) struct Deadline;
 
     impl Deadline {
-        pub(crate) fn set(_: Duration, _: Arc<dyn Revocable>) -> Self {
+        pub(crate) fn set(_: Duration, _: Arc<dyn Cancel>) -> Self {
             Deadline
         }
     }

@@ -1,8 +1,8 @@
 //! The data lane: nothing is lost, served twice, or served to a life that does not own it.
 
-use crate::lane::{Lane, Taken, WhenFull};
+use crate::lane::{BoundedQueue, Popped, WhenFull};
 use crate::{Bell, Model, bell};
-use blastema_core::{Incarnation, Why};
+use blastema_core::{DeliveryError, Incarnation};
 use loom::thread;
 use std::future::Future;
 use std::pin::pin;
@@ -22,19 +22,19 @@ pub(crate) const MODELS: [Model; 7] = [
 const FIRST: Incarnation = Incarnation(1);
 const SECOND: Incarnation = Incarnation(2);
 
-fn lane(capacity: usize) -> Arc<Lane<u32>> {
-    let lane = Lane::new(capacity, WhenFull::Wait);
+fn lane(capacity: usize) -> Arc<BoundedQueue<u32>> {
+    let lane = BoundedQueue::new(capacity, WhenFull::Wait);
     lane.begin(FIRST);
     Arc::new(lane)
 }
 
-fn push(lane: &Lane<u32>, n: u32) -> Result<Option<u32>, (u32, Why)> {
+fn push(lane: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
     lane.push_with(n, |n| n)
 }
 
 /// Takes so many, sleeping in between; fewer where the lane has changed hands.
 fn take(
-    lane: &Lane<u32>,
+    lane: &BoundedQueue<u32>,
     life: Incarnation,
     many: usize,
     (bell, waker): &(Arc<Bell>, Waker),
@@ -42,16 +42,16 @@ fn take(
     let mut taken = Vec::new();
     while taken.len() < many {
         match lane.take(life, waker) {
-            Taken::Got(n) => taken.push(n),
-            Taken::Empty => bell.0.wait(),
-            Taken::Retired => break,
+            Popped::Got(n) => taken.push(n),
+            Popped::Empty => bell.0.wait(),
+            Popped::Retired => break,
         }
     }
     taken
 }
 
 /// As `Sender::deliver` does.
-fn deliver(lane: &Lane<u32>, n: u32) {
+fn deliver(lane: &BoundedQueue<u32>, n: u32) {
     let (bell, waker) = bell();
     while push(lane, n).is_err() {
         let mut room = pin!(lane.room());
@@ -84,9 +84,9 @@ fn change_of_owner() {
     let old = {
         let lane = lane.clone();
         thread::spawn(move || match lane.take(FIRST, Waker::noop()) {
-            Taken::Got(n) => Some(n),
-            Taken::Empty => panic!("it was there, and nobody else's"),
-            Taken::Retired => None,
+            Popped::Got(n) => Some(n),
+            Popped::Empty => panic!("it was there, and nobody else's"),
+            Popped::Retired => None,
         })
     };
 
@@ -96,7 +96,7 @@ fn change_of_owner() {
 
     let by_old = old.join().expect("it does not panic");
     assert_eq!(by_new, if by_old == Some(1) { [2] } else { [1] });
-    assert!(matches!(lane.take(FIRST, Waker::noop()), Taken::Retired));
+    assert!(matches!(lane.take(FIRST, Waker::noop()), Popped::Retired));
 }
 
 fn death_and_abandonment() {
@@ -164,7 +164,7 @@ fn push_and_stop() {
 
     let left = lane.stop();
 
-    let refused = sender.join().expect("it does not panic") == Err((1, Why::Stopped));
+    let refused = sender.join().expect("it does not panic") == Err((1, DeliveryError::Stopped));
     assert_eq!(left.len(), usize::from(!refused));
     assert!(lane.is_empty());
 }
@@ -182,13 +182,13 @@ fn notice_and_change_of_owner() {
 
     let place = bell();
     let first = match lane.take(FIRST, &place.1) {
-        Taken::Got(n) => Some(n),
+        Popped::Got(n) => Some(n),
         _ => None,
     };
     assert!(lane.pass_on(FIRST, SECOND));
     watched.join().expect("it does not panic");
     let rest: Vec<_> = std::iter::from_fn(|| match lane.take(SECOND, &place.1) {
-        Taken::Got(n) => Some(n),
+        Popped::Got(n) => Some(n),
         _ => None,
     })
     .collect();

@@ -48,13 +48,13 @@ mod platform {
 mod sender {
     #[derive(Debug, PartialEq, Eq)]
     pub(crate) struct RequestError<M> {
-        pub(crate) why: blastema_core::Why,
+        pub(crate) kind: blastema_core::DeliveryError,
         pub(crate) message: Option<M>,
     }
 
     impl<M> RequestError<M> {
-        pub(crate) fn new(why: blastema_core::Why, message: Option<M>) -> Self {
-            RequestError { why, message }
+        pub(crate) fn new(kind: blastema_core::DeliveryError, message: Option<M>) -> Self {
+            RequestError { kind, message }
         }
     }
 }

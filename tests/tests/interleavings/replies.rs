@@ -1,10 +1,10 @@
 //! The reply slot: a request has one result, and whoever awaits it is woken.
 
-use crate::reply::{Answer, Reply};
+use crate::reply::{ReplyFuture, Responder};
 use crate::sender::RequestError;
 use crate::{Model, bell};
 use blastema::Request;
-use blastema_core::{Incarnation, Why};
+use blastema_core::{DeliveryError, Incarnation};
 use loom::sync::atomic::AtomicUsize;
 use loom::sync::atomic::Ordering::Relaxed;
 use loom::thread;
@@ -24,9 +24,9 @@ pub(crate) const MODELS: [Model; 4] = [
 #[contract(reply = u64)]
 struct Question;
 
-const DIED: Why = Why::PeerDied { incarnation: Incarnation(1) };
+const DIED: DeliveryError = DeliveryError::PeerDied { incarnation: Incarnation(1) };
 
-fn awaited(reply: Reply<Question>) -> Result<u64, RequestError<Question>> {
+fn awaited(reply: ReplyFuture<Question>) -> Result<u64, RequestError<Question>> {
     let (bell, waker) = bell();
     let mut reply = pin!(reply);
     loop {
@@ -38,12 +38,12 @@ fn awaited(reply: Reply<Question>) -> Result<u64, RequestError<Question>> {
 }
 
 fn given_and_revoked() {
-    let (answer, reply) = Answer::<Question>::awaited();
+    let (answer, reply) = Responder::<Question>::awaited();
     let watch = answer.revocable().expect("it is open");
     let callee = thread::spawn(move || answer.give(5));
-    let supervisor = thread::spawn(move || watch.revoke(DIED));
+    let supervisor = thread::spawn(move || watch.cancel(DIED));
 
-    let result = awaited(reply).map_err(|error| error.why);
+    let result = awaited(reply).map_err(|error| error.kind);
 
     assert!(result == Ok(5) || result == Err(DIED), "{result:?}");
     callee.join().expect("it does not panic");
@@ -51,21 +51,21 @@ fn given_and_revoked() {
 }
 
 fn dropped_by_the_callee() {
-    let (answer, reply) = Answer::<Question>::awaited();
+    let (answer, reply) = Responder::<Question>::awaited();
     let callee = thread::spawn(move || drop(answer));
 
-    assert_eq!(awaited(reply).map_err(|error| error.why), Err(Why::Stopped));
+    assert_eq!(awaited(reply).map_err(|error| error.kind), Err(DeliveryError::Stopped));
     callee.join().expect("it does not panic");
 }
 
 fn dropped_by_the_asker() {
-    let (answer, reply) = Answer::<Question>::awaited();
+    let (answer, reply) = Responder::<Question>::awaited();
     let watch = answer.revocable().expect("it is open");
     let asker = thread::spawn(move || {
         let mut reply = Box::pin(reply);
         let _ = reply.as_mut().poll(&mut Context::from_waker(std::task::Waker::noop()));
     });
-    let supervisor = thread::spawn(move || watch.revoke(DIED));
+    let supervisor = thread::spawn(move || watch.cancel(DIED));
     asker.join().expect("it does not panic");
 
     assert!(!answer.is_wanted());
@@ -76,13 +76,13 @@ fn dropped_by_the_asker() {
 fn called_back_once() {
     let called = Arc::new(AtomicUsize::new(0));
     let kept = called.clone();
-    let callback = move |result: Result<u64, Why>| {
+    let callback = move |result: Result<u64, DeliveryError>| {
         assert!(result == Ok(5) || result == Err(DIED), "{result:?}");
         kept.fetch_add(1, Relaxed);
     };
-    let answer = Answer::<Question>::called_back(Box::new(callback), None);
+    let answer = Responder::<Question>::called_back(Box::new(callback), None);
     let watch = answer.revocable().expect("it is open");
-    let supervisor = thread::spawn(move || watch.revoke(DIED));
+    let supervisor = thread::spawn(move || watch.cancel(DIED));
 
     answer.give(5);
 

@@ -1,7 +1,7 @@
 //! The stamp: one thread writes, and what others read of it belongs together.
 
 use crate::Model;
-use crate::host::stamp::Stamp;
+use crate::host::stamp::ActivityRecord;
 use loom::thread;
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ pub(crate) const MODELS: [Model; 2] = [
 ];
 
 fn turn_and_label() {
-    let stamp = Arc::new(Stamp::default());
+    let stamp = Arc::new(ActivityRecord::default());
     let worker = {
         let stamp = stamp.clone();
         thread::spawn(move || {
@@ -32,7 +32,7 @@ fn turn_and_label() {
 }
 
 fn never_back() {
-    let stamp = Arc::new(Stamp::default());
+    let stamp = Arc::new(ActivityRecord::default());
     let worker = {
         let stamp = stamp.clone();
         thread::spawn(move || {

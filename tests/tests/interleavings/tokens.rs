@@ -1,9 +1,9 @@
 //! The token of an incarnation, which fences what it left behind in threads.
 
-use crate::host::life::LifeToken;
-use crate::lane::{Lane, Taken, WhenFull};
+use crate::host::life::IncarnationToken;
+use crate::lane::{BoundedQueue, Popped, WhenFull};
 use crate::{Model, bell};
-use blastema_core::{Incarnation, Why};
+use blastema_core::{DeliveryError, Incarnation};
 use loom::thread;
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ pub(crate) const MODELS: [Model; 3] = [
 ];
 
 fn told_of_the_end() {
-    let token = Arc::new(LifeToken::default());
-    let reports = Arc::new(Lane::<u32>::new(1, WhenFull::Refuse));
+    let token = Arc::new(IncarnationToken::default());
+    let reports = Arc::new(BoundedQueue::<u32>::new(1, WhenFull::Refuse));
     reports.begin(Incarnation::FIRST);
     let pump = {
         let (token, reports) = (token.clone(), reports.clone());
@@ -26,16 +26,16 @@ fn told_of_the_end() {
     };
 
     let (bell, waker) = bell();
-    while !matches!(reports.take(Incarnation::FIRST, &waker), Taken::Got(1)) {
+    while !matches!(reports.take(Incarnation::FIRST, &waker), Popped::Got(1)) {
         bell.0.wait();
     }
 
-    assert_eq!(token.forbidden(), Some(Why::Fenced));
+    assert_eq!(token.forbidden(), Some(DeliveryError::Fenced));
     pump.join().expect("it does not panic");
 }
 
 fn an_end_is_final() {
-    let token = Arc::new(LifeToken::default());
+    let token = Arc::new(IncarnationToken::default());
     let ending = {
         let token = token.clone();
         thread::spawn(move || token.end())
@@ -50,17 +50,17 @@ fn an_end_is_final() {
 
     let seen = [token.forbidden(), token.forbidden()];
 
-    if seen[0] == Some(Why::Fenced) {
-        assert_eq!(seen[1], Some(Why::Fenced));
+    if seen[0] == Some(DeliveryError::Fenced) {
+        assert_eq!(seen[1], Some(DeliveryError::Fenced));
     }
     ending.join().expect("it does not panic");
     isolating.join().expect("it does not panic");
-    assert_eq!(token.forbidden(), Some(Why::Fenced));
+    assert_eq!(token.forbidden(), Some(DeliveryError::Fenced));
 }
 
 /// A thread of the old life that hears of anything that the new one did cannot send any more.
 fn fenced_before_the_successor() {
-    let token = Arc::new(LifeToken::default());
+    let token = Arc::new(IncarnationToken::default());
     let (queue, out) = (lane(), lane());
     queue.push_with(7, |n| n).expect("there is room");
     let supervisor = {
@@ -70,22 +70,22 @@ fn fenced_before_the_successor() {
             queue.leave(Incarnation(1));
             token.end();
             queue.begin(Incarnation(2));
-            if let Taken::Got(n) = queue.take(Incarnation(2), std::task::Waker::noop()) {
+            if let Popped::Got(n) = queue.take(Incarnation(2), std::task::Waker::noop()) {
                 out.push_with(n, |n| n).expect("there is room");
             }
         })
     };
 
     // A thread that the old life started, as a detached sender has it.
-    let heard = matches!(out.take(Incarnation(1), std::task::Waker::noop()), Taken::Got(7));
+    let heard = matches!(out.take(Incarnation(1), std::task::Waker::noop()), Popped::Got(7));
     let refused = token.forbidden();
 
-    assert!(!heard || refused == Some(Why::Fenced));
+    assert!(!heard || refused == Some(DeliveryError::Fenced));
     supervisor.join().expect("it does not panic");
 }
 
-fn lane() -> Arc<Lane<u32>> {
-    let lane = Lane::new(1, WhenFull::Refuse);
+fn lane() -> Arc<BoundedQueue<u32>> {
+    let lane = BoundedQueue::new(1, WhenFull::Refuse);
     lane.begin(Incarnation(1));
     Arc::new(lane)
 }

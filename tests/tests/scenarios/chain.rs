@@ -34,7 +34,7 @@ async fn a_reader_of_fault_events_that_goes_away_is_forgotten() {
 #[blastema_testkit::test]
 async fn a_reader_that_never_reads_loses_events_and_is_told_how_many() {
     let strings = Strings::default();
-    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Restart));
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Restart));
     let builder = Node::builder("module1")
         .plan(plan)
         .intensity(100_000, Duration::from_secs(10))
@@ -66,7 +66,7 @@ async fn safe_outputs_that_panic_do_not_keep_the_node_from_its_rest() {
     strike(&node, "laser").await;
     strike(&node, "laser").await;
 
-    assert!(matches!(node.ended().await, NodeState::AtRest { .. }));
+    assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
 }
 
 #[blastema_testkit::test]

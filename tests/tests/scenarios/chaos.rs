@@ -3,7 +3,7 @@
 //! One seed gives one run. A seed that fails becomes a scenario with a name.
 
 use crate::puppet::{Deed, Do, Note, Pull, Strings};
-use blastema::core::detection::{Entry, Opinion, Record};
+use blastema::core::detection::{FaultEntry, FaultRecord, Opinion};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Fault, Lifecycle, NodeBuilder};
@@ -46,8 +46,9 @@ impl Chance {
 fn robot(strings: &Strings, patient: bool) -> NodeBuilder {
     let (times, period) = (if patient { 100_000 } else { 3 }, Duration::from_secs(10));
     let often = |spec: SupervisorSpec| spec.intensity(times, period);
-    let spec =
-        |name| strings.spec(name).rate_hz(10.0).watch(Watch::push(100 * MS, 3)).max_wait(2000 * MS);
+    let spec = |name| {
+        strings.spec(name).rate_hz(10.0).liveness(Liveness::push(100 * MS, 3)).max_wait(2000 * MS)
+    };
     let deep = often(SupervisorSpec::new("deep/group", Strategy::OneForOne)).child(spec("deep"));
     let all = often(SupervisorSpec::new("all", Strategy::OneForAll))
         .child(spec("a1"))
@@ -119,14 +120,14 @@ async fn run(seed: u64, patient: bool) {
     for request in asked {
         assert!(request.is_finished(), "seed {seed}: a request has not resolved");
     }
-    if matches!(node.state(), NodeState::AtRest { .. }) && !patient {
+    if matches!(node.state(), NodeState::InSafeState { .. }) && !patient {
         return is_at_rest(seed, &node, &strings).await;
     }
     assert_eq!(node.state(), NodeState::Running, "seed {seed}");
     let record = node.faults().await;
     // What is only observed stands until its place begins a new life.
     let observed =
-        |entry: &&Entry| entry.decided.as_ref().is_some_and(|(_, what)| what == "observe");
+        |entry: &&FaultEntry| entry.decided.as_ref().is_some_and(|(_, what)| what == "observe");
     let open = record.entries.iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
     let open: Vec<_> = open.filter(|entry| !observed(entry)).collect();
     assert!(open.is_empty(), "seed {seed}: faults that did not end:\n{}", story(&record));
@@ -158,8 +159,11 @@ async fn is_at_rest(seed: u64, node: &TestNode, strings: &Strings) {
     strings.diary();
     for name in NAMES {
         let refused = node.sender::<Do>(name).unwrap().ask(Do(Deed::Nothing)).await;
-        let why = refused.expect_err("it rests").why;
-        assert!(matches!(why, Why::Stopped | Why::Isolated), "seed {seed}: {name}: {why}");
+        let why = refused.expect_err("it rests").kind;
+        assert!(
+            matches!(why, DeliveryError::Stopped | DeliveryError::Isolated),
+            "seed {seed}: {name}: {why}"
+        );
     }
     node.advance(Duration::from_secs(60)).await;
     assert_eq!(strings.diary(), [""; 0], "seed {seed}");
@@ -168,10 +172,10 @@ async fn is_at_rest(seed: u64, node: &TestNode, strings: &Strings) {
 }
 
 /// The record as lines, with the seconds since the first fault.
-fn story(record: &Record) -> String {
+fn story(record: &FaultRecord) -> String {
     let Some(first) = record.entries.first() else { return String::new() };
     let start = first.fault.found_at;
-    let line = |entry: &Entry| {
+    let line = |entry: &FaultEntry| {
         let Fault { id, kind, place, incarnation, detail, found_at, count, .. } = &entry.fault;
         let after = (*found_at - start).as_secs_f64();
         let decided = entry.decided.as_ref().map(|(_, measure)| measure.as_str());
@@ -184,7 +188,7 @@ fn story(record: &Record) -> String {
     record.entries.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
-fn was_given_up(record: &Record, name: &str) -> bool {
+fn was_given_up(record: &FaultRecord, name: &str) -> bool {
     record.entries.iter().any(|entry| {
         let here = entry.fault.place.to_string() == format!("module1:{name}");
         here && entry.given_up.is_some()

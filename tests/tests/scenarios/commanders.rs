@@ -2,8 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    ActuatorSpec, Commander, Direction, LeaseStanding, Link, MemoryMedium, Network, NodeBuilder,
-    Turn,
+    ActuatorSpec, Commander, Direction, FaultTransition, LeaseStatus, Link, MemoryMedium, Network,
+    NodeBuilder,
 };
 use blastema_testkit::{TestNode, now};
 use std::sync::{Arc, Mutex};
@@ -86,19 +86,19 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
     let robot = Robot::start().await;
     let commander = robot.commander("console");
 
-    assert_eq!(commander.command(Drive(1.0)).await, Err(Why::LeaseEnded));
+    assert_eq!(commander.command(Drive(1.0)).await, Err(DeliveryError::LeaseEnded));
     commander.claim().await.unwrap();
     assert_eq!(commander.command(Drive(1.0)).await, Ok(1.0));
     robot.here.advance(10_000 * MS).await;
     assert!(commander.holds());
     assert_eq!(robot.speeds(), [1.0]);
     let shown = robot.there.actuators().remove(0).standing;
-    let LeaseStanding::Held { commander: who, left, .. } = shown else { panic!("{shown:?}") };
+    let LeaseStatus::Held { commander: who, left, .. } = shown else { panic!("{shown:?}") };
     assert_eq!((who.name.as_str(), left <= LEASE), ("module1:console", true));
 
     drop(commander);
     robot.here.advance(100 * MS).await;
-    assert_eq!(robot.there.actuators()[0].standing, LeaseStanding::Free);
+    assert_eq!(robot.there.actuators()[0].standing, LeaseStatus::Free);
     assert_eq!(robot.speeds(), [1.0, 0.0]);
     robot.there.expect_no_faults().await;
 }
@@ -107,7 +107,7 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
 async fn nobody_commands_the_wheels_past_their_lease() {
     let robot = Robot::start().await;
     let around = robot.here.sender::<Drive>("module2:wheels").unwrap().ask(Drive(9.0)).await;
-    assert!(matches!(around.unwrap_err().why, Why::NotServed { .. }));
+    assert!(matches!(around.unwrap_err().kind, DeliveryError::NotServed { .. }));
     assert_eq!(robot.speeds(), [0.0; 0]);
 }
 
@@ -126,7 +126,7 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     assert_eq!(speed, 0.0);
     assert!(at - cut_at <= BOUND, "{:?}", at - cut_at);
     assert!(!commander.holds(), "it knows by itself");
-    assert_eq!(commander.command(Drive(2.0)).await, Err(Why::LeaseEnded));
+    assert_eq!(commander.command(Drive(2.0)).await, Err(DeliveryError::LeaseEnded));
     robot.there.await_fault(FaultKind::CommanderGone, "wheels").await;
 
     robot.here.cable("ethernet").unwrap().restore();
@@ -164,8 +164,12 @@ async fn a_commanders_loss_is_told_each_time_and_stands_until_somebody_commands_
             turns.push(event.turn);
         }
     }
-    let told = |wanted: &Turn| turns.iter().filter(|turn| *turn == wanted).count();
-    assert_eq!((told(&Turn::Found), told(&Turn::Cleared)), (5, 4), "{turns:?}");
+    let told = |wanted: &FaultTransition| turns.iter().filter(|turn| *turn == wanted).count();
+    assert_eq!(
+        (told(&FaultTransition::Found), told(&FaultTransition::Cleared)),
+        (5, 4),
+        "{turns:?}"
+    );
 }
 
 #[blastema_testkit::test]
@@ -174,14 +178,14 @@ async fn a_second_commander_is_refused_while_the_lease_holds_and_the_first_once_
     let (first, second) = (robot.commander("planner"), robot.commander("console"));
     let old = first.claim().await.unwrap();
 
-    assert_eq!(second.claim().await, Err(Why::Held { by: holder(&robot) }));
-    assert_eq!(second.command(Drive(2.0)).await, Err(Why::LeaseEnded));
+    assert_eq!(second.claim().await, Err(DeliveryError::Held { by: holder(&robot) }));
+    assert_eq!(second.command(Drive(2.0)).await, Err(DeliveryError::LeaseEnded));
     first.release().await.unwrap();
     robot.here.advance(10 * MS).await;
     let new = second.claim().await.unwrap();
 
     assert!(new > old);
-    assert_eq!(first.command(Drive(1.0)).await, Err(Why::LeaseEnded));
+    assert_eq!(first.command(Drive(1.0)).await, Err(DeliveryError::LeaseEnded));
     assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
     assert_eq!(robot.speeds(), [0.0, 2.0]);
 }
@@ -199,7 +203,10 @@ async fn two_of_one_name_fence_each_other_by_epoch() {
 
     // Its own renewal may have told it already.
     let refused = first.command(Drive(1.0)).await.unwrap_err();
-    assert!(refused == Why::Superseded { epoch } || refused == Why::LeaseEnded, "{refused}");
+    assert!(
+        refused == DeliveryError::Superseded { epoch } || refused == DeliveryError::LeaseEnded,
+        "{refused}"
+    );
     assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
     assert_eq!(robot.speeds(), [2.0]);
 }

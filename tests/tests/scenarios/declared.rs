@@ -1,10 +1,10 @@
 //! Faults that a component declares: checks, its application's own list, storms, symptoms.
 
 use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
-use blastema::core::detection::Turn;
-use blastema::core::recovery::{ChildState, Done, Failed, Order};
+use blastema::core::detection::FaultTransition;
+use blastema::core::recovery::{ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{RecoveryStrategy, Severity, Tools};
+use blastema::{RecoveryStrategy, Severity, StrategyContext};
 use blastema_testkit::TestNode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -14,7 +14,8 @@ use std::time::Duration;
 #[blastema_testkit::test]
 async fn a_failed_check_is_answered_as_the_plan_says() {
     let strings = Strings::default();
-    let restart = Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Restart));
+    let restart =
+        Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Restart));
     for (plan, then) in [(Plan::default(), 1), (restart, 2)] {
         let builder = Node::builder("module1").plan(plan).child(strings.spec("odometry"));
         let mut node = TestNode::start(builder).await;
@@ -34,7 +35,7 @@ async fn a_failed_check_is_answered_as_the_plan_says() {
 #[blastema_testkit::test]
 async fn a_storm_of_one_fault_is_one_fault_one_report_and_a_count() {
     let strings = Strings::default();
-    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Observe));
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Observe));
     let builder = Node::builder("module1").plan(plan).child(strings.spec("odometry"));
     let node = TestNode::start(builder).await;
     let mut events = node.fault_events();
@@ -50,9 +51,9 @@ async fn a_storm_of_one_fault_is_one_fault_one_report_and_a_count() {
     while let Ok(Some(event)) = tokio::time::timeout(Duration::from_secs(1), events.next()).await {
         turns.push(event.turn);
     }
-    let told = |wanted: &Turn| turns.iter().filter(|turn| *turn == wanted).count();
-    assert_eq!(told(&Turn::Found), 1);
-    assert_eq!(told(&Turn::Repeated), 9, "at 2, 4, 8 .. 512");
+    let told = |wanted: &FaultTransition| turns.iter().filter(|turn| *turn == wanted).count();
+    assert_eq!(told(&FaultTransition::Found), 1);
+    assert_eq!(told(&FaultTransition::Repeated), 9, "at 2, 4, 8 .. 512");
     assert_eq!((turns.len(), events.missed()), (11, 0), "and one decision: {turns:?}");
 }
 
@@ -78,7 +79,11 @@ async fn a_storm_of_panics_ends_in_the_objects_safe_rest_with_few_words() {
 struct OpenGripper;
 
 impl RecoveryStrategy for OpenGripper {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tokio::time::sleep(Duration::from_millis(40)).await;
         tools.restart(&order.fault).await
     }
@@ -91,7 +96,7 @@ fn grip() -> FaultKind {
 #[blastema_testkit::test]
 async fn a_fault_of_the_applications_own_is_found_and_answered_by_its_own_strategy() {
     let strings = Strings::default();
-    let ladder = Ladder::first(Measure::Custom("open gripper".into()));
+    let ladder = Ladder::first(RecoveryAction::Custom("open gripper".into()));
     let builder = Node::builder("module1")
         .fault_kind("GRIP")
         .plan(Plan::default().on(grip(), ladder))
@@ -117,7 +122,7 @@ async fn a_code_that_nobody_declared_says_so_and_brakes_nothing() {
     let brakes = braked.clone();
     let builder = Node::builder("module1")
         .fault_kind("GRIP")
-        .plan(Plan::default().on(grip(), Ladder::first(Measure::SafeStop)))
+        .plan(Plan::default().on(grip(), Ladder::first(RecoveryAction::SafeStop)))
         .safe_outputs(move |_| brakes.store(true, Relaxed))
         .child(strings.spec("arm"));
     let mut node = TestNode::start(builder).await;
@@ -198,6 +203,6 @@ async fn an_error_of_a_victim_passes_with_its_root_or_is_treated_then() {
     assert!(took > Duration::from_secs(2), "{took:?}");
     assert_eq!(life(&node, "planner").await, 1, "a reset has helped");
     let record = node.faults().await;
-    let ended = |entry: &blastema::core::detection::Entry| entry.recovered_at.is_some();
+    let ended = |entry: &blastema::core::detection::FaultEntry| entry.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");
 }

@@ -54,7 +54,7 @@ impl Handle<Blow> for Motors {
 }
 
 /// What the planner's commands came to.
-type Track = Arc<Mutex<Vec<Result<u64, Why>>>>;
+type Track = Arc<Mutex<Vec<Result<u64, DeliveryError>>>>;
 
 /// Claims the motors, and turns them twenty times a second.
 struct Planner(Track);
@@ -140,7 +140,7 @@ async fn a_claim_waits_no_longer_than_its_limit() {
     let commander = node.commander::<Drive>("motors", "console").unwrap();
     let asked = now();
 
-    assert_eq!(commander.claim_within(200 * MS).await, Err(Why::Restarting));
+    assert_eq!(commander.claim_within(200 * MS).await, Err(DeliveryError::Restarting));
     let took = now() - asked;
     assert!((200 * MS..220 * MS).contains(&took), "{took:?}");
 }

@@ -1,7 +1,7 @@
 //! A component says that it is in error.
 
 use crate::puppet::{Deed, Pull, Strings, ask, life};
-use blastema::core::detection::Record;
+use blastema::core::detection::FaultRecord;
 use blastema::prelude::*;
 use blastema::{Incarnation, Lifecycle, Severity};
 use blastema_testkit::TestNode;
@@ -16,8 +16,8 @@ async fn fail(node: &TestNode, why: &str) {
 }
 
 /// What was decided last about each fault, in the order in which they were found.
-fn decided(record: &Record) -> Vec<&str> {
-    let measure = |entry: &blastema::core::detection::Entry| entry.decided.is_some();
+fn decided(record: &FaultRecord) -> Vec<&str> {
+    let measure = |entry: &blastema::core::detection::FaultEntry| entry.decided.is_some();
     assert!(record.entries.iter().all(measure), "{record:?}");
     record.entries.iter().filter_map(|e| e.decided.as_ref()).map(|(_, m)| m.as_str()).collect()
 }
@@ -89,7 +89,7 @@ async fn a_reset_that_fails_is_followed_by_a_restart() {
     assert!(finalized.is_some(), "the old life had its last word");
     let record = node.faults().await;
     assert_eq!(decided(&record)[0], "restart");
-    let ended = |e: &blastema::core::detection::Entry| e.recovered_at.is_some();
+    let ended = |e: &blastema::core::detection::FaultEntry| e.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");
 }
 

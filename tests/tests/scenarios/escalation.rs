@@ -62,14 +62,16 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
         node.advance(Duration::from_millis(500)).await;
     }
 
-    let NodeState::AtRest { reason } = node.ended().await else { panic!("{:?}", node.state()) };
+    let NodeState::InSafeState { reason } = node.ended().await else {
+        panic!("{:?}", node.state())
+    };
     assert!(reason.contains("drive"), "{reason}");
     let rested = rested.lock().unwrap().clone();
     assert_eq!(rested[0].kind, FaultKind::RestartStorm);
     assert_eq!(rested[0].place, Place::Node(node.name().clone()));
     assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");
     let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is at rest");
-    assert_eq!(refused.why, Why::Stopped);
+    assert_eq!(refused.kind, DeliveryError::Stopped);
 }
 
 #[blastema_testkit::test]
@@ -149,7 +151,9 @@ async fn a_component_that_fails_too_often_is_stopped_alone_unless_it_is_essentia
         node.advance(Duration::from_secs(2)).await;
 
         if essential {
-            let NodeState::AtRest { reason } = node.state() else { panic!("{:?}", node.state()) };
+            let NodeState::InSafeState { reason } = node.state() else {
+                panic!("{:?}", node.state())
+            };
             assert!(reason.contains("motors"), "{reason}");
             continue;
         }

@@ -2,7 +2,7 @@
 
 use crate::puppet::{Deed, Do, Note, Puppet, Strings, ask};
 use blastema::core::delivery::dead_letters::DeadReason;
-use blastema::core::detection::{Opinion, Pull, Watch};
+use blastema::core::detection::{Liveness, Opinion, Pull};
 use blastema::prelude::*;
 use blastema_testkit::{TestNode, now};
 use std::time::Duration;
@@ -35,7 +35,7 @@ async fn a_queue_that_refuses_gives_the_message_back() {
     (1..=4).for_each(|n| hall.tell(Note(n)).unwrap());
     let refused = hall.tell(Note(5)).expect_err("it is full");
 
-    assert_eq!((refused.why, refused.message), (Why::Full, Note(5)));
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Full, Note(5)));
     assert_eq!((hall.queued(), lost(&node)), (4, 0), "its sender has it, so that nothing is lost");
     assert_eq!(served(&node, &strings).await, ["1", "2", "3", "4"]);
 }
@@ -80,8 +80,8 @@ async fn whoever_waits_for_room_is_served_in_turn() {
 #[blastema_testkit::test]
 async fn a_flooded_component_still_answers_and_its_overload_is_seen() {
     let strings = Strings::default();
-    let watch = Watch::Pull(Pull::default());
-    let spec = strings.spec("hall").queue(8, WhenFull::DropOldest).watch(watch);
+    let watch = Liveness::Pull(Pull::default());
+    let spec = strings.spec("hall").queue(8, WhenFull::DropOldest).liveness(watch);
     let spec = spec.max_delay(Duration::from_millis(500));
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     let hall = node.actor::<Puppet>("hall").unwrap();
@@ -133,7 +133,7 @@ async fn a_component_that_does_not_end_is_ended_when_its_time_is_over() {
 
     assert_eq!(now() - start, Duration::from_secs(2));
     let error = waiting.await.unwrap().expect_err("it was cut short");
-    assert!(matches!(error.why, Why::PeerDied { .. }), "{}", error.why);
+    assert!(matches!(error.kind, DeliveryError::PeerDied { .. }), "{}", error.kind);
 }
 
 #[blastema_testkit::test]

@@ -203,7 +203,7 @@ async fn a_temporary_member_is_stopped_with_its_group_and_does_not_return() {
         let order = ["-c#1", "-guest#1", "+a#2", "+c#2"];
         assert_eq!(begins_and_ends(&strings), order, "{strategy:?}");
         let refused = ask(&node, "guest", Deed::Nothing).await.expect_err("it is not missed");
-        assert_eq!(refused.why, Why::Stopped);
+        assert_eq!(refused.kind, DeliveryError::Stopped);
         let tree = node.tree().await.unwrap();
         let group = tree.children[0].below.as_ref().expect("the group answers");
         assert_eq!(group.children[1].state, ChildState::Finished, "{group:?}");

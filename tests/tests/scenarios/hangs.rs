@@ -60,7 +60,7 @@ fn a_hang_is_named_fenced_and_replaced_and_its_neighbours_resume() {
 
         assert!(fault.detail.contains("test/do"), "{}", fault.detail);
         let error = hung.await.unwrap().expect_err("it was given up, though it still blocks");
-        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
         assert_eq!(patiently(&node, "arm").await, 2, "on another thread");
         until("its queue came along", || strings.lines("note") == ["arm#2 note 1"]).await;
         let leg = node.row("leg").await;
@@ -156,7 +156,7 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
 
         let ended = tokio::time::timeout(LONG, node.ended()).await;
 
-        let Ok(NodeState::AtRest { reason }) = &ended else { panic!("{ended:?}") };
+        let Ok(NodeState::InSafeState { reason }) = &ended else { panic!("{ended:?}") };
         assert!(!reason.is_empty());
         until("all four are given up", || node.abandoned_threads() == 4).await;
         assert_eq!(node.restart().await, Err(RestartError::ThreadsHang { count: 4 }));

@@ -144,7 +144,7 @@ async fn one_broken_part_and_a_panic_elsewhere_leave_the_node_running() {
     assert_eq!(life(&node, "wheels").await, 2);
     assert_eq!(panic.symptom_of, None, "each is blamed for its own");
     let kinds: Vec<_> = rested.lock().unwrap().iter().map(|fault| fault.kind.clone()).collect();
-    assert_eq!(kinds, [FaultKind::InitializationFailed], "safe rest is the camera's alone");
+    assert_eq!(kinds, [FaultKind::InitializationFailed], "safe state is the camera's alone");
     let record = node.faults().await;
     assert_eq!(record.entries.len(), 2, "{record:?}");
 }

@@ -45,9 +45,9 @@ impl Robot {
     }
 
     /// The node of this number asks the puppet of the other.
-    async fn asks(&self, from: usize, to: usize) -> Result<u64, Why> {
+    async fn asks(&self, from: usize, to: usize) -> Result<u64, DeliveryError> {
         let name = format!("module{to}:puppet{to}");
-        ask(&self.nodes[from - 1], &name, Deed::Nothing).await.map_err(|error| error.why)
+        ask(&self.nodes[from - 1], &name, Deed::Nothing).await.map_err(|error| error.kind)
     }
 }
 
@@ -61,7 +61,7 @@ async fn an_isolated_node_is_refused_by_everybody_until_it_is_admitted() {
     robot.nodes[0].advance(100 * MS).await;
 
     for other in [1, 2] {
-        assert_eq!(robot.asks(other, 3).await, Err(Why::Isolated));
+        assert_eq!(robot.asks(other, 3).await, Err(DeliveryError::Isolated));
         let refused = robot.asks(3, other).await;
         assert!(refused.is_err(), "{refused:?}");
     }
@@ -108,8 +108,8 @@ async fn what_was_under_way_with_an_isolated_node_is_resolved() {
         robot.nodes[0].advance(100 * MS).await;
     };
     let (asked, ()) = tokio::join!(asking, isolate);
-    let why = asked.expect_err("nobody listens there any more").why;
-    assert!(matches!(why, Why::Isolated | Why::OutcomeUnknown { .. }), "{why}");
+    let why = asked.expect_err("nobody listens there any more").kind;
+    assert!(matches!(why, DeliveryError::Isolated | DeliveryError::OutcomeUnknown { .. }), "{why}");
 }
 
 #[blastema_testkit::test]
@@ -125,7 +125,7 @@ async fn a_node_that_was_away_is_told_who_is_isolated_when_it_is_back() {
     robot.nodes[0].advance(5000 * MS).await;
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));
-    assert_eq!(robot.asks(2, 3).await, Err(Why::Isolated));
+    assert_eq!(robot.asks(2, 3).await, Err(DeliveryError::Isolated));
 }
 
 #[blastema_testkit::test]
@@ -137,7 +137,7 @@ async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_
     robot.nodes[0].advance(3000 * MS).await;
 
     assert_eq!(robot.asks(1, 2).await, Ok(1), "nobody has followed it");
-    assert_eq!(robot.asks(3, 1).await, Err(Why::Isolated), "it refuses them");
+    assert_eq!(robot.asks(3, 1).await, Err(DeliveryError::Isolated), "it refuses them");
     assert!(robot.asks(2, 3).await.is_err(), "and cannot be reached");
 
     robot.nodes[2].admit("module1").unwrap();
@@ -148,11 +148,15 @@ async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_
 
     robot.nodes[0].isolate("module3").unwrap();
     robot.nodes[0].advance(1000 * MS).await;
-    assert_eq!(robot.asks(1, 3).await, Err(Why::Isolated), "its own word holds for itself");
+    assert_eq!(
+        robot.asks(1, 3).await,
+        Err(DeliveryError::Isolated),
+        "its own word holds for itself"
+    );
     assert_eq!(robot.asks(2, 3).await, Ok(1));
     robot.nodes[1].isolate("module3").unwrap();
     robot.nodes[0].advance(1000 * MS).await;
-    assert_eq!(robot.asks(2, 3).await, Err(Why::Isolated));
+    assert_eq!(robot.asks(2, 3).await, Err(DeliveryError::Isolated));
 }
 
 #[blastema_testkit::test]
@@ -194,7 +198,7 @@ async fn who_is_isolated_stands_in_the_fault_list_with_the_cause_until_it_is_adm
 #[blastema_testkit::test]
 async fn a_strategy_isolates_a_node_whose_ladder_says_so_and_its_return_changes_nothing() {
     let strings = Strings::default();
-    let plan = || Plan::default().on(FaultKind::NodeLost, Ladder::first(Measure::Isolate));
+    let plan = || Plan::default().on(FaultKind::NodeLost, Ladder::first(RecoveryAction::Isolate));
     let robot = Robot::of(&strings, |own, medium| node(own, medium).plan(plan())).await;
     let cable = robot.nodes[2].cable("ethernet").unwrap();
     cable.cut(Direction::Both, false);
@@ -204,7 +208,7 @@ async fn a_strategy_isolates_a_node_whose_ladder_says_so_and_its_return_changes_
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));
     for own in [1, 2] {
-        assert_eq!(robot.asks(own, 3).await, Err(Why::Isolated));
+        assert_eq!(robot.asks(own, 3).await, Err(DeliveryError::Isolated));
         let reason = robot.nodes[own - 1].faults().await;
         assert!(format!("{reason:?}").contains("node lost"), "the cause is told");
     }

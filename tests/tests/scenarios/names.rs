@@ -90,7 +90,7 @@ impl Robot {
             let map = node.sender::<Where>("*:map").expect("it is a name");
             answers.push(match map.ask(Where).await {
                 Ok(answer) => answer,
-                Err(error) => error.why.to_string(),
+                Err(error) => error.kind.to_string(),
             });
         }
         answers

@@ -9,11 +9,11 @@
 
 use crate::puppet::{Deed, Do, Note, Strings, ask, life};
 use blastema::core::net::LinkState;
-use blastema::core::recovery::{Done, Failed, Order};
+use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{
     Direction, FaultStatus, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy,
-    SessionState, Tools,
+    SessionState, StrategyContext,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -117,8 +117,8 @@ async fn the_death_of_a_remote_object_is_told_to_who_asked_it() {
 
     let died = ask(&robot.module3, "module2:laser", Deed::Panic("struck".into())).await;
 
-    let why = died.expect_err("it died").why;
-    assert!(matches!(why, Why::PeerDied { incarnation } if incarnation.0 == 1), "{why}");
+    let why = died.expect_err("it died").kind;
+    assert!(matches!(why, DeliveryError::PeerDied { incarnation } if incarnation.0 == 1), "{why}");
     assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 2);
 }
 
@@ -129,15 +129,18 @@ async fn who_is_unknown_or_different_on_another_node_is_told_so() {
     let differs = robot.module1.sender::<OtherDo>("module2:laser").unwrap();
     let nowhere = robot.module1.sender::<Do>("module9:laser").unwrap();
 
-    let unknown = unknown.ask(Do(Deed::Nothing)).await.expect_err("nobody is there").why;
+    let unknown = unknown.ask(Do(Deed::Nothing)).await.expect_err("nobody is there").kind;
     let other = OtherDo { text: "hello".into() };
-    let differs = differs.ask(other).await.expect_err("it is another contract").why;
-    let nowhere = nowhere.ask(Do(Deed::Nothing)).await.expect_err("there is no such node").why;
+    let differs = differs.ask(other).await.expect_err("it is another contract").kind;
+    let nowhere = nowhere.ask(Do(Deed::Nothing)).await.expect_err("there is no such node").kind;
 
-    assert!(matches!(unknown, Why::Unknown { .. }), "{unknown}");
-    let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
+    assert!(matches!(unknown, DeliveryError::Unknown { .. }), "{unknown}");
+    let DeliveryError::ContractDiffers { difference } = differs else { panic!("{differs}") };
     assert!(difference.contains("test/do"), "{difference}");
-    assert!(matches!(nowhere, Why::Unreachable { .. } | Why::DeadlinePassed), "{nowhere}");
+    assert!(
+        matches!(nowhere, DeliveryError::Unreachable { .. } | DeliveryError::DeadlinePassed),
+        "{nowhere}"
+    );
 }
 
 #[blastema_testkit::test]
@@ -244,7 +247,11 @@ async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_men
     robot.cut("backup");
     let lost = robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
     let far = ask(&robot.module1, "module2:laser", Deed::Nothing).await.expect_err("no way");
-    assert!(matches!(far.why, Why::Unreachable { .. } | Why::DeadlinePassed), "{}", far.why);
+    assert!(
+        matches!(far.kind, DeliveryError::Unreachable { .. } | DeliveryError::DeadlinePassed),
+        "{}",
+        far.kind
+    );
 
     robot.mend("backup");
     robot.module1.advance(3000 * MS).await;
@@ -272,7 +279,7 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     robot.mend("ethernet");
     robot.mend("backup");
     let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
-    assert!(gone.message.is_none() || gone.why != Why::DeadlinePassed, "{}", gone.why);
+    assert!(gone.message.is_none() || gone.kind != DeliveryError::DeadlinePassed, "{}", gone.kind);
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;
     robot.module1.advance(3000 * MS).await;
 
@@ -305,9 +312,13 @@ async fn a_router_that_panics_in_between_loses_nothing_that_is_sent_reliably() {
 struct TakeOver(Arc<Mutex<Vec<String>>>);
 
 impl RecoveryStrategy for TakeOver {
-    async fn carry_out(&self, order: &Order, _: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        _: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.place));
-        Ok(Done::default())
+        Ok(RecoveryDone::default())
     }
 }
 
@@ -315,7 +326,7 @@ impl RecoveryStrategy for TakeOver {
 async fn a_fault_of_another_node_is_told_to_the_recoverers_of_its_neighbours() {
     let strings = Strings::default();
     let media = Media::default();
-    let ladder = Ladder::first(Measure::Custom("take over".into()));
+    let ladder = Ladder::first(RecoveryAction::Custom("take over".into()));
     let plan = Plan::default().on_other_nodes(FaultKind::ErrorState, ladder);
     let told: Arc<Mutex<Vec<String>>> = Arc::default();
     let kept = told.clone();

@@ -20,7 +20,7 @@ async fn a_panic_is_recovered_on_the_spot_and_recorded() {
 
     let incarnation = Incarnation(1);
     let error = struck.expect_err("its receiver died");
-    assert_eq!(error.why, Why::PeerDied { incarnation });
+    assert_eq!(error.kind, DeliveryError::PeerDied { incarnation });
     assert_eq!(error.message, None, "it was taken up");
     assert_eq!(life(&node, "laser").await, 2, "the same sender reaches the next life");
 
@@ -160,8 +160,11 @@ async fn under_rest_for_one_a_panic_takes_the_whole_chain() {
 async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
     let strings = Strings::default();
     let laser = "laser".parse().unwrap();
-    let plan =
-        Plan::default().on_component(laser, FaultKind::Panic, Ladder::first(Measure::SafeStop));
+    let plan = Plan::default().on_component(
+        laser,
+        FaultKind::Panic,
+        Ladder::first(RecoveryAction::SafeStop),
+    );
     let builder = Node::builder("module1").plan(plan).child(strings.spec("laser"));
     let mut node = TestNode::start(builder).await;
 
@@ -171,7 +174,11 @@ async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
 
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
     let refused = ask(&node, "laser", Deed::Nothing).await.expect_err("it is at rest");
-    assert!(matches!(refused.why, Why::Stopped | Why::Isolated), "{}", refused.why);
+    assert!(
+        matches!(refused.kind, DeliveryError::Stopped | DeliveryError::Isolated),
+        "{}",
+        refused.kind
+    );
     assert_eq!(refused.message, Some(Do(Deed::Nothing)), "it comes back");
     assert_eq!(strings.lines("laser#2"), [""; 0]);
 }

@@ -108,11 +108,11 @@ async fn what_a_parameter_does_not_take_is_refused_with_the_reason_and_changes_n
         ("careful", ParameterValue::Text("yes".into()), "true or false"),
     ] {
         let refused = parameters.set(key, value).await.unwrap_err();
-        let Why::CheckFailed { reason: told } = &refused else { panic!("{refused}") };
+        let DeliveryError::CheckFailed { reason: told } = &refused else { panic!("{refused}") };
         assert!(told.contains(reason), "{told}");
     }
     let whole = ArmParameters { max_speed: 9.0, ..ArmParameters::default() };
-    assert!(matches!(parameters.write(whole).await, Err(Why::CheckFailed { .. })));
+    assert!(matches!(parameters.write(whole).await, Err(DeliveryError::CheckFailed { .. })));
 
     node.settle().await;
     assert_eq!(speeds(&seen), [0.5]);

@@ -304,5 +304,5 @@ pub(crate) async fn life(node: &Node, name: &str) -> u64 {
 /// Lets the puppet panic in a handler.
 pub(crate) async fn strike(node: &Node, name: &str) {
     let struck = ask(node, name, Deed::Panic("struck".into())).await;
-    assert!(matches!(struck.expect_err("it dies").why, Why::PeerDied { .. }));
+    assert!(matches!(struck.expect_err("it dies").kind, DeliveryError::PeerDied { .. }));
 }

@@ -1,9 +1,11 @@
-//! A node at safe rest: what goes on, who is told, and how it is brought back.
+//! A node in the safe state: what goes on, who is told, and how it is brought back.
 
 use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
-use blastema::core::recovery::{Ladder, Measure, Plan};
+use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, Fault, Link, MemoryMedium, Network, NodeBuilder, RestartError, Turn};
+use blastema::{
+    ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, RestartError,
+};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -28,7 +30,7 @@ async fn bring_to_rest(node: &TestNode) {
         strike(node, "motors").await;
         node.advance(500 * MS).await;
     }
-    assert!(matches!(node.state(), NodeState::AtRest { .. }), "{:?}", node.state());
+    assert!(matches!(node.state(), NodeState::InSafeState { .. }), "{:?}", node.state());
 }
 
 async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
@@ -57,7 +59,7 @@ async fn at_rest_nothing_is_treated_any_more_and_the_outputs_are_applied_once() 
     node.shutdown().await;
     let mut measures = 0;
     while let Some(event) = events.next().await {
-        if let Turn::Decided { measure } = event.turn {
+        if let FaultTransition::Decided { measure } = event.turn {
             assert!(event.at <= rested_at || measure == "observe", "{measure}");
             measures += 1;
         }
@@ -78,7 +80,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
 
     bring_to_rest(&resting).await;
     for _ in 0..10 {
-        assert_eq!(motors.ask(Do(Deed::Nothing)).await.unwrap_err().why, Why::Stopped);
+        assert_eq!(motors.ask(Do(Deed::Nothing)).await.unwrap_err().kind, DeliveryError::Stopped);
         peer.advance(500 * MS).await;
     }
 
@@ -93,7 +95,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
     resting.restart().await.unwrap();
     peer.advance(500 * MS).await;
     assert_eq!(standing(&peer).await, []);
-    assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.why), Ok(()));
+    assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.kind), Ok(()));
     peer.await_fault(FaultKind::NodeAtRest, "module1").await;
 }
 
@@ -125,7 +127,7 @@ async fn a_node_is_brought_back_from_rest_with_the_next_lives_of_its_components(
     bring_to_rest(&node).await;
     strings.diary();
     let lamp = node.sender::<Do>("lamp").unwrap();
-    assert_eq!(lamp.ask(Do(Deed::Nothing)).await.unwrap_err().why, Why::Stopped);
+    assert_eq!(lamp.ask(Do(Deed::Nothing)).await.unwrap_err().kind, DeliveryError::Stopped);
 
     node.restart().await.unwrap();
 
@@ -145,7 +147,7 @@ async fn a_node_is_brought_back_from_rest_with_the_next_lives_of_its_components(
     assert_eq!(node.state(), NodeState::Running);
     strike(&node, "motors").await;
     node.advance(500 * MS).await;
-    assert!(matches!(node.state(), NodeState::AtRest { .. }));
+    assert!(matches!(node.state(), NodeState::InSafeState { .. }));
     assert_eq!(applied.lock().unwrap().len(), 2);
     node.restart().await.unwrap();
     lamp.ask(Do(Deed::Nothing)).await.unwrap();
@@ -171,12 +173,15 @@ async fn only_a_node_at_rest_is_restarted() {
 async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() {
     let strings = Strings::default();
     let (builder, applied) = robot(&strings);
-    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(Measure::SafeStop));
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::SafeStop));
     let node = TestNode::start(builder.plan(plan)).await;
     strike(&node, "motors").await;
     node.advance(500 * MS).await;
     assert_eq!(node.state(), NodeState::Running, "the rest of it works");
-    assert_eq!(ask(&node, "motors", Deed::Nothing).await.unwrap_err().why, Why::Isolated);
+    assert_eq!(
+        ask(&node, "motors", Deed::Nothing).await.unwrap_err().kind,
+        DeliveryError::Isolated
+    );
 
     let life = node.restart_child("motors").await.unwrap();
 
@@ -208,7 +213,7 @@ async fn what_does_not_start_after_a_rest_brings_the_node_to_rest_again() {
         matches!(&failed, RestartError::GaveUp { reason } if reason.contains("lamp")),
         "{failed}"
     );
-    assert!(matches!(node.state(), NodeState::AtRest { .. }));
+    assert!(matches!(node.state(), NodeState::InSafeState { .. }));
 
     strings.cut_all();
     node.restart().await.unwrap();
@@ -262,11 +267,11 @@ async fn the_safe_outputs_wait_for_no_component_to_stop_and_nobody_commands_any_
     strike(&node, "motors").await;
     node.advance(10 * MS).await;
 
-    assert!(matches!(node.state(), NodeState::AtRest { .. }), "{:?}", node.state());
+    assert!(matches!(node.state(), NodeState::InSafeState { .. }), "{:?}", node.state());
     assert_eq!(applied.lock().unwrap().len(), 1, "at once");
     assert_eq!(*track.lock().unwrap(), [2.0, 0.0]);
     assert!(commander.command(Drive(3.0)).await.is_err());
-    assert_eq!(commander.claim().await, Err(Why::Stopped));
+    assert_eq!(commander.claim().await, Err(DeliveryError::Stopped));
 
     node.advance(Duration::from_secs(30)).await;
     node.restart().await.unwrap();

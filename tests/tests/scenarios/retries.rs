@@ -2,7 +2,7 @@
 
 use blastema::core::recovery::Backoff;
 use blastema::prelude::*;
-use blastema::{Link, MemoryMedium, Network, RetryRule, ServiceSpec, StandbyKind, Stateful};
+use blastema::{Link, MemoryMedium, Network, RetryPolicy, ServiceSpec, StandbyKind, Stateful};
 use blastema_testkit::{TestNode, now};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
@@ -105,7 +105,7 @@ async fn what_may_be_done_twice_is_asked_of_the_next_life_here_and_elsewhere() {
         shelf.0.store(0, Relaxed);
         let book: Sender<Book> = node.sender(name).unwrap();
         let died = book.ask(Book { value: 7, kills: 1 }).await.unwrap_err();
-        assert!(matches!(died.why, Why::PeerDied { .. }), "{name}: {died}");
+        assert!(matches!(died.kind, DeliveryError::PeerDied { .. }), "{name}: {died}");
         assert_eq!(shelf.0.load(Relaxed), 1, "{name}: it may have taken effect");
     }
 }
@@ -117,7 +117,7 @@ async fn a_request_that_kills_every_life_is_quarantined_however_often_it_may_be_
         shelf.0.store(0, Relaxed);
         let set: Sender<Set> = node.sender(name).unwrap();
         let refused = set.ask_within(Set { value: 7, kills: 99 }, 10_000 * MS).await.unwrap_err();
-        assert_eq!(refused.why, Why::Quarantined { kills: 3 }, "{name}");
+        assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 }, "{name}");
         assert_eq!(shelf.0.load(Relaxed), 3, "{name}");
         node.advance(20_000 * MS).await;
     }
@@ -133,7 +133,7 @@ async fn by_a_rule_what_was_not_taken_up_is_asked_again_within_its_deadline() {
         (0..2).for_each(|_| dawdle.tell(Dawdle).unwrap());
     };
     let backoff = Backoff { first: 10 * MS, factor: 1, limit: 10 * MS, jitter_percent: 0 };
-    let rule = RetryRule { attempts: 100, backoff, within: 1000 * MS };
+    let rule = RetryPolicy { attempts: 100, backoff, within: 1000 * MS };
 
     fill().await;
     let start = now();
@@ -141,15 +141,18 @@ async fn by_a_rule_what_was_not_taken_up_is_asked_again_within_its_deadline() {
     assert!(now() - start >= 200 * MS, "it had to wait for room, and for its turn");
 
     fill().await;
-    let few = RetryRule { attempts: 3, ..rule };
+    let few = RetryPolicy { attempts: 3, ..rule };
     let start = now();
     let refused = book.ask_by(Book { value: 4, kills: 0 }, &few).await.unwrap_err();
-    assert_eq!((refused.why, refused.message), (Why::Full, Some(Book { value: 4, kills: 0 })));
+    assert_eq!(
+        (refused.kind, refused.message),
+        (DeliveryError::Full, Some(Book { value: 4, kills: 0 }))
+    );
     assert!((20 * MS..30 * MS).contains(&(now() - start)), "twice after ten milliseconds");
 
-    let short = RetryRule { within: 25 * MS, ..rule };
+    let short = RetryPolicy { within: 25 * MS, ..rule };
     let late = book.ask_by(Book { value: 5, kills: 0 }, &short).await.unwrap_err();
-    assert_eq!(late.why, Why::Full, "the next attempt would be over too late");
+    assert_eq!(late.kind, DeliveryError::Full, "the next attempt would be over too late");
 }
 
 #[blastema_testkit::test]
@@ -166,6 +169,6 @@ async fn a_service_is_asked_again_where_that_does_no_harm_even_with_cold_standby
         shelf.0.store(0, Relaxed);
         let book = node.service::<Book>("shelf").unwrap();
         let died = book.ask(Book { value: 7, kills: 1 }).await.unwrap_err();
-        assert!(matches!(died.why, Why::PeerDied { .. }), "{kind:?}: {died}");
+        assert!(matches!(died.kind, DeliveryError::PeerDied { .. }), "{kind:?}: {died}");
     }
 }

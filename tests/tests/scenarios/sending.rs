@@ -20,7 +20,7 @@ async fn a_request_resolves_when_its_deadline_passes() {
     let late = arm.ask_within(Do(Deed::Await(5000)), Duration::from_millis(700)).await;
 
     let error = late.expect_err("it takes too long");
-    assert_eq!((error.why, error.message), (Why::DeadlinePassed, None));
+    assert_eq!((error.kind, error.message), (DeliveryError::DeadlinePassed, None));
     let took = now() - start;
     assert!(took >= Duration::from_millis(700) && took <= Duration::from_millis(720), "{took:?}");
     assert_eq!(arm.ask_within(Do(Deed::Nothing), Duration::from_secs(60)).await.unwrap(), 1);
@@ -36,7 +36,7 @@ async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
     let late = arm.ask(Do(Deed::Panic("too late".into()))).await;
     node.advance(Duration::from_secs(5)).await;
 
-    assert_eq!(late.expect_err("it waits too long").why, Why::DeadlinePassed);
+    assert_eq!(late.expect_err("it waits too long").kind, DeliveryError::DeadlinePassed);
     assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "nobody died of it");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
@@ -67,7 +67,7 @@ async fn between_two_lives_a_full_queue_says_restarting() {
     (1..=2).for_each(|n| notes.tell(Note(n)).unwrap());
     let refused = notes.tell(Note(3)).expect_err("there is no room for it");
 
-    assert_eq!((refused.why, refused.message), (Why::Restarting, Note(3)));
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Restarting, Note(3)));
     notes.deliver(Note(3)).await.expect("it waits for room");
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(strings.lines("note"), ["arm#2 note 1", "arm#2 note 2", "arm#2 note 3"]);
@@ -80,7 +80,7 @@ async fn who_is_unknown_is_told_before_anything_is_sent() {
 
     for name in ["leg", "not a name", "module1:leg"] {
         let why = node.sender::<Do>(name).expect_err("no such object");
-        assert!(matches!(&why, Why::Unknown { name: named } if named == name), "{why}");
+        assert!(matches!(&why, DeliveryError::Unknown { name: named } if named == name), "{why}");
     }
     assert_eq!(node.sender::<Do>("module1:arm").unwrap().ask(Do(Deed::Nothing)).await.unwrap(), 1);
 }
@@ -126,8 +126,8 @@ async fn who_takes_no_such_contract_or_another_one_says_so() {
     let unknown = node.sender::<Unheard>("arm").expect_err("it does not take it");
     let differs = node.sender::<OtherNote>("arm").expect_err("it is another contract");
 
-    assert!(matches!(unknown, Why::NotServed { .. }), "{unknown}");
-    let Why::ContractDiffers { difference } = differs else { panic!("{differs}") };
+    assert!(matches!(unknown, DeliveryError::NotServed { .. }), "{unknown}");
+    let DeliveryError::ContractDiffers { difference } = differs else { panic!("{differs}") };
     assert!(difference.contains("test/note"), "{difference}");
     assert!(OtherNote { text: String::new() }.text.is_empty());
 }
@@ -156,9 +156,12 @@ async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
 
     node.shutdown().await;
 
-    assert_eq!(deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").why, Why::Stopped);
-    assert_eq!(notes.tell(Note(1)).expect_err("it is over").why, Why::Stopped);
-    assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").why, Why::Stopped);
+    assert_eq!(
+        deeds.ask(Do(Deed::Nothing)).await.expect_err("it is over").kind,
+        DeliveryError::Stopped
+    );
+    assert_eq!(notes.tell(Note(1)).expect_err("it is over").kind, DeliveryError::Stopped);
+    assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").kind, DeliveryError::Stopped);
 }
 
 /// Hands out a sender that belongs to its present life.
@@ -195,7 +198,7 @@ async fn what_a_thread_of_a_dead_life_still_says_goes_nowhere() {
     let second = lent.try_recv().expect("its next life lent one");
 
     let refused = first.tell(Note(2)).expect_err("that life is over");
-    assert_eq!((refused.why, refused.message), (Why::Fenced, Note(2)));
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Note(2)));
     second.tell(Note(3)).expect("this one lasts");
     lender.settle().await;
     assert_eq!(strings.lines("note"), ["arm#1 note 1", "arm#1 note 3"]);

@@ -109,9 +109,9 @@ impl Robot {
         MEMBERS.iter().position(|member| *member == serving[0]).expect("it is a member")
     }
 
-    async fn add(&self, number: u64) -> Result<u64, Why> {
+    async fn add(&self, number: u64) -> Result<u64, DeliveryError> {
         let counter = self.asker.service::<Add>("counter").expect("it is a name");
-        counter.ask(Add(number)).await.map_err(|error| error.why)
+        counter.ask(Add(number)).await.map_err(|error| error.kind)
     }
 
     fn cut(&self, member: usize) {
@@ -143,7 +143,7 @@ async fn whoever_asks_a_service_need_not_know_who_serves() {
     assert_eq!(robot.add(0).await, Ok(6));
     let nobody = robot.asker.service::<Add>("weather").unwrap();
     let nobody = nobody.ask_within(Add(1), 100 * MS).await.unwrap_err();
-    assert_eq!(nobody.why, Why::DeadlinePassed);
+    assert_eq!(nobody.kind, DeliveryError::DeadlinePassed);
 }
 
 #[blastema_testkit::test]
@@ -201,7 +201,7 @@ async fn what_fails_is_told_once_and_the_state_outlives_the_component() {
         assert_eq!(robot.add(5).await, Ok(5));
 
         let died = robot.add(1000).await;
-        assert!(matches!(died, Err(Why::PeerDied { .. })), "{kind:?}: {died:?}");
+        assert!(matches!(died, Err(DeliveryError::PeerDied { .. })), "{kind:?}: {died:?}");
         robot.asker.advance(1000 * MS).await;
         assert_eq!(robot.add(1).await, Ok(6), "{kind:?}");
     }
@@ -241,7 +241,7 @@ async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
         let own = &robot.members[first];
         for _ in 0..20 {
             let serves = matches!(own.service_role("counter"), Some(Role::Primary { .. }));
-            if matches!(own.state(), NodeState::AtRest { .. }) {
+            if matches!(own.state(), NodeState::InSafeState { .. }) {
                 break;
             }
             if serves {
@@ -254,7 +254,7 @@ async fn a_node_at_safe_rest_gives_its_service_away_at_once() {
             }
             robot.asker.advance(MS).await;
         }
-        assert!(matches!(own.state(), NodeState::AtRest { .. }), "{kind:?}");
+        assert!(matches!(own.state(), NodeState::InSafeState { .. }), "{kind:?}");
 
         robot.asker.advance(30 * MS).await;
         let follower = robot.primary();

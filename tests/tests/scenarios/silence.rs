@@ -12,7 +12,7 @@ const HOUR: Duration = Duration::from_secs(3600);
 
 /// A laser that gives a sign of life with each of its rounds.
 async fn sweeping(strings: &Strings) -> TestNode {
-    let spec = strings.spec("laser").rate_hz(10.0).watch(Watch::push(100 * MS, 3));
+    let spec = strings.spec("laser").rate_hz(10.0).liveness(Liveness::push(100 * MS, 3));
     TestNode::start(Node::builder("module1").child(spec).child(strings.spec("eye"))).await
 }
 
@@ -49,7 +49,7 @@ async fn a_silent_object_is_found_within_its_tolerance_and_replaced() {
 #[blastema_testkit::test]
 async fn an_object_that_stays_silent_ends_where_the_budget_says() {
     let strings = Strings::default();
-    let spec = strings.spec("laser").rate_hz(10.0).watch(Watch::push(100 * MS, 3));
+    let spec = strings.spec("laser").rate_hz(10.0).liveness(Liveness::push(100 * MS, 3));
     let builder = Node::builder("module1")
         .intensity(3, 60 * 1000 * MS)
         .when_exceeded(WhenExceeded::Escalate)
@@ -59,7 +59,7 @@ async fn an_object_that_stays_silent_ends_where_the_budget_says() {
 
     let ended = tokio::time::timeout(60 * 1000 * MS, node.ended()).await;
 
-    assert!(matches!(ended, Ok(NodeState::AtRest { .. })), "{:?}", node.faults().await);
+    assert!(matches!(ended, Ok(NodeState::InSafeState { .. })), "{:?}", node.faults().await);
     assert_eq!(strings.lines("laser").iter().filter(|l| l.ends_with("on_initialize")).count(), 4);
 }
 
@@ -85,7 +85,7 @@ async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_
     assert!(after >= 2000 * MS && after <= 2200 * MS, "{after:?}");
     assert!(fault.detail.starts_with("test/do has been waiting for"), "{}", fault.detail);
     let error = stuck.await.unwrap().expect_err("it was given up");
-    assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+    assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
     assert_eq!(life(&node, "arm").await, 2);
     assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
     assert_eq!(life(&node, "eye").await, 1);
@@ -95,7 +95,7 @@ async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_
 #[blastema_testkit::test]
 async fn a_long_operation_that_was_announced_is_no_hang() {
     let strings = Strings::default();
-    let spec = strings.spec("arm").max_wait(2000 * MS).watch(Watch::pull(100 * MS, 100 * MS));
+    let spec = strings.spec("arm").max_wait(2000 * MS).liveness(Liveness::pull(100 * MS, 100 * MS));
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     let arm = node.sender::<Do>("arm").unwrap();
 
@@ -111,7 +111,7 @@ async fn a_long_operation_that_was_announced_is_no_hang() {
 #[blastema_testkit::test]
 async fn an_object_that_is_asked_and_answers_is_trusted_even_while_it_waits() {
     let strings = Strings::default();
-    let spec = strings.spec("arm").watch(Watch::pull(100 * MS, 100 * MS));
+    let spec = strings.spec("arm").liveness(Liveness::pull(100 * MS, 100 * MS));
     let node = TestNode::start(Node::builder("module1").child(spec)).await;
     node.sender("arm").unwrap().tell(Do(Deed::Await(800))).unwrap();
 
@@ -126,7 +126,7 @@ async fn an_object_that_is_asked_and_answers_is_trusted_even_while_it_waits() {
 #[blastema_testkit::test]
 async fn who_answers_but_takes_no_message_is_stuck_and_replaced() {
     let strings = Strings::default();
-    let spec = strings.spec("arm").watch(Watch::pull(100 * MS, 100 * MS)).max_wait(HOUR);
+    let spec = strings.spec("arm").liveness(Liveness::pull(100 * MS, 100 * MS)).max_wait(HOUR);
     let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
     node.sender("arm").unwrap().tell(Do(Deed::Await(3_600_000))).unwrap();
     node.sender("arm").unwrap().tell(Note(1)).unwrap();

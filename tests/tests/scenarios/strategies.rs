@@ -1,9 +1,9 @@
 //! What is done about a fault: measures that help, fail, panic, or take too long.
 
 use crate::puppet::{Deed, News, Note, Pull, Strings, ask, life, strike};
-use blastema::core::recovery::{Backoff, ChildState, Done, Failed, Order};
+use blastema::core::recovery::{Backoff, ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{NodeBuilder, RecoveryStrategy, Tools};
+use blastema::{NodeBuilder, RecoveryStrategy, StrategyContext};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -32,7 +32,11 @@ enum Useless {
 }
 
 impl RecoveryStrategy for Useless {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         match self {
             Useless::Fails => Err("the can is empty".into()),
             Useless::Panics => panic!("the can explodes"),
@@ -60,9 +64,9 @@ async fn where_a_strategy_fails_the_next_rung_follows() {
     ];
     for (n, make) in makes.into_iter().enumerate() {
         let strings = Strings::default();
-        let ladder = Ladder::first(Measure::Custom("oil".into()))
+        let ladder = Ladder::first(RecoveryAction::Custom("oil".into()))
             .within(Duration::from_millis(500))
-            .then(Measure::Restart);
+            .then(RecoveryAction::Restart);
         let mut node = TestNode::start(robot(&strings, ladder).recovery("oil", make)).await;
 
         for life_now in 1..=2 {
@@ -79,7 +83,7 @@ async fn where_a_strategy_fails_the_next_rung_follows() {
 #[blastema_testkit::test]
 async fn a_strategy_whose_drop_panics_harms_nobody() {
     let strings = Strings::default();
-    let ladder = Ladder::first(Measure::Custom("oil".into()));
+    let ladder = Ladder::first(RecoveryAction::Custom("oil".into()));
     let builder = robot(&strings, ladder).recovery("oil", || Useless::PanicsInDrop);
     let mut node = TestNode::start(builder).await;
 
@@ -101,8 +105,8 @@ async fn attempts_wait_for_each_other_as_the_back_off_says() {
         jitter_percent: 0,
         ..Backoff::default()
     };
-    let ladder = Ladder::first(Measure::Custom("oil".into())).times(3).backoff(backoff);
-    let builder = robot(&strings, ladder.then(Measure::Restart));
+    let ladder = Ladder::first(RecoveryAction::Custom("oil".into())).times(3).backoff(backoff);
+    let builder = robot(&strings, ladder.then(RecoveryAction::Restart));
     let mut node = TestNode::start(builder.recovery("oil", || Useless::Fails)).await;
 
     declare(&node).await;
@@ -114,7 +118,7 @@ async fn attempts_wait_for_each_other_as_the_back_off_says() {
 #[blastema_testkit::test]
 async fn a_ladder_that_is_exhausted_ends_in_safe_rest() {
     let strings = Strings::default();
-    let ladder = Ladder::first(Measure::Custom("oil".into()));
+    let ladder = Ladder::first(RecoveryAction::Custom("oil".into()));
     let mut node =
         TestNode::start(robot(&strings, ladder).recovery("oil", || Useless::Fails)).await;
 
@@ -131,7 +135,7 @@ async fn a_ladder_that_is_exhausted_ends_in_safe_rest() {
 #[blastema_testkit::test]
 async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     let strings = Strings::default();
-    let ladder = Ladder::first(Measure::Isolate);
+    let ladder = Ladder::first(RecoveryAction::Isolate);
     let builder = robot(&strings, ladder).child(strings.spec("ear"));
     let mut node = TestNode::start(builder).await;
     let notes = node.sender::<Note>("joint").unwrap();
@@ -143,7 +147,7 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
 
     assert!(reason.contains("isolate"), "{reason}");
     let refused = notes.tell(Note(1)).expect_err("nothing gets in");
-    assert_eq!((refused.why, refused.message), (Why::Isolated, Note(1)));
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Isolated, Note(1)));
     node.publisher::<News>("test/news").unwrap().publish(News(1)).unwrap();
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event, in or out");
@@ -155,7 +159,7 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
 #[blastema_testkit::test]
 async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
     let strings = Strings::default();
-    let builder = robot(&strings, Ladder::first(Measure::SafeStop))
+    let builder = robot(&strings, Ladder::first(RecoveryAction::SafeStop))
         .safe_outputs(|fault| panic!("no brake for {}", fault.place));
     let mut node = TestNode::start(builder.child(strings.spec("ear"))).await;
 
@@ -171,7 +175,7 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
 #[blastema_testkit::test]
 async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
     let strings = Strings::default();
-    let ladder = Ladder::first(Measure::Restart);
+    let ladder = Ladder::first(RecoveryAction::Restart);
     let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
     let builder = Node::builder("module1")
         .fault_kind("OIL")

@@ -153,20 +153,23 @@ async fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
     let deadly = arm.repeatable(crate::puppet::Do(Deed::Panic("poison".into())));
 
     for n in 1..=3 {
-        let why = deadly.ask().await.expect_err("it kills").why;
-        assert!(matches!(why, Why::PeerDied { incarnation } if incarnation.0 == n), "{why}");
+        let why = deadly.ask().await.expect_err("it kills").kind;
+        assert!(
+            matches!(why, DeliveryError::PeerDied { incarnation } if incarnation.0 == n),
+            "{why}"
+        );
         node.advance(Duration::from_secs(11)).await;
     }
     let refused = deadly.ask().await.expect_err("it is not let in");
 
-    assert_eq!(refused.why, Why::Quarantined { kills: 3 });
+    assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 });
     assert!(refused.message.is_some());
     assert_eq!(life(&node, "arm").await, 4, "nobody died of it this time");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::Quarantined), 1);
     // Another message of the same contract, word for word, is another message.
     let other = ask(&node, "arm", Deed::Panic("poison".into())).await.expect_err("it kills");
-    assert!(matches!(other.why, Why::PeerDied { .. }));
+    assert!(matches!(other.kind, DeliveryError::PeerDied { .. }));
     node.sender("arm").unwrap().tell(Note(1)).unwrap();
 }
 
@@ -293,7 +296,7 @@ async fn a_reply_whose_drop_panics_when_nobody_waits_is_the_callees_panic() {
 
     let fetch = node.sender::<Fetch>("magazine").unwrap();
     let late = fetch.ask_within(Fetch, Duration::from_millis(100)).await.expect_err("too slow");
-    assert_eq!(late.why, Why::DeadlinePassed);
+    assert_eq!(late.kind, DeliveryError::DeadlinePassed);
 
     let fault = node.await_fault(FaultKind::Panic, "magazine").await;
     assert!(fault.detail.starts_with("a dud"), "{}", fault.detail);

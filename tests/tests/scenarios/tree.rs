@@ -67,8 +67,8 @@ async fn a_component_that_is_removed_ends_in_order_and_leaves_no_trace() {
     let hooks = ["hand#1 on_deactivated", "hand#1 on_shutdown", "hand#1 on_finalize"];
     assert_eq!(strings.diary(), hooks);
     let refused = notes.tell(Note(1)).expect_err("nobody is there");
-    assert_eq!((refused.why, refused.message), (Why::Stopped, Note(1)));
-    assert!(matches!(node.sender::<Note>("hand"), Err(Why::Unknown { .. })));
+    assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(1)));
+    assert!(matches!(node.sender::<Note>("hand"), Err(DeliveryError::Unknown { .. })));
     assert!(node.actor::<Puppet>("hand").is_err());
     assert_eq!(node.tree().await.unwrap().children.len(), 1);
     node.settle().await;
@@ -95,7 +95,7 @@ async fn what_waits_in_the_queue_of_a_component_that_is_removed_is_told_or_count
     node.remove_child("arm").await.expect("the root keeps it");
 
     let error = waiting.await.unwrap().expect_err("it was not served");
-    assert_eq!((error.why, error.message), (Why::Stopped, Some(Do(Deed::Nothing))));
+    assert_eq!((error.kind, error.message), (DeliveryError::Stopped, Some(Do(Deed::Nothing))));
     assert_eq!(node.dead_letters().count(&"arm".parse().unwrap(), DeadReason::Stopped), 2);
     assert_eq!(strings.lines("note"), [""; 0]);
 }
@@ -108,7 +108,7 @@ async fn what_is_not_directly_under_the_root_cannot_be_removed() {
 
     for name in ["arm", "nobody", "not a name"] {
         let refused = node.remove_child(name).await.expect_err("the root does not keep it");
-        assert!(matches!(refused, Why::Unknown { .. }), "{refused}");
+        assert!(matches!(refused, DeliveryError::Unknown { .. }), "{refused}");
     }
     assert_eq!(life(&node, "arm").await, 1);
 }

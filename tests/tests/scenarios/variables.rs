@@ -2,8 +2,8 @@
 
 use blastema::prelude::*;
 use blastema::{
-    Decision, Direction, Link, MemoryMedium, Network, NodeBuilder, RestorePolicy, Transaction,
-    ValueState,
+    Direction, Link, MemoryMedium, Network, NodeBuilder, RestoreDecision, RestorePolicy,
+    Transaction, ValueState,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -82,8 +82,8 @@ async fn variables_are_read_written_and_checked_alike_here_and_on_another_node()
         assert_eq!(speed.read().await.unwrap().value, Speed(1.0), "{name}");
 
         let refused = speed.write(Speed(3.0)).await;
-        assert_eq!(refused, Err(Why::CheckFailed { reason: "too fast".into() }));
-        let Err(Why::CheckFailed { reason }) = speed.write(Speed(-1.0)).await else {
+        assert_eq!(refused, Err(DeliveryError::CheckFailed { reason: "too fast".into() }));
+        let Err(DeliveryError::CheckFailed { reason }) = speed.write(Speed(-1.0)).await else {
             panic!("the check panicked")
         };
         assert!(reason.contains("backwards"), "{reason}");
@@ -93,7 +93,7 @@ async fn variables_are_read_written_and_checked_alike_here_and_on_another_node()
         assert_ne!(height.read().await.unwrap().value, Height(9.0), "not one without the other");
         let late = speed.write_if(Speed(0.1), first - 1).await;
         assert!(
-            matches!(late, Err(Why::Changed { revision, .. }) if revision == first),
+            matches!(late, Err(DeliveryError::Changed { revision, .. }) if revision == first),
             "{late:?}"
         );
         let both =
@@ -120,24 +120,24 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
     let other = OtherSpeed { wheel: "left".into() };
     assert_eq!(other.wheel, "left");
 
-    assert!(matches!(there.variable::<Speed>("leg"), Err(Why::Unknown { .. })));
+    assert!(matches!(there.variable::<Speed>("leg"), Err(DeliveryError::Unknown { .. })));
     for (node, name) in [(&there, "arm"), (&here, "module2:arm")] {
         let colour = node.variable::<Colour>(name).unwrap().read().await;
-        assert!(matches!(colour, Err(Why::Unknown { .. })), "{colour:?}");
+        assert!(matches!(colour, Err(DeliveryError::Unknown { .. })), "{colour:?}");
         let speed = node.variable::<OtherSpeed>(name).unwrap();
-        let Err(Why::ContractDiffers { difference }) = speed.read().await else {
+        let Err(DeliveryError::ContractDiffers { difference }) = speed.read().await else {
             panic!("it is another one")
         };
         assert!(difference.contains("fields with names here"), "{difference}");
         let written = speed.write(other.clone()).await;
-        assert!(matches!(written, Err(Why::ContractDiffers { .. })), "{written:?}");
+        assert!(matches!(written, Err(DeliveryError::ContractDiffers { .. })), "{written:?}");
     }
     let nowhere = here.variable::<Speed>("module9:arm").unwrap().read().await;
-    assert!(matches!(nowhere, Err(Why::Unreachable { .. })), "{nowhere:?}");
+    assert!(matches!(nowhere, Err(DeliveryError::Unreachable { .. })), "{nowhere:?}");
     let apart = Transaction::new()
         .write(&here.variable::<Speed>("module2:arm").unwrap(), Speed(1.0))
         .write(&here.variable::<Speed>("module9:arm").unwrap(), Speed(1.0));
-    assert!(matches!(apart.commit().await, Err(Why::CheckFailed { .. })));
+    assert!(matches!(apart.commit().await, Err(DeliveryError::CheckFailed { .. })));
 }
 
 #[blastema_testkit::test]
@@ -164,12 +164,18 @@ async fn each_variable_becomes_what_was_declared_when_its_owner_dies() {
     let held = height.read().await.unwrap();
     assert_eq!((held.value, held.state), (Height(0.7), ValueState::Held));
     assert_eq!(tool.read().await.unwrap().value, Tool(0));
-    assert!(matches!(target.read().await, Err(Why::Undecided { .. })));
-    assert!(matches!(target.write(Target("floor".into())).await, Err(Why::Undecided { .. })));
+    assert!(matches!(target.read().await, Err(DeliveryError::Undecided { .. })));
+    assert!(matches!(
+        target.write(Target("floor".into())).await,
+        Err(DeliveryError::Undecided { .. })
+    ));
 
-    target.decide(Decision::Restore).await.unwrap();
+    target.decide(RestoreDecision::Restore).await.unwrap();
     assert_eq!(target.read().await.unwrap().value, Target("shelf".into()));
-    assert!(matches!(target.decide(Decision::Default).await, Err(Why::Changed { .. })));
+    assert!(matches!(
+        target.decide(RestoreDecision::Default).await,
+        Err(DeliveryError::Changed { .. })
+    ));
 }
 
 /// Notes every speed that it hears of, and the errors.

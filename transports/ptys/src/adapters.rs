@@ -1,6 +1,6 @@
 //! CAN adapters on ptys, and the bus between them: what one says, all others that are open hear.
 
-use blastema_core::medium::can::slcan::{Command, Line, Lines, Reply};
+use blastema_core::medium::can::slcan::{AdapterCommand, AdapterReply, LineEnd, LineSplitter};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fd::OwnedFd;
 use rustix::fs::{Mode, OFlags};
@@ -44,7 +44,7 @@ struct Adapter {
     master: OwnedFd,
     /// Kept open, so that the port lives on when a program closes it.
     _slave: OwnedFd,
-    lines: Lines,
+    lines: LineSplitter,
     is_open: bool,
     /// It answers no commands.
     mute: bool,
@@ -135,7 +135,7 @@ impl Adapter {
         tcsetattr(&slave, OptionalActions::Now, &settings).expect("a terminal");
         rustix::io::ioctl_fionbio(&master, true).expect("a file");
         symlink(name.to_str().expect("ASCII"), at).expect("no port is there");
-        let (at, lines) = (at.to_owned(), Lines::default());
+        let (at, lines) = (at.to_owned(), LineSplitter::default());
         Adapter {
             at,
             master,
@@ -148,14 +148,14 @@ impl Adapter {
         }
     }
 
-    fn say(&mut self, reply: &Reply) {
+    fn say(&mut self, reply: &AdapterReply) {
         // What there is no room for is lost, as in any adapter.
         if self.waiting.len() < MEMORY {
             reply.encode(&mut self.waiting);
         }
     }
 
-    fn answer(&mut self, reply: &Reply) {
+    fn answer(&mut self, reply: &AdapterReply) {
         if !self.mute {
             self.say(reply);
         }
@@ -168,32 +168,32 @@ impl Adapter {
     }
 
     /// Reads what the program says, and answers; the frames are for the bus.
-    fn hear(&mut self) -> Vec<Reply> {
+    fn hear(&mut self) -> Vec<AdapterReply> {
         let mut buffer = [0; 4096];
         let Ok(read) = rustix::io::read(&self.master, &mut buffer) else { return Vec::new() };
         let mut frames = Vec::new();
         for byte in &buffer[..read] {
-            let Some(Line::Whole(line)) = self.lines.handle_byte(*byte) else { continue };
-            match Command::decode(&line) {
-                Ok(Command::Send(frame)) if self.is_open => {
-                    frames.push(Reply::Frame { frame, time_ms: None });
-                    self.answer(&Reply::Sent);
+            let Some(LineEnd::Whole(line)) = self.lines.handle_byte(*byte) else { continue };
+            match AdapterCommand::decode(&line) {
+                Ok(AdapterCommand::Send(frame)) if self.is_open => {
+                    frames.push(AdapterReply::Frame { frame, time_ms: None });
+                    self.answer(&AdapterReply::Sent);
                 }
-                Ok(Command::Open) if !self.is_open => {
+                Ok(AdapterCommand::Open) if !self.is_open => {
                     self.is_open = true;
-                    self.answer(&Reply::Done);
+                    self.answer(&AdapterReply::Done);
                 }
-                Ok(Command::Close) if self.is_open => {
+                Ok(AdapterCommand::Close) if self.is_open => {
                     self.is_open = false;
-                    self.answer(&Reply::Done);
+                    self.answer(&AdapterReply::Done);
                 }
-                Ok(Command::Status) => {
-                    self.answer(&Reply::Answer(format!("F{:02X}", self.flags)));
+                Ok(AdapterCommand::Status) => {
+                    self.answer(&AdapterReply::Answer(format!("F{:02X}", self.flags)));
                 }
-                Ok(Command::BitRate(_) | Command::DataRate(_)) if !self.is_open => {
-                    self.answer(&Reply::Done)
+                Ok(AdapterCommand::BitRate(_) | AdapterCommand::DataRate(_)) if !self.is_open => {
+                    self.answer(&AdapterReply::Done)
                 }
-                _ => self.answer(&Reply::Refused),
+                _ => self.answer(&AdapterReply::Refused),
             }
         }
         frames

@@ -22,7 +22,7 @@ pub use self::settings::is_interface;
 
 use self::settings::Settings;
 #[cfg(feature = "serial")]
-use crate::serial::{Parity, Rs485, SerialConfig, StopBits, Turning};
+use crate::serial::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
 #[cfg(feature = "tcp")]
 use crate::tcp::TcpConfig;
 #[cfg(feature = "udp")]
@@ -470,7 +470,7 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
     config.rs485 = rs485(&mut settings)?;
-    if config.hardware_flow && matches!(config.rs485, Turning::Driver(_)) {
+    if config.hardware_flow && matches!(config.rs485, DirectionControl::Driver(_)) {
         return Err(
             settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")
         );
@@ -483,7 +483,7 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
 
 /// Whether and how the driver turns the line.
 #[cfg(feature = "serial")]
-fn rs485(settings: &mut Settings<'_>) -> Result<Turning, EndpointError> {
+fn rs485(settings: &mut Settings<'_>) -> Result<DirectionControl, EndpointError> {
     let mut how = Rs485::default();
     let turns: Option<bool> = settings.take("rs485", "true or false", |text| text.parse().ok())?;
     settings.choice("rts", &[("high", false), ("low", true)], &mut how.rts_low)?;
@@ -501,9 +501,9 @@ fn rs485(settings: &mut Settings<'_>) -> Result<Turning, EndpointError> {
         }
     }
     Ok(match turns {
-        None => Turning::Unchanged,
-        Some(false) => Turning::Off,
-        Some(true) => Turning::Driver(how),
+        None => DirectionControl::Unchanged,
+        Some(false) => DirectionControl::Off,
+        Some(true) => DirectionControl::Driver(how),
     })
 }
 

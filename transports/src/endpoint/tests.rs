@@ -90,16 +90,19 @@ fn serial_lines_are_read_with_all_their_settings() {
     assert_eq!((config.path, config.baud), (PathBuf::from("/dev/ttyUSB0"), 921_600));
     assert_eq!((config.parity, config.stop_bits), (Parity::Even, StopBits::Two));
     assert_eq!((config.hardware_flow, config.mtu), (true, Some(700)));
-    assert_eq!((config.queue_time, config.rs485), (Duration::from_millis(50), Turning::Unchanged));
+    assert_eq!(
+        (config.queue_time, config.rs485),
+        (Duration::from_millis(50), DirectionControl::Unchanged)
+    );
 
     let turned = "serial:///dev/ttyS0?rs485=true&rts=low&rts_before=1ms&rts_after=2ms";
     let Endpoint::Serial(config) = good(turned) else { panic!() };
-    let Turning::Driver(how) = config.rs485 else { panic!("it was asked for") };
+    let DirectionControl::Driver(how) = config.rs485 else { panic!("it was asked for") };
     let times = (how.before, how.after);
     assert_eq!((how.rts_low, times), (true, (Duration::from_millis(1), Duration::from_millis(2))));
 
     let Endpoint::Serial(config) = good("serial:///dev/ttyS0?rs485=false") else { panic!() };
-    assert_eq!(config.rs485, Turning::Off);
+    assert_eq!(config.rs485, DirectionControl::Off);
 }
 
 #[test]

@@ -34,7 +34,7 @@ pub enum StopBits {
 /// Who turns a line of RS-485. A driver keeps what it was told when the port is closed, until the next start of
 /// the system or longer.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Turning {
+pub enum DirectionControl {
     /// The port's driver does what it did, which is most often nothing. An adapter that turns the line by
     /// itself needs no more.
     #[default]
@@ -92,7 +92,7 @@ pub struct SerialConfig {
     /// Whether the other end may stop us by a wire of its own (RTS/CTS).
     pub hardware_flow: bool,
     /// Whether and how the port's driver turns a line of RS-485.
-    pub rs485: Turning,
+    pub rs485: DirectionControl,
     /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
     /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers. What is
     /// larger than the other end's is noise to it.
@@ -112,7 +112,7 @@ impl SerialConfig {
             parity: Parity::None,
             stop_bits: StopBits::One,
             hardware_flow: false,
-            rs485: Turning::Unchanged,
+            rs485: DirectionControl::Unchanged,
             mtu: None,
             queue_time: Duration::from_millis(100),
         }

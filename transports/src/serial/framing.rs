@@ -39,7 +39,7 @@ pub fn encode(frame: &[u8], out: &mut Vec<u8>) {
 /// Something came that is no frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("noise on the line")]
-pub struct Noise;
+pub struct InvalidFrame;
 
 /// Finds frames in what comes from a line.
 ///
@@ -75,7 +75,7 @@ impl Deframer {
 
     /// Takes bytes from the front of `input` up to the end of a frame or of noise, and says which it
     /// was; `None` when more must come first.
-    pub fn push(&mut self, input: &mut &[u8]) -> Option<Result<Bytes, Noise>> {
+    pub fn push(&mut self, input: &mut &[u8]) -> Option<Result<Bytes, InvalidFrame>> {
         while let Some(end) = input.iter().position(|&byte| byte == 0) {
             self.hold(&input[..end]);
             *input = &input[end + 1..];
@@ -83,7 +83,7 @@ impl Deframer {
             if lost || !self.held.is_empty() {
                 let found = if lost { None } else { self.decode() };
                 self.held.clear();
-                return Some(found.ok_or(Noise));
+                return Some(found.ok_or(InvalidFrame));
             }
         }
         self.hold(input);
@@ -124,7 +124,7 @@ mod tests {
             .collect()
     }
 
-    fn read(deframer: &mut Deframer, mut bytes: &[u8]) -> Vec<Result<Bytes, Noise>> {
+    fn read(deframer: &mut Deframer, mut bytes: &[u8]) -> Vec<Result<Bytes, InvalidFrame>> {
         std::iter::from_fn(|| deframer.push(&mut bytes)).collect()
     }
 
@@ -207,7 +207,7 @@ mod tests {
             assert!(deframer.held.capacity() <= 4 * encoded_length(100));
         }
         let long_and_short = line(&[vec![1; 101].into(), vec![1; 100].into()]);
-        let expected = [Err(Noise), Err(Noise), Ok(Bytes::from(vec![1; 100]))];
+        let expected = [Err(InvalidFrame), Err(InvalidFrame), Ok(Bytes::from(vec![1; 100]))];
         assert_eq!(read(&mut deframer, &long_and_short), expected);
     }
 }

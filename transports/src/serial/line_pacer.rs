@@ -18,7 +18,7 @@ const JUDGED_FOR: Duration = Duration::from_secs(60);
 
 /// Keeps a writer at the speed of its line.
 #[derive(Debug, Default)]
-pub(super) struct Pace {
+pub(super) struct LinePacer {
     /// When all that was written has gone out.
     free: Option<Instant>,
     /// Somebody waits for that, and so is owed some of the time by which he is woken too late.
@@ -39,7 +39,7 @@ struct Trial {
 
 /// What the system still has of what was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Held {
+pub(super) enum DriverBacklog {
     /// Nothing.
     Nothing,
     /// No more than a piece.
@@ -48,11 +48,11 @@ pub(super) enum Held {
     Much,
 }
 
-impl Pace {
+impl LinePacer {
     /// For a device to which the speed may mean nothing: it is written to as fast as it takes, unless it
     /// turns out that there is a line behind it.
     pub(super) fn of_device() -> Self {
-        Pace { trial: Some(Trial::default()), ..Pace::default() }
+        LinePacer { trial: Some(Trial::default()), ..LinePacer::default() }
     }
 
     /// Whether the speed means nothing, as far as is known.
@@ -61,11 +61,11 @@ impl Pace {
     }
 
     /// When the next piece may be written; `None` for now.
-    pub(super) fn due(&mut self, held: Held, now: Instant) -> Option<Instant> {
+    pub(super) fn due(&mut self, held: DriverBacklog, now: Instant) -> Option<Instant> {
         if let Some(trial) = &mut self.trial {
             trial.slow_until.take_if(|until| *until <= now);
             if trial.slow_until.is_none() {
-                if held == Held::Nothing {
+                if held == DriverBacklog::Nothing {
                     return None;
                 }
                 if !trial.is_slow(now) {
@@ -74,7 +74,7 @@ impl Pace {
                 (self.free, self.waited) = (None, false);
             }
         }
-        if held == Held::Much {
+        if held == DriverBacklog::Much {
             // What the line could have carried meanwhile is gone.
             (self.free, self.waited) = (None, false);
             return Some(now + PIECE);
@@ -124,9 +124,9 @@ mod tests {
 
     /// How much time of the line is written within a second by somebody who is woken so late each time.
     fn written(late: Duration) -> Duration {
-        let (mut pace, mut now, mut sum) = (Pace::default(), at(0), Duration::ZERO);
+        let (mut pace, mut now, mut sum) = (LinePacer::default(), at(0), Duration::ZERO);
         while now < at(1_000) {
-            match pace.due(Held::Nothing, now) {
+            match pace.due(DriverBacklog::Nothing, now) {
                 Some(due) => now = due + late,
                 None => {
                     pace.spend(PIECE, now);
@@ -147,41 +147,42 @@ mod tests {
 
     #[test]
     fn who_was_idle_or_slept_for_long_is_owed_nothing() {
-        let mut pace = Pace::default();
+        let mut pace = LinePacer::default();
         pace.spend(PIECE, at(0));
-        assert!(pace.due(Held::Nothing, at(0)).is_some(), "somebody waits");
-        assert_eq!(pace.due(Held::Nothing, at(9_000)), None);
+        assert!(pace.due(DriverBacklog::Nothing, at(0)).is_some(), "somebody waits");
+        assert_eq!(pace.due(DriverBacklog::Nothing, at(9_000)), None);
         pace.spend(PIECE, at(9_000));
-        assert!(pace.due(Held::Nothing, at(9_000)).is_some());
+        assert!(pace.due(DriverBacklog::Nothing, at(9_000)).is_some());
 
-        let mut idle = Pace::default();
+        let mut idle = LinePacer::default();
         idle.spend(PIECE, at(0));
         idle.spend(PIECE, at(9_000));
-        assert!(idle.due(Held::Nothing, at(9_005)).is_some());
+        assert!(idle.due(DriverBacklog::Nothing, at(9_005)).is_some());
     }
 
     #[test]
     fn what_waits_in_the_system_is_waited_for_and_nothing_is_owed_for_it() {
-        let mut pace = Pace::default();
+        let mut pace = LinePacer::default();
         pace.spend(PIECE, at(0));
 
         for millis in [10, 15, 20] {
-            assert_eq!(pace.due(Held::Much, at(millis)), Some(at(millis) + PIECE));
+            assert_eq!(pace.due(DriverBacklog::Much, at(millis)), Some(at(millis) + PIECE));
         }
-        assert_eq!(pace.due(Held::Little, at(25)), None);
+        assert_eq!(pace.due(DriverBacklog::Little, at(25)), None);
         pace.spend(PIECE, at(25));
-        assert!(pace.due(Held::Nothing, at(30)).is_some());
+        assert!(pace.due(DriverBacklog::Nothing, at(30)).is_some());
     }
 
     /// How much time of the line a device takes within some seconds that holds so much at most, and gives
     /// out so many times as much as its line would carry.
     fn taken_by(seconds: u64, memory: Duration, times: u32) -> Duration {
-        let (mut pace, mut now) = (Pace::of_device(), at(0));
+        let (mut pace, mut now) = (LinePacer::of_device(), at(0));
         let (mut sum, mut inside, mut outside) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
         while now < at(seconds * 1_000) {
             let moved = outside.min(memory.saturating_sub(inside));
             (inside, outside) = (inside + moved, outside - moved);
-            let held = if outside.is_zero() { Held::Nothing } else { Held::Little };
+            let held =
+                if outside.is_zero() { DriverBacklog::Nothing } else { DriverBacklog::Little };
             let next = match pace.due(held, now) {
                 Some(due) => due,
                 None => {
@@ -210,9 +211,9 @@ mod tests {
 
     #[test]
     fn at_each_trial_a_device_with_a_line_is_found_out_as_soon_as_at_the_first() {
-        let (mut pace, mut now, mut tried) = (Pace::of_device(), at(0), Duration::ZERO);
+        let (mut pace, mut now, mut tried) = (LinePacer::of_device(), at(0), Duration::ZERO);
         while now < at(130_000) {
-            let held = if pace.is_free() { Held::Little } else { Held::Nothing };
+            let held = if pace.is_free() { DriverBacklog::Little } else { DriverBacklog::Nothing };
             match pace.due(held, now) {
                 Some(due) => {
                     tried += if pace.is_free() { due - now } else { Duration::ZERO };

@@ -16,11 +16,11 @@ mod line_pacer;
 
 pub mod framing;
 
-pub use self::config::{Parity, Rs485, SerialConfig, StopBits, Turning};
+pub use self::config::{DirectionControl, Parity, Rs485, SerialConfig, StopBits};
 
 use self::framing::{Deframer, encode, encoded_length};
-use self::line_pacer::{Held, PIECE, Pace};
-use crate::frame_medium::{Arrival, FrameMedium, Opening, QueueLimits, Sending};
+use self::line_pacer::{DriverBacklog, LinePacer, PIECE};
+use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
 use crate::usb_device::is_usb_device;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::Instant;
@@ -62,7 +62,7 @@ pub struct SerialLine {
     /// The frame that goes out, as it goes out, and how much of it has.
     outgoing: Vec<u8>,
     written: usize,
-    pace: Pace,
+    pace: LinePacer,
     /// Ends when the line may have taken what was written.
     timer: Option<Pin<Box<Sleep>>>,
 }
@@ -78,7 +78,7 @@ impl SerialLine {
             unread: 0..0,
             outgoing: Vec::new(),
             written: 0,
-            pace: Pace::default(),
+            pace: LinePacer::default(),
             timer: None,
             config,
         }
@@ -102,9 +102,9 @@ impl SerialLine {
             // A port that cannot say shows by its errors soon enough what it is like.
             let queued = self.port.as_ref().and_then(|port| port.bytes_to_write().ok());
             let held = match queued.unwrap_or(0) as usize {
-                0 => Held::Nothing,
-                queued if queued <= self.piece() => Held::Little,
-                _ => Held::Much,
+                0 => DriverBacklog::Nothing,
+                queued if queued <= self.piece() => DriverBacklog::Little,
+                _ => DriverBacklog::Much,
             };
             let now = (self.now)();
             let Some(due) = self.pace.due(held, now) else { return Poll::Ready(()) };
@@ -143,7 +143,7 @@ impl FrameMedium for SerialLine {
         Some(2 * one_way).filter(|rate| *rate < FAST)
     }
 
-    fn open(&mut self) -> io::Result<Opening> {
+    fn open(&mut self) -> io::Result<OpenedMedium> {
         self.close();
         let SerialConfig { path, baud, parity, stop_bits, hardware_flow, rs485, .. } = &self.config;
         let parity = match parity {
@@ -162,9 +162,9 @@ impl FrameMedium for SerialLine {
             .stop_bits(stop_bits)
             .flow_control(flow);
         match rs485 {
-            Turning::Unchanged => {}
-            Turning::Off => turn_no_more(path)?,
-            Turning::Driver(how) => turn_by_driver(path, how)?,
+            DirectionControl::Unchanged => {}
+            DirectionControl::Off => turn_no_more(path)?,
+            DirectionControl::Driver(how) => turn_by_driver(path, how)?,
         }
         // The lines DTR and RTS are left as the driver sets them: a pty has none, and many a device
         // takes a change of them for a reset.
@@ -172,9 +172,9 @@ impl FrameMedium for SerialLine {
             SerialStream::open(&builder).map_err(|error| io::Error::other(self.explain(&error)))?;
         self.port = Some(port);
         if *baud >= NOMINAL_BAUD && is_usb_device(path) {
-            self.pace = Pace::of_device();
+            self.pace = LinePacer::of_device();
         }
-        Ok(Opening { local: MediumAddress::Line, mtu: self.config.mtu() })
+        Ok(OpenedMedium { local: MediumAddress::Line, mtu: self.config.mtu() })
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
@@ -190,7 +190,7 @@ impl FrameMedium for SerialLine {
         task: &mut Context<'_>,
         _: &MediumAddress,
         frame: &Bytes,
-    ) -> Poll<io::Result<Sending>> {
+    ) -> Poll<io::Result<SendResult>> {
         if self.outgoing.is_empty() {
             encode(frame, &mut self.outgoing);
             self.written = 0;
@@ -210,10 +210,10 @@ impl FrameMedium for SerialLine {
             }
         }
         self.outgoing.clear();
-        Poll::Ready(Ok(Sending::Sent))
+        Poll::Ready(Ok(SendResult::Sent))
     }
 
-    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<Arrival>> {
+    fn poll_receive(&mut self, task: &mut Context<'_>) -> Poll<io::Result<MediumEvent>> {
         loop {
             let mut unread = &self.chunk[self.unread.clone()];
             let found = self.deframer.push(&mut unread);
@@ -221,9 +221,9 @@ impl FrameMedium for SerialLine {
             match found {
                 Some(Ok(frame)) => {
                     let from = MediumAddress::Line;
-                    return Poll::Ready(Ok(Arrival::Frame { from, frame }));
+                    return Poll::Ready(Ok(MediumEvent::Frame { from, frame }));
                 }
-                Some(Err(_)) => return Poll::Ready(Ok(Arrival::Refused)),
+                Some(Err(_)) => return Poll::Ready(Ok(MediumEvent::Refused)),
                 None => {}
             }
             let Some(port) = &mut self.port else { return Poll::Ready(Err(unplugged())) };
@@ -247,7 +247,7 @@ impl FrameMedium for SerialLine {
         self.deframer = Deframer::new(self.config.mtu());
         self.unread = 0..0;
         self.outgoing.clear();
-        (self.pace, self.timer) = (Pace::default(), None);
+        (self.pace, self.timer) = (LinePacer::default(), None);
     }
 }
 

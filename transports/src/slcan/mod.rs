@@ -10,7 +10,9 @@ use crate::can_node::{CanNode, CanPort};
 use crate::endpoint::SlcanConfig;
 use crate::usb_device::is_usb_device;
 use blastema_core::Instant;
-use blastema_core::medium::can::slcan::{BitRate, Command, DataRate, Dialogue, Listener, Reply};
+use blastema_core::medium::can::slcan::{
+    AdapterCommand, AdapterControl, AdapterReply, BitRate, DataRate, ReplyParser,
+};
 use blastema_core::medium::can::{CanFrame, Format};
 use std::collections::VecDeque;
 use std::future::Future;
@@ -60,8 +62,8 @@ pub struct SlcanAdapter {
 /// A port that is open, and what is known of the adapter there.
 struct Line {
     port: SerialStream,
-    dialogue: Dialogue,
-    listener: Listener,
+    dialogue: AdapterControl,
+    listener: ReplyParser,
     chunk: Vec<u8>,
     unread: VecDeque<u8>,
     /// What is on its way to the adapter.
@@ -123,8 +125,8 @@ impl CanPort for SlcanAdapter {
         let port = SerialStream::open(&builder).map_err(|error| self.explain(&error))?;
         self.line = Some(Line {
             port,
-            dialogue: Dialogue::new(rate, data_rate),
-            listener: Listener::default(),
+            dialogue: AdapterControl::new(rate, data_rate),
+            listener: ReplyParser::default(),
             chunk: vec![0; CHUNK],
             unread: VecDeque::new(),
             // Whatever an ended program left half said comes to its end.
@@ -166,7 +168,7 @@ impl CanPort for SlcanAdapter {
             }
             Err(None) => return Poll::Ready(Err(unplugged())),
         }
-        line.say(&Command::Send(*frame));
+        line.say(&AdapterCommand::Send(*frame));
         line.dialogue.handle_sent(frame, now);
         // The frame is taken: what the port has no room for now goes out before the next.
         match line.poll_flush(task) {
@@ -205,7 +207,7 @@ impl CanPort for SlcanAdapter {
         if let Some(mut line) = self.line.take() {
             // The adapter leaves the bus, if it can be told so without waiting.
             line.outgoing.clear();
-            line.say(&Command::Close);
+            line.say(&AdapterCommand::Close);
             let (bytes, _) = line.outgoing.as_slices();
             let _ = line.port.try_write(bytes);
         }
@@ -213,7 +215,7 @@ impl CanPort for SlcanAdapter {
 }
 
 impl Line {
-    fn say(&mut self, command: &Command) {
+    fn say(&mut self, command: &AdapterCommand) {
         let mut text = Vec::new();
         command.encode(&mut text);
         self.outgoing.extend(text);
@@ -298,7 +300,7 @@ impl Line {
     fn hear(&mut self) -> io::Result<Option<Option<CanFrame>>> {
         while let Some(byte) = self.unread.pop_front() {
             match self.listener.handle_byte(byte) {
-                Some(Reply::Frame { frame, .. }) => return Ok(Some(Some(frame))),
+                Some(AdapterReply::Frame { frame, .. }) => return Ok(Some(Some(frame))),
                 Some(reply) => self.dialogue.handle_reply(&reply),
                 None => {}
             }

@@ -17,9 +17,9 @@ mod peer;
 
 pub mod framing;
 
-use self::peer::{Broken, Peer, State};
-use crate::reopen_backoff::Reopening;
-use crate::upstream::Outlet;
+use self::peer::{ConnectionState, DisconnectReason, StreamPeer};
+use crate::reopen_backoff::ReopenBackoff;
+use crate::upstream::Upstream;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::BytesMut;
 use bytes::buf::Limit;
@@ -40,7 +40,7 @@ const ACCEPTS: usize = 16;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// A handshake under way.
-pub(crate) type Underway<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
+pub(crate) type HandshakeFuture<T> = Pin<Box<dyn Future<Output = io::Result<T>>>>;
 
 /// A connection, as tokio's streams are.
 pub(crate) trait ByteStream: 'static {
@@ -88,7 +88,7 @@ macro_rules! byte_stream {
 pub(crate) use byte_stream;
 
 /// What makes streams.
-pub(crate) trait Family: 'static {
+pub(crate) trait StreamFamily: 'static {
     /// A connection.
     type Stream: ByteStream;
     /// Takes connections.
@@ -99,7 +99,7 @@ pub(crate) trait Family: 'static {
     type Origin: Debug;
 
     /// How much is held.
-    fn bounds(&self) -> Bounds;
+    fn bounds(&self) -> StreamLimits;
 
     /// Opens our own address; an error says what the user may do.
     fn listen(&mut self) -> Result<(Self::Listener, Self::Address), String>;
@@ -111,14 +111,14 @@ pub(crate) trait Family: 'static {
     ) -> Poll<io::Result<(Self::Stream, Self::Origin)>>;
 
     /// Connects to a listening peer, and is done when that has kept the connection.
-    fn dial(&self, local: &Self::Address, peer: &Self::Address) -> Underway<Self::Stream>;
+    fn dial(&self, local: &Self::Address, peer: &Self::Address) -> HandshakeFuture<Self::Stream>;
 
     /// Learns where a node that has connected listens.
     fn greet(
         &self,
         stream: Self::Stream,
         origin: &Self::Origin,
-    ) -> Underway<(Self::Stream, Self::Address)>;
+    ) -> HandshakeFuture<(Self::Stream, Self::Address)>;
 
     /// Says where we listen, which keeps the connection.
     fn introduce(stream: &Self::Stream, local: &Self::Address) -> io::Result<()>;
@@ -135,7 +135,7 @@ pub(crate) trait Family: 'static {
 
 /// How much a transport holds.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Bounds {
+pub(crate) struct StreamLimits {
     pub(crate) mtu: usize,
     pub(crate) peers: usize,
     pub(crate) strangers: usize,
@@ -143,37 +143,37 @@ pub(crate) struct Bounds {
 }
 
 /// All connections of one transport.
-pub(crate) struct Streams<F: Family> {
+pub(crate) struct Streams<F: StreamFamily> {
     family: F,
-    bounds: Bounds,
-    pub(crate) outlet: Outlet,
-    reopening: Reopening,
+    bounds: StreamLimits,
+    pub(crate) outlet: Upstream,
+    reopening: ReopenBackoff,
     listener: Option<Listener<F>>,
     strangers: VecDeque<Stranger<F>>,
-    peers: Vec<Peer<F>>,
+    peers: Vec<StreamPeer<F>>,
     /// Whose turn to read is first: the one before whom the outlet was full.
     first: usize,
 }
 
-struct Listener<F: Family> {
+struct Listener<F: StreamFamily> {
     socket: F::Listener,
     local: F::Address,
     pause: Option<Pin<Box<Sleep>>>,
 }
 
 /// Somebody who has connected, and is to say where he listens.
-struct Stranger<F: Family> {
+struct Stranger<F: StreamFamily> {
     origin: F::Origin,
-    greeting: Underway<(F::Stream, F::Address)>,
+    greeting: HandshakeFuture<(F::Stream, F::Address)>,
 }
 
-impl<F: Family> Streams<F> {
+impl<F: StreamFamily> Streams<F> {
     pub(crate) fn new(family: F) -> Self {
         Streams {
             bounds: family.bounds(),
             family,
-            outlet: Outlet::default(),
-            reopening: Reopening::default(),
+            outlet: Upstream::default(),
+            reopening: ReopenBackoff::default(),
             listener: None,
             strangers: VecDeque::new(),
             peers: Vec::new(),
@@ -265,7 +265,7 @@ impl<F: Family> Streams<F> {
         }
         let Some(index) = self.place(&address) else { return false };
         let peer = &mut self.peers[index];
-        if matches!(peer.state, State::Dialing(_)) && local < address {
+        if matches!(peer.state, ConnectionState::Dialing(_)) && local < address {
             // Both dial at once; our call counts, and the peer's transport thinks so too.
             return true;
         }
@@ -285,11 +285,11 @@ impl<F: Family> Streams<F> {
             return Some(index);
         }
         if self.peers.len() < self.bounds.peers {
-            self.peers.push(Peer::new(address.clone()));
+            self.peers.push(StreamPeer::new(address.clone()));
             return Some(self.peers.len() - 1);
         }
-        let index = self.peers.iter().position(Peer::is_dispensable)?;
-        self.peers[index] = Peer::new(address.clone());
+        let index = self.peers.iter().position(StreamPeer::is_dispensable)?;
+        self.peers[index] = StreamPeer::new(address.clone());
         Some(index)
     }
 
@@ -322,11 +322,11 @@ impl<F: Family> Streams<F> {
         }
     }
 
-    fn lose(&mut self, index: usize, broken: Broken, task: &mut task::Context<'_>) {
+    fn lose(&mut self, index: usize, broken: DisconnectReason, task: &mut task::Context<'_>) {
         let peer = &mut self.peers[index];
         match broken {
-            Broken::Lost => self.outlet.counters.errors += 1,
-            Broken::Refused => self.outlet.counters.refused += 1,
+            DisconnectReason::Lost => self.outlet.counters.errors += 1,
+            DisconnectReason::Refused => self.outlet.counters.refused += 1,
         }
         self.outlet.counters.dropped += peer.rest();
         self.outlet.report(TransportReport::PeerLost { peer: peer.address.clone().into() });
@@ -356,10 +356,10 @@ impl<F: Family> Streams<F> {
             return;
         };
         let peer = &mut self.peers[index];
-        if matches!(peer.state, State::Absent) {
-            peer.state = State::Dialing(self.family.dial(&local, &to));
+        if matches!(peer.state, ConnectionState::Absent) {
+            peer.state = ConnectionState::Dialing(self.family.dial(&local, &to));
         }
-        let resting = matches!(peer.state, State::Resting(_));
+        let resting = matches!(peer.state, ConnectionState::Backoff(_));
         if resting || !peer.outgoing.push(lane, frame, self.bounds.queue_bytes) {
             self.outlet.counters.dropped += 1;
         }

@@ -2,8 +2,8 @@
 
 use super::ByteStream;
 use super::framing::{HEADER, encode_header};
-use blastema_contract::transport::Lane;
-use blastema_core::Parcel;
+use blastema_contract::transport::TrafficClass;
+use blastema_core::GatherBuffer;
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
 use std::task::{self, Poll};
@@ -17,17 +17,17 @@ const OVERHEAD: usize = 64;
 
 /// A bounded queue of frames before one peer, the urgent before the usual.
 #[derive(Default)]
-pub(super) struct Outgoing {
-    frames: VecDeque<(Lane, Parcel)>,
+pub(super) struct StreamSendQueue {
+    frames: VecDeque<(TrafficClass, GatherBuffer)>,
     /// What the frames of each lane cost together, in the order in which they go.
     costs: [usize; 3],
     /// How much of the first frame, with its header, is written already.
     written: usize,
 }
 
-impl Outgoing {
+impl StreamSendQueue {
     /// Takes a frame, unless those of its lane would cost more than `limit` bytes together.
-    pub(super) fn push(&mut self, lane: Lane, frame: Parcel, limit: usize) -> bool {
+    pub(super) fn push(&mut self, lane: TrafficClass, frame: GatherBuffer, limit: usize) -> bool {
         let cost = &mut self.costs[lane as usize];
         let more = *cost + frame.len() + OVERHEAD;
         if more > limit {
@@ -35,8 +35,8 @@ impl Outgoing {
         }
         *cost = more;
         match lane {
-            Lane::Usual => self.frames.push_back((lane, frame)),
-            Lane::Hello | Lane::Urgent => {
+            TrafficClass::Usual => self.frames.push_back((lane, frame)),
+            TrafficClass::Hello | TrafficClass::Urgent => {
                 // Behind the one that has begun, and behind those that wait and are as urgent.
                 let begun = usize::from(self.written > 0);
                 let waiting = self.frames.iter().skip(begun);
@@ -51,7 +51,7 @@ impl Outgoing {
     /// Throws everything away; the answer is how many frames that were.
     pub(super) fn clear(&mut self) -> u64 {
         let frames = self.frames.len();
-        *self = Outgoing::default();
+        *self = StreamSendQueue::default();
         frames as u64
     }
 
@@ -125,9 +125,9 @@ mod tests {
 
     #[test]
     fn frames_are_complete_when_their_last_byte_is_written() {
-        let mut outgoing = Outgoing::default();
+        let mut outgoing = StreamSendQueue::default();
         for frame in ["", "abc", "", "de"] {
-            assert!(outgoing.push(Lane::Usual, frame.into(), 1 << 20));
+            assert!(outgoing.push(TrafficClass::Usual, frame.into(), 1 << 20));
         }
 
         let completed = [3, 1, 6, 1, 4, 6].map(|bytes| outgoing.advance(bytes));
@@ -138,14 +138,15 @@ mod tests {
 
     #[test]
     fn the_queue_is_bounded_for_empty_frames_too() {
-        let mut outgoing = Outgoing::default();
+        let mut outgoing = StreamSendQueue::default();
 
-        let taken =
-            (0..10_000).filter(|_| outgoing.push(Lane::Usual, Parcel::default(), 64 * 100)).count();
+        let taken = (0..10_000)
+            .filter(|_| outgoing.push(TrafficClass::Usual, GatherBuffer::default(), 64 * 100))
+            .count();
 
         assert_eq!(taken, 100);
         assert!(
-            outgoing.push(Lane::Urgent, Parcel::default(), 64),
+            outgoing.push(TrafficClass::Urgent, GatherBuffer::default(), 64),
             "the urgent has a place of its own"
         );
         assert_eq!(outgoing.clear(), 101);
@@ -153,18 +154,18 @@ mod tests {
 
     #[test]
     fn the_urgent_goes_behind_the_frame_that_has_begun_and_before_all_others() {
-        let mut outgoing = Outgoing::default();
-        let push = |outgoing: &mut Outgoing, lane, frame: &'static str| {
+        let mut outgoing = StreamSendQueue::default();
+        let push = |outgoing: &mut StreamSendQueue, lane, frame: &'static str| {
             assert!(outgoing.push(lane, frame.into(), 1 << 20));
         };
-        push(&mut outgoing, Lane::Usual, "a");
-        push(&mut outgoing, Lane::Usual, "b");
+        push(&mut outgoing, TrafficClass::Usual, "a");
+        push(&mut outgoing, TrafficClass::Usual, "b");
         assert_eq!(outgoing.advance(1), 0);
 
         for frame in ["x", "y"] {
-            push(&mut outgoing, Lane::Urgent, frame);
+            push(&mut outgoing, TrafficClass::Urgent, frame);
         }
-        push(&mut outgoing, Lane::Hello, "h");
+        push(&mut outgoing, TrafficClass::Hello, "h");
 
         let order: Vec<_> = outgoing.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
         assert_eq!(order, [b"a", b"h", b"x", b"y", b"b"]);

@@ -1,10 +1,10 @@
 //! One peer, and how the connection with it stands.
 
 use super::framing::{decode, room};
-use super::outgoing::Outgoing;
-use super::{ByteStream, Family, Underway};
-use crate::medium::Budget;
-use crate::upstream::Outlet;
+use super::outgoing::StreamSendQueue;
+use super::{ByteStream, HandshakeFuture, StreamFamily};
+use crate::medium::PollBudget;
+use crate::upstream::Upstream;
 use blastema_core::recovery::Backoff;
 use bytes::{BufMut, BytesMut};
 use std::future::Future;
@@ -24,10 +24,10 @@ const BACKOFF: Backoff = Backoff {
 };
 
 /// A peer, known by the address at which it listens.
-pub(super) struct Peer<F: Family> {
+pub(super) struct StreamPeer<F: StreamFamily> {
     pub(super) address: F::Address,
-    pub(super) state: State<F::Stream>,
-    pub(super) outgoing: Outgoing,
+    pub(super) state: ConnectionState<F::Stream>,
+    pub(super) outgoing: StreamSendQueue,
     failures: u32,
 }
 
@@ -38,15 +38,15 @@ pub(super) struct Peer<F: Family> {
 ///    └─────────────────┴────────── pause over ─────── Resting
 /// ```
 /// A connection that the peer makes leads to `Connected` from anywhere.
-pub(super) enum State<S> {
+pub(super) enum ConnectionState<S> {
     /// The next frame dials.
     Absent,
     /// A connection is being made; frames wait for it.
-    Dialing(Underway<S>),
+    Dialing(HandshakeFuture<S>),
     /// Frames flow.
     Connected(Connection<S>),
     /// It failed or broke a moment ago; frames are dropped.
-    Resting(Pin<Box<Sleep>>),
+    Backoff(Pin<Box<Sleep>>),
 }
 
 /// A connection on which both sides have introduced themselves.
@@ -56,32 +56,37 @@ pub(super) struct Connection<S> {
 }
 
 /// Why a connection is no more.
-pub(super) enum Broken {
+pub(super) enum DisconnectReason {
     /// The other side closed it, or the network did.
     Lost,
     /// The other side sent what is no frame.
     Refused,
 }
 
-impl<F: Family> Peer<F> {
+impl<F: StreamFamily> StreamPeer<F> {
     pub(super) fn new(address: F::Address) -> Self {
-        Peer { address, state: State::Absent, outgoing: Outgoing::default(), failures: 0 }
+        StreamPeer {
+            address,
+            state: ConnectionState::Absent,
+            outgoing: StreamSendQueue::default(),
+            failures: 0,
+        }
     }
 
     pub(super) fn is_connected(&self) -> bool {
-        matches!(self.state, State::Connected(_))
+        matches!(self.state, ConnectionState::Connected(_))
     }
 
     /// Whether nothing is lost when its place is given to another.
     pub(super) fn is_dispensable(&self) -> bool {
-        matches!(self.state, State::Absent | State::Resting(_))
+        matches!(self.state, ConnectionState::Absent | ConnectionState::Backoff(_))
     }
 
     /// Frames flow over this connection from now on, beginning with a whole one.
     pub(super) fn adopt(&mut self, stream: F::Stream) {
         self.failures = 0;
         self.outgoing.rewind();
-        self.state = State::Connected(Connection { stream, buffer: BytesMut::new() });
+        self.state = ConnectionState::Connected(Connection { stream, buffer: BytesMut::new() });
     }
 
     /// The connection failed or broke: a pause begins, twice as long after each failure. The answer is
@@ -90,27 +95,27 @@ impl<F: Family> Peer<F> {
         self.failures = self.failures.saturating_add(1);
         let seed = F::seed(&self.address);
         let pause = BACKOFF.delay(self.failures.saturating_add(1), seed);
-        self.state = State::Resting(Box::pin(tokio::time::sleep(pause)));
+        self.state = ConnectionState::Backoff(Box::pin(tokio::time::sleep(pause)));
         self.outgoing.clear()
     }
 
     /// Looks whether a connection is made, or a pause is over.
     pub(super) fn poll_progress(&mut self, task: &mut task::Context<'_>) -> io::Result<()> {
         match &mut self.state {
-            State::Dialing(dial) => match dial.as_mut().poll(task) {
+            ConnectionState::Dialing(dial) => match dial.as_mut().poll(task) {
                 Poll::Ready(stream) => {
                     self.adopt(stream?);
                     Ok(())
                 }
                 Poll::Pending => Ok(()),
             },
-            State::Resting(pause) => {
+            ConnectionState::Backoff(pause) => {
                 if pause.as_mut().poll(task).is_ready() {
-                    self.state = State::Absent;
+                    self.state = ConnectionState::Absent;
                 }
                 Ok(())
             }
-            State::Absent | State::Connected(_) => Ok(()),
+            ConnectionState::Absent | ConnectionState::Connected(_) => Ok(()),
         }
     }
 
@@ -118,11 +123,11 @@ impl<F: Family> Peer<F> {
     pub(super) fn write(
         &mut self,
         task: &mut task::Context<'_>,
-        outlet: &mut Outlet,
-    ) -> Result<(), Broken> {
-        let State::Connected(connection) = &self.state else { return Ok(()) };
+        outlet: &mut Upstream,
+    ) -> Result<(), DisconnectReason> {
+        let ConnectionState::Connected(connection) = &self.state else { return Ok(()) };
         outlet.counters.sent +=
-            self.outgoing.write(&connection.stream, task).map_err(|_| Broken::Lost)?;
+            self.outgoing.write(&connection.stream, task).map_err(|_| DisconnectReason::Lost)?;
         Ok(())
     }
 
@@ -131,17 +136,17 @@ impl<F: Family> Peer<F> {
         &mut self,
         task: &mut task::Context<'_>,
         limit: usize,
-        outlet: &mut Outlet,
-    ) -> Result<bool, Broken> {
-        let State::Connected(Connection { stream, buffer }) = &mut self.state else {
+        outlet: &mut Upstream,
+    ) -> Result<bool, DisconnectReason> {
+        let ConnectionState::Connected(Connection { stream, buffer }) = &mut self.state else {
             return Ok(false);
         };
-        let mut budget = Budget::default();
+        let mut budget = PollBudget::default();
         while budget.next() {
             if outlet.poll_room(task).is_pending() {
                 return Ok(true);
             }
-            if let Some(frame) = decode(buffer, limit).map_err(|_| Broken::Refused)? {
+            if let Some(frame) = decode(buffer, limit).map_err(|_| DisconnectReason::Refused)? {
                 budget.spend(frame.len());
                 outlet.deliver(self.address.clone().into(), frame);
                 continue;
@@ -149,14 +154,14 @@ impl<F: Family> Peer<F> {
             let room = room(buffer, limit);
             buffer.reserve(room);
             match stream.try_read_buf(&mut buffer.limit(room)) {
-                Ok(0) => return Err(Broken::Lost),
+                Ok(0) => return Err(DisconnectReason::Lost),
                 Ok(_) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     if stream.poll_read_ready(task).is_pending() {
                         return Ok(false);
                     }
                 }
-                Err(_) => return Err(Broken::Lost),
+                Err(_) => return Err(DisconnectReason::Lost),
             }
         }
         task.waker().wake_by_ref();

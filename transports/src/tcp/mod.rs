@@ -8,10 +8,10 @@ mod handshake;
 pub use crate::stream::framing;
 
 use self::handshake::{dial, greet, introduce};
-use crate::bound_address::{Binding, confine, explain};
-use crate::medium::{Medium, transport};
-use crate::stream::{BACKLOG, Bounds, Family, Streams, Underway, byte_stream};
-use crate::upstream::Outlet;
+use crate::bound_address::{BoundAddress, confine, explain};
+use crate::medium::{MediumActor, transport};
+use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
+use crate::upstream::Upstream;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit};
 use socket2::{Domain, Protocol, Socket, Type};
@@ -80,12 +80,12 @@ pub struct Tcp(Streams<OverIp>);
 impl Tcp {
     /// A transport that opens when it is started.
     pub fn new(config: TcpConfig) -> Self {
-        Tcp(Streams::new(OverIp { binding: Binding::new(config.bind), config }))
+        Tcp(Streams::new(OverIp { binding: BoundAddress::new(config.bind), config }))
     }
 }
 
-impl Medium for Tcp {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for Tcp {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.0.outlet
     }
 
@@ -112,18 +112,18 @@ byte_stream!(TcpStream);
 
 struct OverIp {
     config: TcpConfig,
-    binding: Binding,
+    binding: BoundAddress,
 }
 
-impl Family for OverIp {
+impl StreamFamily for OverIp {
     type Stream = TcpStream;
     type Listener = TcpListener;
     type Address = SocketAddr;
     type Origin = IpAddr;
 
-    fn bounds(&self) -> Bounds {
+    fn bounds(&self) -> StreamLimits {
         let TcpConfig { mtu, peers, strangers, queue_bytes, .. } = self.config;
-        Bounds { mtu, peers, strangers, queue_bytes }
+        StreamLimits { mtu, peers, strangers, queue_bytes }
     }
 
     fn listen(&mut self) -> Result<(TcpListener, SocketAddr), String> {
@@ -143,11 +143,15 @@ impl Family for OverIp {
         listener.poll_accept(task).map_ok(|(stream, from)| (stream, from.ip()))
     }
 
-    fn dial(&self, local: &SocketAddr, peer: &SocketAddr) -> Underway<TcpStream> {
+    fn dial(&self, local: &SocketAddr, peer: &SocketAddr) -> HandshakeFuture<TcpStream> {
         Box::pin(dial(*local, *peer, self.config.clone()))
     }
 
-    fn greet(&self, stream: TcpStream, origin: &IpAddr) -> Underway<(TcpStream, SocketAddr)> {
+    fn greet(
+        &self,
+        stream: TcpStream,
+        origin: &IpAddr,
+    ) -> HandshakeFuture<(TcpStream, SocketAddr)> {
         let (config, ip) = (self.config.clone(), *origin);
         Box::pin(async move {
             let (stream, port) = greet(stream, config).await?;

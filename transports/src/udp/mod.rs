@@ -3,16 +3,16 @@
 #[cfg(feature = "udp")]
 mod multicast;
 
-use crate::bound_address::{Binding, confine, explain};
+use crate::bound_address::{BoundAddress, confine, explain};
 use crate::frame_medium::QueueLimits;
 use crate::frame_split::part_frame;
-use crate::medium::{Budget, Medium, transport};
-use crate::reopen_backoff::Reopening;
-use crate::transmit_queues::Lanes;
-use crate::upstream::Outlet;
+use crate::medium::{MediumActor, PollBudget, transport};
+use crate::reopen_backoff::ReopenBackoff;
+use crate::transmit_queues::TransmitQueues;
+use crate::upstream::Upstream;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
-use blastema_core::Parcel;
+use blastema_core::GatherBuffer;
 use bytes::{BufMut, BytesMut};
 use socket2::{Domain, Protocol, SockRef, Socket, Type};
 use std::io::{self, IoSlice};
@@ -94,15 +94,15 @@ impl UdpConfig {
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Udp {
     config: UdpConfig,
-    outlet: Outlet,
-    binding: Binding,
-    reopening: Reopening,
+    outlet: Upstream,
+    binding: BoundAddress,
+    reopening: ReopenBackoff,
     socket: Option<UdpSocket>,
     /// Hears the group, if there is one, beside our own socket.
     ear: Option<UdpSocket>,
-    queue: Lanes<(SocketAddr, Parcel)>,
+    queue: TransmitQueues<(SocketAddr, GatherBuffer)>,
     /// The one that the kernel had no room for.
-    going: Option<(SocketAddr, Parcel)>,
+    going: Option<(SocketAddr, GatherBuffer)>,
     buffer: BytesMut,
     errors_in_a_row: u32,
 }
@@ -111,13 +111,13 @@ impl Udp {
     /// A transport that opens when it is started.
     pub fn new(config: UdpConfig) -> Self {
         Udp {
-            binding: Binding::new(config.bind),
+            binding: BoundAddress::new(config.bind),
             config,
-            outlet: Outlet::default(),
-            reopening: Reopening::default(),
+            outlet: Upstream::default(),
+            reopening: ReopenBackoff::default(),
             socket: None,
             ear: None,
-            queue: Lanes::default(),
+            queue: TransmitQueues::default(),
             going: None,
             buffer: BytesMut::new(),
             errors_in_a_row: 0,
@@ -147,7 +147,7 @@ impl Udp {
     }
 
     /// Sends one datagram, or gives it back when the kernel has no room for it.
-    fn send(&mut self, to: SocketAddr, frame: Parcel) -> Option<Parcel> {
+    fn send(&mut self, to: SocketAddr, frame: GatherBuffer) -> Option<GatherBuffer> {
         let Some(socket) = &self.socket else {
             self.outlet.counters.dropped += 1;
             return None;
@@ -204,7 +204,7 @@ impl Udp {
         // One byte more than the largest frame: a datagram that fills it is too large.
         let room = mtu + 1;
         let chunk = room.max(CHUNK);
-        let mut budget = Budget::default();
+        let mut budget = PollBudget::default();
         while budget.next() {
             if self.outlet.poll_room(task).is_pending() {
                 return Turn::Empty;
@@ -252,7 +252,7 @@ impl Udp {
 }
 
 /// Gives the kernel one datagram, as it lies.
-fn try_send(socket: &UdpSocket, frame: &Parcel, to: SocketAddr) -> io::Result<usize> {
+fn try_send(socket: &UdpSocket, frame: &GatherBuffer, to: SocketAddr) -> io::Result<usize> {
     let pieces = frame.pieces().map(IoSlice::new);
     let send = || SockRef::from(socket).send_to_vectored(&pieces, &to.into());
     socket.try_io(Interest::WRITABLE, send)
@@ -268,8 +268,8 @@ enum Turn {
     Broken(String),
 }
 
-impl Medium for Udp {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for Udp {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.outlet
     }
 

@@ -16,9 +16,9 @@ pub use self::socket::{PathListener, explain};
 pub use crate::stream::framing;
 
 use self::socket::{dial, greet, introduce};
-use crate::medium::{Medium, transport};
-use crate::stream::{Bounds, Family, Streams, Underway, byte_stream};
-use crate::upstream::Outlet;
+use crate::medium::{MediumActor, transport};
+use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
+use crate::upstream::Upstream;
 use actix::Context;
 use blastema_contract::transport::{MediumAddress, Transmit};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -40,8 +40,8 @@ impl Unix {
     }
 }
 
-impl Medium for Unix {
-    fn outlet(&mut self) -> &mut Outlet {
+impl MediumActor for Unix {
+    fn outlet(&mut self) -> &mut Upstream {
         &mut self.0.outlet
     }
 
@@ -68,16 +68,16 @@ byte_stream!(UnixStream);
 
 struct OverPaths(UnixConfig);
 
-impl Family for OverPaths {
+impl StreamFamily for OverPaths {
     type Stream = UnixStream;
     type Listener = PathListener;
     type Address = Arc<Path>;
     /// Whoever connects has no address of his own.
     type Origin = ();
 
-    fn bounds(&self) -> Bounds {
+    fn bounds(&self) -> StreamLimits {
         let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = self.0;
-        Bounds { mtu, peers, strangers, queue_bytes }
+        StreamLimits { mtu, peers, strangers, queue_bytes }
     }
 
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
@@ -95,11 +95,11 @@ impl Family for OverPaths {
         listener.socket.poll_accept(task).map_ok(|(stream, _)| (stream, ()))
     }
 
-    fn dial(&self, local: &Arc<Path>, peer: &Arc<Path>) -> Underway<UnixStream> {
+    fn dial(&self, local: &Arc<Path>, peer: &Arc<Path>) -> HandshakeFuture<UnixStream> {
         Box::pin(dial(local.clone(), peer.clone(), self.0.connect_timeout))
     }
 
-    fn greet(&self, stream: UnixStream, _: &()) -> Underway<(UnixStream, Arc<Path>)> {
+    fn greet(&self, stream: UnixStream, _: &()) -> HandshakeFuture<(UnixStream, Arc<Path>)> {
         Box::pin(greet(stream, self.0.hello_timeout))
     }
 

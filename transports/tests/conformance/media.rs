@@ -5,8 +5,9 @@ use blastema_contract::transport::MediumAddress;
 use blastema_doubles::{now, paused};
 use blastema_ptys::{Adapters, Cable};
 use blastema_transports::{
-    Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium, SerialConfig,
-    SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix, UnixConfig,
+    FaultInjector, FaultInjectorConfig, FrameTransport, Memory, MemoryConfig, MemoryMedium,
+    SerialConfig, SerialLine, SlcanBus, SlcanConfig, Tcp, TcpConfig, Udp, UdpConfig, Unix,
+    UnixConfig,
 };
 use std::cell::Cell;
 use std::future::Future;
@@ -301,7 +302,7 @@ impl<M: Medium> Medium for Behind<M> {
     fn open(&self, at: Option<MediumAddress>) -> Opened {
         let inner = self.0.open(at).transport;
         let (address, panic) =
-            start(Faulty::new(inner, FaultyConfig::new(7, blastema_doubles::now)));
+            start(FaultInjector::new(inner, FaultInjectorConfig::new(7, blastema_doubles::now)));
         Opened { wrapper: Some(address.clone().recipient()), transport: address.into(), panic }
     }
 

@@ -124,7 +124,7 @@ impl ModuleAgent {
         self.measurements.tell(ModuleEvent::Snapshot(Box::new(snapshot)));
     }
 
-    fn answer(&self, order: OrderId, outcome: Result<(), Why>) {
+    fn answer(&self, order: OrderId, outcome: Result<(), DeliveryError>) {
         match outcome {
             Ok(()) => {
                 self.measurements.tell(ModuleEvent::CarriedOut { order, at: MachineInstant::now() })

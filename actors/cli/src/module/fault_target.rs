@@ -48,7 +48,7 @@ impl FaultTarget {
         measurements: &Measurements,
         order: OrderId,
         object: &str,
-    ) -> Result<FaultTarget, Why> {
+    ) -> Result<FaultTarget, DeliveryError> {
         Ok(FaultTarget {
             measurements: measurements.clone(),
             order,

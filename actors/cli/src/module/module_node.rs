@@ -85,7 +85,7 @@ pub(super) fn check_addresses(module: Module, wiring: &Wiring) -> io::Result<()>
 ///
 /// # Errors
 /// There is no such cable.
-pub(super) fn cut(node: &Node, name: &str) -> Result<(), Why> {
+pub(super) fn cut(node: &Node, name: &str) -> Result<(), DeliveryError> {
     cable(node, name).map(|cable| cable.cut(Direction::Both, false))
 }
 
@@ -93,12 +93,12 @@ pub(super) fn cut(node: &Node, name: &str) -> Result<(), Why> {
 ///
 /// # Errors
 /// There is no such cable.
-pub(super) fn restore(node: &Node, name: &str) -> Result<(), Why> {
+pub(super) fn restore(node: &Node, name: &str) -> Result<(), DeliveryError> {
     cable(node, name).map(|cable| cable.restore())
 }
 
-fn cable(node: &Node, name: &str) -> Result<Cable, Why> {
-    node.cable(name).ok_or_else(|| Why::Unknown { name: name.to_owned() })
+fn cable(node: &Node, name: &str) -> Result<Cable, DeliveryError> {
+    node.cable(name).ok_or_else(|| DeliveryError::Unknown { name: name.to_owned() })
 }
 
 fn supervisor(name: &str) -> SupervisorSpec {
@@ -115,7 +115,7 @@ fn active<C: Component>(
     ChildSpec::new(name, factory)
         .rate_hz(rate_hz)
         .queue(QUEUE, WhenFull::Refuse)
-        .watch(Watch::push(sign_of_life, MISSED_SIGNS))
+        .liveness(Liveness::push(sign_of_life, MISSED_SIGNS))
         .max_block(BLOCK)
 }
 
@@ -128,7 +128,7 @@ fn passive<C: Component>(
     active(name, rate_hz, factory)
         .queue(PASSIVE_QUEUE, WhenFull::Refuse)
         .max_delay(PATIENCE)
-        .watch(Watch::Pull(Pull::default()))
+        .liveness(Liveness::Pull(Pull::default()))
 }
 
 fn skin_of(module: Module, measurements: &Measurements) -> SupervisorSpec {

@@ -2,7 +2,7 @@
 
 use crate::demo::machine_instant::MachineInstant;
 use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, ObjectState};
-use blastema::core::detection::{self, ObjectKind, Row, Turn};
+use blastema::core::detection::{self, FaultTransition, MonitorRow, ObjectKind};
 use blastema::{FaultEvent, Lifecycle, Place};
 
 /// Returns the event of a fault that the director receives.
@@ -10,7 +10,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
     let FaultEvent { fault, at, turn } = step;
     let id = fault.id.0;
     Some(match turn {
-        Turn::Found => ModuleEvent::Found(FaultNote {
+        FaultTransition::Found => ModuleEvent::Found(FaultNote {
             id,
             kind: fault.kind,
             place: fault.place,
@@ -18,21 +18,21 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
             detail: fault.detail,
             symptom_of: fault.symptom_of.map(|root| root.0),
         }),
-        Turn::Repeated => ModuleEvent::Repeated { id, count: fault.count },
-        Turn::Explained => {
+        FaultTransition::Repeated => ModuleEvent::Repeated { id, count: fault.count },
+        FaultTransition::Explained => {
             ModuleEvent::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
         }
-        Turn::Decided { measure } => ModuleEvent::Decided { id, measure },
-        Turn::Recovered => ModuleEvent::Recovered { id, at: MachineInstant::from(at) },
-        Turn::GaveUp { reason } => ModuleEvent::GaveUp { id, reason },
-        Turn::Cleared => ModuleEvent::Cleared { id },
+        FaultTransition::Decided { measure } => ModuleEvent::Decided { id, measure },
+        FaultTransition::Recovered => ModuleEvent::Recovered { id, at: MachineInstant::from(at) },
+        FaultTransition::GaveUp { reason } => ModuleEvent::GaveUp { id, reason },
+        FaultTransition::Cleared => ModuleEvent::Cleared { id },
         _ => return None,
     })
 }
 
 /// Returns the components of the table.
-pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
-    let object = |row: &Row| match (&row.place, row.kind) {
+pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
+    let object = |row: &MonitorRow| match (&row.place, row.kind) {
         (Place::Object(address), ObjectKind::Component) => Some(ObjectState {
             name: address.object.to_string(),
             state: row.state.unwrap_or(Lifecycle::Created),
@@ -45,8 +45,8 @@ pub(super) fn objects_of(table: &[Row]) -> Vec<ObjectState> {
 }
 
 /// Returns the cables of the table.
-pub(super) fn links_of(table: &[Row]) -> Vec<CableState> {
-    let link = |row: &Row| match &row.place {
+pub(super) fn links_of(table: &[MonitorRow]) -> Vec<CableState> {
+    let link = |row: &MonitorRow| match &row.place {
         Place::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
             // A degraded link is suspected, and still carries messages.

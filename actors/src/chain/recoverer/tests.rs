@@ -1,10 +1,10 @@
 use super::*;
-use crate::chain::scripted::{Answer, Bench, fault};
-use crate::chain::strategy::{Apply, RecoveryStrategy, SafeOutputs, ToolBox};
+use crate::chain::scripted::{Bench, ScriptedReply, fault};
+use crate::chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
 use crate::chain::supervisor::SupervisorChild;
-use crate::host::environment::Reports;
+use crate::host::environment::FaultReports;
 use crate::registry::Registry;
-use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
+use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
 use blastema_doubles::{Probe, advance, paused, settle};
@@ -16,10 +16,10 @@ use std::time::Duration;
 struct Chain {
     bench: Bench,
     root: SupervisorChild,
-    recoverer: Addr<Recoverer>,
+    recoverer: Addr<RecovererActor>,
     outcomes: Probe<FaultOutcome>,
     router: Probe<Reroute>,
-    node: Probe<RestNode>,
+    node: Probe<EnterSafeState>,
     safe_outputs: Arc<AtomicUsize>,
 }
 
@@ -30,24 +30,28 @@ impl Chain {
         let (outcomes, node) = (Probe::start(), Probe::start());
         let router = Probe::replying(|Reroute { place }| match place {
             Place::Node(_) => Err("no other way leads there".into()),
-            _ => Ok(Done::default()),
+            _ => Ok(RecoveryDone::default()),
         });
         let here = NodeName::new("here").expect("a good name");
         let safe_outputs = Arc::new(AtomicUsize::new(0));
         let applied = safe_outputs.clone();
-        let apply: Apply = Arc::new(move |_| {
+        let apply: ApplyOutputs = Arc::new(move |_| {
             applied.fetch_add(1, SeqCst);
         });
         let network = Probe::replying(|IsolateNode { node, cause, .. }| match node.as_str() {
-            "there" => Ok(Done::default()),
+            "there" => Ok(RecoveryDone::default()),
             _ => Err(cause.into()),
         });
-        let tools = Tools::new(ToolBox {
+        let tools = StrategyContext::new(StrategyTargets {
             node: here.clone(),
             directory: bench.directory.clone(),
             registry: Registry::default(),
             router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
-            safe_outputs: SafeOutputs::new(Some(apply), Callbacks::default(), Reports::default()),
+            safe_outputs: SafeOutputs::new(
+                Some(apply),
+                Callbacks::default(),
+                FaultReports::default(),
+            ),
             rest_node: node.recipient(),
         });
         let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
@@ -60,7 +64,7 @@ impl Chain {
             callbacks: Callbacks::default(),
         };
         let name = "chain/recoverer".parse().expect("a good name");
-        let make = move |_: &mut Context<Recoverer>| Recoverer::new(setup);
+        let make = move |_: &mut Context<RecovererActor>| RecovererActor::new(setup);
         let recoverer = bench.guardian.start(name, None, make);
         Chain { bench, root, recoverer, outcomes, router, node, safe_outputs }
     }
@@ -83,9 +87,9 @@ impl Chain {
         while told.last().is_none_or(|line| line != last) {
             let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
             told.push(match what {
-                Outcome::Decided { measure } => format!("{id} {measure}"),
-                Outcome::Recovered => format!("{id} recovered"),
-                Outcome::GaveUp { reason } => format!("{id} given up: {reason}"),
+                RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
+                RecoveryOutcome::Recovered => format!("{id} recovered"),
+                RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
             });
         }
         told
@@ -105,7 +109,11 @@ impl Drop for Homing {
 }
 
 impl RecoveryStrategy for Homing {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         assert!(self.made.load(SeqCst) > 0);
         match order.attempt {
             1 => panic!("the gripper is open"),
@@ -132,7 +140,7 @@ fn a_panic_is_recovered_by_the_next_life() {
 fn an_error_that_cannot_be_reset_is_restarted() {
     paused(async {
         let chain = Chain::built_in().await;
-        chain.bench.script.answer("reset arm", &[Answer::Fails]);
+        chain.bench.script.answer("reset arm", &[ScriptedReply::Fails]);
 
         chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
 
@@ -146,7 +154,7 @@ fn an_error_that_cannot_be_reset_is_restarted() {
 fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
     paused(async {
         let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[Answer::Fails; 3]);
+        chain.bench.script.answer("start laser", &[ScriptedReply::Fails; 3]);
 
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
 
@@ -221,8 +229,9 @@ fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
             Homing { made: counters.0.clone(), released: counters.1.clone() }
         });
         assert_eq!(strategies.names().collect::<Vec<_>>(), ["homing"]);
-        let ladder =
-            Ladder::first(Measure::Custom("homing".into())).times(4).within(Duration::from_secs(1));
+        let ladder = Ladder::first(RecoveryAction::Custom("homing".into()))
+            .times(4)
+            .within(Duration::from_secs(1));
         let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
         let chain = Chain::new(plan, strategies).await;
         assert_eq!(made.load(SeqCst), 0);
@@ -244,13 +253,13 @@ fn a_strategy_that_cannot_even_be_made_has_failed() {
         let mut strategies = StrategyTable::default();
         strategies.hand_over("homing", || -> Homing { panic!("no such gripper") });
         let plan = Plan::default()
-            .on(FaultKind::CheckFailed, Ladder::first(Measure::Custom("homing".into())));
+            .on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Custom("homing".into())));
         let chain = Chain::new(plan, strategies).await;
 
         chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
 
         chain.outcomes.expect().await;
-        let Outcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
+        let RecoveryOutcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
             panic!("it was not given up");
         };
         assert!(reason.contains("no such gripper"), "{reason}");
@@ -264,7 +273,7 @@ fn a_strategy_that_cannot_even_be_made_has_failed() {
 fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
     paused(async {
         let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[Answer::Hangs]);
+        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
 
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
@@ -278,7 +287,7 @@ fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
 #[rtype(result = "()")]
 struct Poison;
 
-impl Handler<Poison> for Recoverer {
+impl Handler<Poison> for RecovererActor {
     type Result = ();
 
     fn handle(&mut self, _: Poison, _: &mut Context<Self>) {
@@ -290,7 +299,7 @@ impl Handler<Poison> for Recoverer {
 fn a_recoverer_that_panics_takes_up_again_what_was_open() {
     paused(async {
         let chain = Chain::built_in().await;
-        chain.bench.script.answer("start laser", &[Answer::Hangs]);
+        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
         settle().await;
 

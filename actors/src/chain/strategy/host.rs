@@ -1,12 +1,12 @@
 //! The actor around a strategy.
 
-use super::{RecoveryStrategy, Tools};
+use super::{RecoveryStrategy, StrategyContext};
 use crate::chain::callbacks::{Callbacks, RunningCall};
 use crate::panics;
 use actix::prelude::*;
-use blastema_contract::strategy::CarryOut;
+use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
-use blastema_core::recovery::{Done, Failed};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use std::future::{Future, poll_fn};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::pin;
@@ -20,7 +20,7 @@ pub(super) struct StrategyHost<S> {
     make: Arc<dyn Fn() -> S + Send + Sync>,
     /// Made with its first order.
     strategy: Option<Rc<S>>,
-    tools: Tools,
+    tools: StrategyContext,
     thread: Option<StrategyThread>,
 }
 
@@ -57,19 +57,19 @@ impl StrategyThread {
 impl<S: RecoveryStrategy> StrategyHost<S> {
     pub(super) fn new(
         make: Arc<dyn Fn() -> S + Send + Sync>,
-        tools: Tools,
+        tools: StrategyContext,
         thread: Option<StrategyThread>,
     ) -> Self {
         StrategyHost { make, strategy: None, tools, thread }
     }
 
-    fn strategy(&mut self, order: u64) -> Result<Rc<S>, Failed> {
+    fn strategy(&mut self, order: u64) -> Result<Rc<S>, RecoveryFailed> {
         if let Some(strategy) = &self.strategy {
             return Ok(strategy.clone());
         }
         let call = self.thread.as_ref().and_then(|thread| thread.enter(order));
         let made = {
-            let _guarded = panics::Guarded::enter();
+            let _guarded = panics::PanicGuard::enter();
             catch_unwind(AssertUnwindSafe(|| (self.make)()))
         };
         if let (Some(thread), Some(false)) = (&self.thread, call.map(RunningCall::end)) {
@@ -77,7 +77,7 @@ impl<S: RecoveryStrategy> StrategyHost<S> {
         }
         let strategy = made.map(Rc::new).map_err(|payload| {
             let (text, place) = (panics::text_of(payload), panics::take_place());
-            Failed::from(format!("making the strategy panicked at {place}: {text}"))
+            RecoveryFailed::from(format!("making the strategy panicked at {place}: {text}"))
         })?;
         Ok(self.strategy.insert(strategy).clone())
     }
@@ -89,11 +89,11 @@ impl<S: RecoveryStrategy> Actor for StrategyHost<S> {
 
 impl<S: RecoveryStrategy> Supervised for StrategyHost<S> {}
 
-impl<S: RecoveryStrategy> Handler<CarryOut> for StrategyHost<S> {
-    type Result = ResponseFuture<Result<Done, Failed>>;
+impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
+    type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
 
-    fn handle(&mut self, message: CarryOut, _: &mut Context<Self>) -> Self::Result {
-        let CarryOut(order) = message;
+    fn handle(&mut self, message: ExecuteAction, _: &mut Context<Self>) -> Self::Result {
+        let ExecuteAction(order) = message;
         let strategy = match self.strategy(order.number) {
             Ok(strategy) => strategy,
             Err(failed) => return Box::pin(std::future::ready(Err(failed))),
@@ -111,15 +111,15 @@ impl<S: RecoveryStrategy> Handler<CarryOut> for StrategyHost<S> {
 
 /// Polls the strategy's future so that a panic in it becomes a failure with its text and place.
 async fn guarded(
-    work: impl Future<Output = Result<Done, Failed>>,
+    work: impl Future<Output = Result<RecoveryDone, RecoveryFailed>>,
     order: u64,
     thread: Option<StrategyThread>,
-) -> Result<Done, Failed> {
+) -> Result<RecoveryDone, RecoveryFailed> {
     let mut work = pin!(work);
     poll_fn(move |cx| {
         let call = thread.as_ref().and_then(|thread| thread.enter(order));
         let polled = {
-            let _guarded = panics::Guarded::enter();
+            let _guarded = panics::PanicGuard::enter();
             catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx)))
         };
         if let (Some(thread), Some(false)) = (&thread, call.map(RunningCall::end)) {

@@ -1,12 +1,16 @@
 //! Isolation: the object's, or the other node's, sending and receiving is forbidden.
 
-use super::{RecoveryStrategy, Tools};
-use blastema_core::recovery::{Done, Failed, Order};
+use super::{RecoveryStrategy, StrategyContext};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-pub(super) struct Isolate;
+pub(super) struct IsolateStrategy;
 
-impl RecoveryStrategy for Isolate {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+impl RecoveryStrategy for IsolateStrategy {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tools.isolate_because(&order.fault).await
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! Recoverer ──CarryOut{order}──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
-//!           ◄──Done | Failed───┘                        │
+//!           ◄──RecoveryDone | Failed───┘                        │
 //!                          Supervisor ◄──RestartChild…──┤ tools
 //!                          Router     ◄──Reroute────────┘
 //! ```
@@ -19,12 +19,12 @@ mod safe_stop;
 mod table;
 mod tools;
 
-pub(crate) use outputs::{Apply, SAFE_OUTPUTS, SafeOutputs};
+pub(crate) use outputs::{ApplyOutputs, SAFE_OUTPUTS, SafeOutputs};
 pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
-pub(crate) use tools::ToolBox;
-pub use tools::Tools;
+pub use tools::StrategyContext;
+pub(crate) use tools::StrategyTargets;
 
-use blastema_core::recovery::{Done, Failed, Order};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
 /// A way to recover that the application brings along.
 ///
@@ -32,7 +32,7 @@ use blastema_core::recovery::{Done, Failed, Order};
 /// is made when it is first needed, and dropped when it has had nothing to do for a while.
 ///
 /// Orders for different places are carried out at the same time: whatever must be remembered between
-/// them is kept in a cell. A strategy that panics, or takes longer than [`Order::within`], has failed, and
+/// them is kept in a cell. A strategy that panics, or takes longer than [`RecoveryOrder::within`], has failed, and
 /// the recoverer goes on up its ladder.
 ///
 /// Each strategy has a thread of its own. Where it blocks that thread for longer than
@@ -41,14 +41,14 @@ use blastema_core::recovery::{Done, Failed, Order};
 /// instance of it, on a fresh thread, from their beginning.
 ///
 /// ```
-/// use blastema::core::recovery::{Done, Failed, Order};
-/// use blastema::{RecoveryStrategy, Tools};
+/// use blastema::core::recovery::{RecoveryDone, Failed, RecoveryOrder};
+/// use blastema::{RecoveryStrategy, StrategyContext};
 ///
 /// /// Lets a joint go limp before it is restarted.
 /// struct LimpFirst;
 ///
 /// impl RecoveryStrategy for LimpFirst {
-///     async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+///     async fn carry_out(&self, order: &RecoveryOrder, tools: &StrategyContext) -> Result<RecoveryDone, Failed> {
 ///         tools.isolate(&order.fault.place).await?;
 ///         tools.restart(&order.fault).await
 ///     }
@@ -58,7 +58,10 @@ pub trait RecoveryStrategy: 'static {
     /// Carries one measure out.
     ///
     /// # Errors
-    /// [`Failed`] says why it did not help; a text converts into it.
-    fn carry_out(&self, order: &Order, tools: &Tools)
-    -> impl Future<Output = Result<Done, Failed>>;
+    /// [`RecoveryFailed`] says why it did not help; a text converts into it.
+    fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> impl Future<Output = Result<RecoveryDone, RecoveryFailed>>;
 }

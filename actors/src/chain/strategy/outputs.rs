@@ -1,7 +1,7 @@
 //! The application's declared safe outputs.
 
 use crate::chain::callbacks::{CallOutcome, Callbacks};
-use crate::host::environment::Reports;
+use crate::host::environment::FaultReports;
 use blastema_core::Fault;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
@@ -9,8 +9,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::oneshot;
 use tracing::error;
 
-/// Called whenever something comes to safe rest.
-pub(crate) type Apply = Arc<dyn Fn(&Fault) + Send + Sync>;
+/// Called whenever something enters the safe state.
+pub(crate) type ApplyOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 
 /// Under this name stands what is wrong with the safe outputs.
 pub(crate) const SAFE_OUTPUTS: &str = "safe-outputs";
@@ -18,14 +18,18 @@ pub(crate) const SAFE_OUTPUTS: &str = "safe-outputs";
 /// The safe outputs of a node, and whether they are all applied already. Clones share them.
 #[derive(Clone, Default)]
 pub(crate) struct SafeOutputs {
-    apply: Option<Apply>,
+    apply: Option<ApplyOutputs>,
     callbacks: Callbacks,
-    reports: Reports,
+    reports: FaultReports,
     resting: Arc<AtomicBool>,
 }
 
 impl SafeOutputs {
-    pub(crate) fn new(apply: Option<Apply>, callbacks: Callbacks, reports: Reports) -> Self {
+    pub(crate) fn new(
+        apply: Option<ApplyOutputs>,
+        callbacks: Callbacks,
+        reports: FaultReports,
+    ) -> Self {
         SafeOutputs { apply, callbacks, reports, resting: Arc::default() }
     }
 

@@ -1,12 +1,16 @@
 //! Re-route: another way over the network.
 
-use super::{RecoveryStrategy, Tools};
-use blastema_core::recovery::{Done, Failed, Order};
+use super::{RecoveryStrategy, StrategyContext};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-pub(super) struct Reroute;
+pub(super) struct RerouteStrategy;
 
-impl RecoveryStrategy for Reroute {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+impl RecoveryStrategy for RerouteStrategy {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tools.reroute(&order.fault.place).await
     }
 }

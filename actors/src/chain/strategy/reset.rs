@@ -1,12 +1,16 @@
 //! Reset: the component recovers by itself, in its present life.
 
-use super::{RecoveryStrategy, Tools};
-use blastema_core::recovery::{Done, Failed, Order};
+use super::{RecoveryStrategy, StrategyContext};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-pub(super) struct Reset;
+pub(super) struct ResetStrategy;
 
-impl RecoveryStrategy for Reset {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+impl RecoveryStrategy for ResetStrategy {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tools.reset(&order.fault.place).await
     }
 }

@@ -1,12 +1,16 @@
 //! Restart: the next life in place of the present one.
 
-use super::{RecoveryStrategy, Tools};
-use blastema_core::recovery::{Done, Failed, Order};
+use super::{RecoveryStrategy, StrategyContext};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-pub(super) struct Restart;
+pub(super) struct RestartStrategy;
 
-impl RecoveryStrategy for Restart {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+impl RecoveryStrategy for RestartStrategy {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tools.restart(&order.fault).await
     }
 }

@@ -1,12 +1,16 @@
 //! Safe stop: safe outputs, then rest.
 
-use super::{RecoveryStrategy, Tools};
-use blastema_core::recovery::{Done, Failed, Order};
+use super::{RecoveryStrategy, StrategyContext};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-pub(super) struct SafeStop;
+pub(super) struct SafeStopStrategy;
 
-impl RecoveryStrategy for SafeStop {
-    async fn carry_out(&self, order: &Order, tools: &Tools) -> Result<Done, Failed> {
+impl RecoveryStrategy for SafeStopStrategy {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
         tools.safe_stop(&order.fault).await
     }
 }

@@ -1,19 +1,19 @@
 //! How to make each strategy when it is needed.
 
 use super::host::{StrategyHost, StrategyThread};
-use super::isolate::Isolate;
+use super::isolate::IsolateStrategy;
 use super::move_to_own_thread::MoveToOwnThread;
-use super::reroute::Reroute;
-use super::reset::Reset;
-use super::restart::Restart;
-use super::safe_stop::SafeStop;
-use super::{RecoveryStrategy, Tools};
+use super::reroute::RerouteStrategy;
+use super::reset::ResetStrategy;
+use super::restart::RestartStrategy;
+use super::safe_stop::SafeStopStrategy;
+use super::{RecoveryStrategy, StrategyContext};
 use crate::chain::callbacks::Callbacks;
 use crate::guardian::{Guardian, own_arbiter};
 use actix::prelude::*;
-use blastema_contract::strategy::CarryOut;
+use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
-use blastema_core::recovery::{Failed, Measure};
+use blastema_core::recovery::{RecoveryAction, RecoveryFailed};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -22,16 +22,16 @@ type Make = Arc<
     dyn Fn(
             (&Guardian, Option<&ArbiterHandle>),
             ObjectName,
-            Tools,
+            StrategyContext,
             Option<StrategyThread>,
-        ) -> Recipient<CarryOut>
+        ) -> Recipient<ExecuteAction>
         + Send
         + Sync,
 >;
 
 /// A strategy that carries orders out at present. Dropped, it ends with its thread.
 pub(crate) struct EngagedStrategy {
-    pub(crate) orders: Recipient<CarryOut>,
+    pub(crate) orders: Recipient<ExecuteAction>,
     own: Option<(ArbiterHandle, watch::Receiver<Option<u64>>)>,
 }
 
@@ -57,7 +57,7 @@ impl Drop for EngagedStrategy {
 }
 
 /// The name under which a strategy is watched.
-pub(crate) fn object_of(measure: &Measure) -> ObjectName {
+pub(crate) fn object_of(measure: &RecoveryAction) -> ObjectName {
     let plain: String =
         measure.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     ObjectName::new(&format!("chain/strategy/{plain}"))
@@ -67,17 +67,17 @@ pub(crate) fn object_of(measure: &Measure) -> ObjectName {
 
 /// The strategies that this node has: the built-in ones and the application's own.
 #[derive(Clone)]
-pub(crate) struct StrategyTable(BTreeMap<Measure, Make>);
+pub(crate) struct StrategyTable(BTreeMap<RecoveryAction, Make>);
 
 impl Default for StrategyTable {
     fn default() -> Self {
         let mut table = StrategyTable(BTreeMap::new());
-        table.insert(Measure::Reset, || Reset);
-        table.insert(Measure::Restart, || Restart);
-        table.insert(Measure::MoveToOwnThread, || MoveToOwnThread);
-        table.insert(Measure::Reroute, || Reroute);
-        table.insert(Measure::Isolate, || Isolate);
-        table.insert(Measure::SafeStop, || SafeStop);
+        table.insert(RecoveryAction::Reset, || ResetStrategy);
+        table.insert(RecoveryAction::Restart, || RestartStrategy);
+        table.insert(RecoveryAction::MoveToOwnThread, || MoveToOwnThread);
+        table.insert(RecoveryAction::Reroute, || RerouteStrategy);
+        table.insert(RecoveryAction::Isolate, || IsolateStrategy);
+        table.insert(RecoveryAction::SafeStop, || SafeStopStrategy);
         table
     }
 }
@@ -89,13 +89,13 @@ impl StrategyTable {
         name: &str,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
-        self.insert(Measure::Custom(name.into()), make);
+        self.insert(RecoveryAction::Custom(name.into()), make);
     }
 
     /// The names of the application's own strategies.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.0.keys().filter_map(|measure| match measure {
-            Measure::Custom(name) => Some(name.as_ref()),
+            RecoveryAction::Custom(name) => Some(name.as_ref()),
             _ => None,
         })
     }
@@ -107,15 +107,15 @@ impl StrategyTable {
     /// There is none, or no thread is left for it.
     pub(crate) fn make(
         &self,
-        measure: &Measure,
+        measure: &RecoveryAction,
         guardian: &Guardian,
-        tools: Tools,
+        tools: StrategyContext,
         callbacks: &Callbacks,
-    ) -> Result<EngagedStrategy, Failed> {
+    ) -> Result<EngagedStrategy, RecoveryFailed> {
         let make =
             self.0.get(measure).ok_or_else(|| format!("there is no strategy {measure:?}"))?;
         let object = object_of(measure);
-        if !callbacks.have_threads() || !matches!(measure, Measure::Custom(_)) {
+        if !callbacks.have_threads() || !matches!(measure, RecoveryAction::Custom(_)) {
             let orders = make((guardian, None), object, tools, None);
             return Ok(EngagedStrategy { orders, own: None });
         }
@@ -130,13 +130,13 @@ impl StrategyTable {
 
     fn insert<S: RecoveryStrategy>(
         &mut self,
-        measure: Measure,
+        measure: RecoveryAction,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
         let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
         let start = move |(guardian, place): (&Guardian, Option<&ArbiterHandle>),
                           name: ObjectName,
-                          tools: Tools,
+                          tools: StrategyContext,
                           thread: Option<StrategyThread>| {
             let make = make.clone();
             let host =

@@ -1,11 +1,11 @@
 //! A child goes on on a thread of its own.
 
-use super::{Outcome, Supervisor};
+use super::{Outcome, SupervisorActor};
 use actix::prelude::*;
 use blastema_contract::supervisor::{GaveUp, MoveChild};
-use blastema_core::recovery::{Cause, GiveUpReason};
+use blastema_core::recovery::{GiveUpReason, ReplacementCause};
 
-impl Handler<MoveChild> for Supervisor {
+impl Handler<MoveChild> for SupervisorActor {
     type Result = ResponseFuture<Outcome>;
 
     /// The next life begins elsewhere: no restart that a budget counts, because nothing has failed.
@@ -19,7 +19,7 @@ impl Handler<MoveChild> for Supervisor {
             return Box::pin(async move { Err(GaveUp { object, why }) });
         }
         self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_restart(object, ticket, Cause::Asked, struck, now);
+            machine.handle_restart(object, ticket, ReplacementCause::Asked, struck, now);
         })
     }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::chain::scripted::{Answer, Bench, fault, object};
+use crate::chain::scripted::{Bench, ScriptedReply, fault, object};
 use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;
@@ -59,7 +59,7 @@ fn a_child_that_hangs_in_its_start_is_declared_and_the_request_answered() {
     paused(async {
         let bench = Bench::new();
         let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
-        bench.script.answer("start a", &[Answer::Hangs]);
+        bench.script.answer("start a", &[ScriptedReply::Hangs]);
 
         let outcome = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
 
@@ -77,7 +77,7 @@ fn a_child_that_does_not_stop_is_given_up_in_time() {
     paused(async {
         let bench = Bench::new();
         let mut root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
-        bench.script.answer("stop b", &[Answer::Hangs]);
+        bench.script.answer("stop b", &[ScriptedReply::Hangs]);
 
         root.stop();
         advance(Duration::from_secs(5)).await;
@@ -154,7 +154,7 @@ fn after_a_panic_of_its_own_its_children_stay_at_work() {
     paused(async {
         let bench = Bench::new();
         let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
-        bench.script.answer("start b", &[Answer::Panics]);
+        bench.script.answer("start b", &[ScriptedReply::Panics]);
 
         let lost = root.address.send(restart(&bench, "b", FaultKind::Panic, 1)).await;
 
@@ -197,7 +197,7 @@ fn resets_isolation_and_rest_reach_the_child() {
     paused(async {
         let bench = Bench::new();
         let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
-        bench.script.answer("reset b", &[Answer::Fails]);
+        bench.script.answer("reset b", &[ScriptedReply::Fails]);
         let reset = |child| ResetChild { object: object(child) };
 
         assert_eq!(root.address.send(reset("a")).await.expect("it lives"), recovered("a", 1));
@@ -225,7 +225,7 @@ fn a_restart_on_the_spot_is_counted_once_whoever_tells_it() {
         settle().await;
         assert_eq!(bench.script.done(), ["start a", "order a"]);
 
-        let (exit, restarted_as) = (Exit::Returned, Some(Incarnation(2)));
+        let (exit, restarted_as) = (ExitReason::Returned, Some(Incarnation(2)));
         let event = ChildEvent::Died { exit: exit.clone(), restarted_as };
         let (object, incarnation) = (object("a"), Incarnation::FIRST);
         let report = ChildReport { object: object.clone(), incarnation, event };

@@ -1,19 +1,19 @@
 //! How a supervisor and everything below it stand.
 
-use super::Supervisor;
+use super::SupervisorActor;
 use crate::platform;
 use actix::prelude::*;
-use blastema_contract::supervisor::{Branch, Leaf, ReadTree};
+use blastema_contract::supervisor::{ReadTree, SupervisionTree, SupervisionTreeChild};
 use blastema_core::recovery::ChildStatus;
 use std::time::Duration;
 
 /// A supervisor below that does not say how it stands within this time is shown without its children.
 const READ_LIMIT: Duration = Duration::from_millis(500);
 
-impl Supervisor {
+impl SupervisorActor {
     /// The table without what stands below supervisors.
-    fn branch(&self) -> Branch {
-        let leaf = |status: ChildStatus| Leaf {
+    fn branch(&self) -> SupervisionTree {
+        let leaf = |status: ChildStatus| SupervisionTreeChild {
             name: status.name,
             incarnation: status.incarnation,
             state: status.state,
@@ -21,7 +21,7 @@ impl Supervisor {
             isolated: status.isolated,
             below: None,
         };
-        Branch {
+        SupervisionTree {
             name: self.name.clone(),
             incarnation: self.machine.incarnation(),
             strategy: self.machine.rules().strategy,
@@ -31,8 +31,8 @@ impl Supervisor {
     }
 }
 
-impl Handler<ReadTree> for Supervisor {
-    type Result = ResponseFuture<Branch>;
+impl Handler<ReadTree> for SupervisorActor {
+    type Result = ResponseFuture<SupervisionTree>;
 
     fn handle(&mut self, _: ReadTree, _: &mut Context<Self>) -> Self::Result {
         let mut branch = self.branch();

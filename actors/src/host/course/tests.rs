@@ -8,9 +8,9 @@ fn failed(reason: &str) -> Result<(), Failure> {
 }
 
 /// Runs all hooks that are due; each succeeds.
-fn run(course: &mut Course) -> Vec<Hook> {
+fn run(course: &mut IncarnationLifecycle) -> Vec<Hook> {
     let mut ran = Vec::new();
-    while let Step::Run(hook) = course.next() {
+    while let LifecycleStep::Run(hook) = course.next() {
         ran.push(hook);
         course.handle_done(hook, Ok(()));
     }
@@ -18,8 +18,8 @@ fn run(course: &mut Course) -> Vec<Hook> {
 }
 
 /// A life that has come as far as `state`, its news told.
-fn life(state: Lifecycle) -> Course {
-    let mut course = Course::new(true);
+fn life(state: Lifecycle) -> IncarnationLifecycle {
+    let mut course = IncarnationLifecycle::new(true);
     match state {
         Created => {}
         Initialized => {
@@ -41,7 +41,7 @@ fn life(state: Lifecycle) -> Course {
         }
         Finalized => {
             run(&mut course);
-            course.handle_stop(End::Stopped);
+            course.handle_stop(EndReason::Stopped);
             run(&mut course);
         }
     }
@@ -50,51 +50,51 @@ fn life(state: Lifecycle) -> Course {
     course
 }
 
-fn states(news: &[News]) -> Vec<Lifecycle> {
-    let state = |news: &News| match news {
-        News::State(state, _) => Some(*state),
-        News::Child(_) | News::Unavailable { .. } => None,
+fn states(news: &[LifecycleReport]) -> Vec<Lifecycle> {
+    let state = |news: &LifecycleReport| match news {
+        LifecycleReport::State(state, _) => Some(*state),
+        LifecycleReport::Child(_) | LifecycleReport::Unavailable { .. } => None,
     };
     news.iter().filter_map(state).collect()
 }
 
-fn answers(news: Vec<News>) -> Vec<ChildEvent> {
+fn answers(news: Vec<LifecycleReport>) -> Vec<ChildEvent> {
     let answer = |news| match news {
-        News::Child(event) => Some(event),
-        News::State(..) | News::Unavailable { .. } => None,
+        LifecycleReport::Child(event) => Some(event),
+        LifecycleReport::State(..) | LifecycleReport::Unavailable { .. } => None,
     };
     news.into_iter().filter_map(answer).collect()
 }
 
 #[test]
 fn a_life_is_initialised_started_and_activated() {
-    let mut course = Course::new(true);
+    let mut course = IncarnationLifecycle::new(true);
 
     assert_eq!(run(&mut course), [Hook::Initialize, Hook::Startup, Hook::Activated]);
 
     let news = course.poll_news();
     assert_eq!(states(&news), [Created, Initialized, Active]);
     assert_eq!(answers(news), [ChildEvent::Started]);
-    assert_eq!(course.next(), Step::Serve);
+    assert_eq!(course.next(), LifecycleStep::Serve);
     assert!(course.is_serving());
 }
 
 #[test]
 fn a_life_that_nobody_waits_for_tells_no_supervisor() {
-    let mut course = Course::new(false);
+    let mut course = IncarnationLifecycle::new(false);
     run(&mut course);
     assert_eq!(answers(course.poll_news()), []);
 }
 
 #[test]
 fn a_failed_initialisation_is_fatal() {
-    let mut course = Course::new(true);
-    assert_eq!(course.next(), Step::Run(Hook::Initialize));
+    let mut course = IncarnationLifecycle::new(true);
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Initialize));
 
     course.handle_done(Hook::Initialize, failed("no device"));
 
     assert_eq!(run(&mut course), [Hook::Finalize]);
-    assert_eq!(course.next(), Step::End(End::Fatal));
+    assert_eq!(course.next(), LifecycleStep::End(EndReason::Fatal));
     let news = course.poll_news();
     assert_eq!(states(&news), [Created, Fatal, Finalized]);
     assert_eq!(answers(news), [ChildEvent::StartFailed { reason: "no device".into() }]);
@@ -106,9 +106,9 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
         let mut course = life(Active);
         course.handle_done(hook, failed("out of range"));
         assert_eq!(run(&mut course), [Hook::Aborting, Hook::Error]);
-        assert_eq!(course.next(), Step::Rest);
+        assert_eq!(course.next(), LifecycleStep::Rest);
         let news = course.poll_news();
-        assert_eq!(news, [News::State(Error, Some("out of range".into()))]);
+        assert_eq!(news, [LifecycleReport::State(Error, Some("out of range".into()))]);
 
         course.handle_reset();
         course.handle_reset();
@@ -122,8 +122,8 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 #[test]
 fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
     for hook in [Hook::Startup, Hook::Activated] {
-        let mut course = Course::new(true);
-        while let Step::Run(next) = course.next() {
+        let mut course = IncarnationLifecycle::new(true);
+        while let LifecycleStep::Run(next) = course.next() {
             if next == hook {
                 course.handle_done(next, failed("jammed"));
                 break;
@@ -140,12 +140,12 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
 fn a_failed_reset_is_fatal() {
     let mut course = life(Error);
     course.handle_reset();
-    assert_eq!(course.next(), Step::Run(Hook::Reset));
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Reset));
 
     course.handle_done(Hook::Reset, failed("still broken"));
 
     assert_eq!(run(&mut course), [Hook::Finalize]);
-    assert_eq!(course.next(), Step::End(End::Fatal));
+    assert_eq!(course.next(), LifecycleStep::End(EndReason::Fatal));
     let reason = "still broken".into();
     assert_eq!(answers(course.poll_news()), [ChildEvent::ResetFailed { reason }]);
 }
@@ -154,9 +154,9 @@ fn a_failed_reset_is_fatal() {
 fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
     let mut course = life(Active);
     course.handle_failure("one".into());
-    assert_eq!(course.next(), Step::Run(Hook::Aborting));
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Aborting));
     course.handle_done(Hook::Aborting, failed("two"));
-    assert_eq!(course.next(), Step::Run(Hook::Error));
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Error));
 
     course.handle_done(Hook::Error, Err(Failure::fatal("three")));
 
@@ -168,9 +168,9 @@ fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
 fn stop_ends_every_state_in_its_own_way() {
     let check = |state, expected: &[Hook]| {
         let mut course = life(state);
-        course.handle_stop(End::Stopped);
+        course.handle_stop(EndReason::Stopped);
         assert_eq!(run(&mut course), expected, "{state}");
-        assert_eq!(course.next(), Step::End(End::Stopped), "{state}");
+        assert_eq!(course.next(), LifecycleStep::End(EndReason::Stopped), "{state}");
         assert_eq!(course.state, Finalized);
     };
     check(Created, &[Hook::Finalize]);
@@ -183,13 +183,13 @@ fn stop_ends_every_state_in_its_own_way() {
 
 #[test]
 fn a_stop_that_overtakes_the_activation_deactivates_again() {
-    let mut course = Course::new(true);
+    let mut course = IncarnationLifecycle::new(true);
     for hook in [Hook::Initialize, Hook::Startup] {
-        assert_eq!(course.next(), Step::Run(hook));
+        assert_eq!(course.next(), LifecycleStep::Run(hook));
         course.handle_done(hook, Ok(()));
     }
-    assert_eq!(course.next(), Step::Run(Hook::Activated));
-    course.handle_stop(End::Stopped);
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Activated));
+    course.handle_stop(EndReason::Stopped);
 
     course.handle_done(Hook::Activated, Ok(()));
 
@@ -267,22 +267,22 @@ fn missing() -> Result<(), Failure> {
 }
 
 /// The waits that were asked for.
-fn waits(course: &mut Course) -> Vec<Duration> {
+fn waits(course: &mut IncarnationLifecycle) -> Vec<Duration> {
     let wait = |news| match news {
-        News::Unavailable { retry_in, .. } => Some(retry_in),
-        News::State(..) | News::Child(_) => None,
+        LifecycleReport::Unavailable { retry_in, .. } => Some(retry_in),
+        LifecycleReport::State(..) | LifecycleReport::Child(_) => None,
     };
     course.poll_news().into_iter().filter_map(wait).collect()
 }
 
 #[test]
 fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_life() {
-    let mut course = Course::new(true);
+    let mut course = IncarnationLifecycle::new(true);
     let mut waited = Vec::new();
     for _ in 0..10 {
-        assert_eq!(course.next(), Step::Run(Hook::Initialize));
+        assert_eq!(course.next(), LifecycleStep::Run(Hook::Initialize));
         course.handle_done(Hook::Initialize, missing());
-        assert_eq!(course.next(), Step::Rest, "it is not its time");
+        assert_eq!(course.next(), LifecycleStep::Rest, "it is not its time");
         waited.extend(waits(&mut course));
         assert!(course.handle_retry());
     }
@@ -292,14 +292,14 @@ fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_life() 
     assert!(waited.iter().all(|wait| *wait <= Duration::from_millis(5500)), "{waited:?}");
     assert_eq!(run(&mut course), [Hook::Initialize, Hook::Startup, Hook::Activated]);
     assert_eq!(answers(course.poll_news()), [ChildEvent::Started]);
-    assert_eq!(course.next(), Step::Serve);
+    assert_eq!(course.next(), LifecycleStep::Serve);
 }
 
 #[test]
 fn a_reset_whose_device_is_missing_goes_on_by_itself() {
     let mut course = life(Error);
     course.handle_reset();
-    assert_eq!(course.next(), Step::Run(Hook::Reset));
+    assert_eq!(course.next(), LifecycleStep::Run(Hook::Reset));
     course.handle_done(Hook::Reset, missing());
     let unavailable = ChildEvent::Unavailable { reason: "no device".into() };
     assert_eq!(answers(course.poll_news()), [unavailable]);
@@ -313,14 +313,14 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
 #[test]
 fn a_life_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
-        let mut course = Course::new(true);
-        while let Step::Run(next) = course.next() {
+        let mut course = IncarnationLifecycle::new(true);
+        while let LifecycleStep::Run(next) = course.next() {
             course.handle_done(next, if next == hook { missing() } else { Ok(()) });
         }
         course
     };
     let mut stopped = waiting(Hook::Initialize);
-    stopped.handle_stop(End::Stopped);
+    stopped.handle_stop(EndReason::Stopped);
     assert!(!stopped.handle_retry());
     assert_eq!(run(&mut stopped), [Hook::Finalize]);
 

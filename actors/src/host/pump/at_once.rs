@@ -1,12 +1,12 @@
 //! Events straight from the arbiter's hub to the handler, without the queue.
 
-use super::{Pump, Service};
+use super::{ComponentExecutor, Service};
 use crate::component::Component;
-use crate::letter::Letter;
+use crate::letter::Envelope;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::task;
 
-impl<C: Component> Pump<C> {
+impl<C: Component> ComponentExecutor<C> {
     /// Nothing is before a message that comes now.
     #[inline]
     pub(crate) fn is_free(&self) -> bool {
@@ -32,7 +32,7 @@ impl<C: Component> Pump<C> {
     /// An event straight to the handler, without the queue: only for a pump that is free. It runs on
     /// the arbiter's hub, which has named the component to the pulse, under its guard and stamp.
     #[inline]
-    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Letter<C>) {
+    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Envelope<C>) {
         let Some(waker) = self.waker.take() else { return };
         let mut cx = task::Context::from_waker(&waker);
         let served = catch_unwind(AssertUnwindSafe(|| {

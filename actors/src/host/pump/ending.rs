@@ -1,21 +1,21 @@
 //! How lives end, and what follows: a replacement on the spot, or a report and rest.
 
-use super::{Pump, Service};
+use super::{ComponentExecutor, Service};
 use crate::component::Component;
 use crate::death_watch::{Down, Ending};
 use crate::host::anchor::Blame;
-use crate::host::course::{Course, End};
+use crate::host::course::{EndReason, IncarnationLifecycle};
 use crate::host::label;
-use crate::host::life::{Life, Wishes};
-use crate::host::pump::outbox::Notice;
+use crate::host::life::{DeferredCommands, IncarnationState};
+use crate::host::pump::outbox::DeferredReport;
 use crate::{panics, platform};
-use blastema_contract::child::{ChildEvent, StandingOrder};
-use blastema_contract::reports::{Exit, Exited};
-use blastema_core::{Incarnation, Lifecycle, Why};
+use blastema_contract::child::{ChildEvent, RestartGrant};
+use blastema_contract::reports::{ExitReason, Exited};
+use blastema_core::{DeliveryError, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
 
-impl<C: Component> Pump<C> {
+impl<C: Component> ComponentExecutor<C> {
     /// A condition that the component gave has panicked.
     pub(crate) fn die_of(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         self.died(payload, during);
@@ -39,7 +39,7 @@ impl<C: Component> Pump<C> {
             // component panicked before the pump had its turn.
             return;
         }
-        let exit = Exit::Panicked { text, at, during };
+        let exit = ExitReason::Panicked { text, at, during };
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }
@@ -47,8 +47,10 @@ impl<C: Component> Pump<C> {
         self.life.token.end();
         if let Service::Message(_) = self.service {
             let contract = label::name(self.slot.stamp.read().during);
-            self.anchor.record.blame(incarnation);
-            self.anchor.record.bury(contract, &Why::PeerDied { incarnation });
+            self.anchor.record.record_fatal_message(incarnation);
+            self.anchor
+                .record
+                .record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
         }
         self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
@@ -61,8 +63,8 @@ impl<C: Component> Pump<C> {
         }
         match restarted_as {
             Some(next) => {
-                self.life = Rc::new(Life::new(next, self.slot.stamp));
-                self.course = Course::new(self.course.is_starting());
+                self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
+                self.course = IncarnationLifecycle::new(self.course.is_starting());
                 self.start_failed = false;
                 self.begin_life();
                 let subscriptions = self.anchor.subscriptions();
@@ -75,7 +77,7 @@ impl<C: Component> Pump<C> {
 
     /// Draws on the standing order, if there is one.
     pub(super) fn may_restart(&mut self) -> bool {
-        let Some(StandingOrder { times, period, .. }) = self.anchor.record.order() else {
+        let Some(RestartGrant { times, period, .. }) = self.anchor.record.order() else {
             return false;
         };
         if self.course.is_ending() {
@@ -96,55 +98,55 @@ impl<C: Component> Pump<C> {
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
-        exit: Exit,
+        exit: ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.anchor.record;
         if restarted_as.is_none() {
-            record.give_names_back();
+            record.withdraw_names();
         }
         let object = record.name.clone();
         let ending = Ending::from(&exit);
         record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
         let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
-            (Exit::Stopped, _) => ChildEvent::Stopped,
-            (Exit::Panicked { text, at, .. }, true) => {
+            (ExitReason::Stopped, _) => ChildEvent::Stopped,
+            (ExitReason::Panicked { text, at, .. }, true) => {
                 ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
             }
             _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
         };
         // A life of which the supervisor knows that it never began does not die in addition.
         let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
-        let exited = Notice::Exited(Exited { object, incarnation, exit, restarted_as });
+        let exited = DeferredReport::Exited(Exited { object, incarnation, exit, restarted_as });
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
-        let child = (!known).then_some(Notice::Child(event, incarnation));
+        let child = (!known).then_some(DeferredReport::Child(event, incarnation));
         self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
 
     /// The life ends without a panic, its hooks done.
-    pub(super) fn end(&mut self, end: End) {
+    pub(super) fn end(&mut self, end: EndReason) {
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.bury(if end == End::Fatal { Blame::Log } else { Blame::Fault });
+        self.bury(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
         let exit = match end {
-            End::Stopped => {
+            EndReason::Stopped => {
                 self.anchor.end_by(incarnation);
-                Exit::Stopped
+                ExitReason::Stopped
             }
-            End::Replaced => {
+            EndReason::Replaced => {
                 self.anchor.lane.leave(incarnation);
-                Exit::Stopped
+                ExitReason::Stopped
             }
-            End::Returned => {
+            EndReason::Returned => {
                 self.anchor.lane.leave(incarnation);
-                Exit::Returned
+                ExitReason::Returned
             }
-            End::Fatal => {
+            EndReason::Fatal => {
                 self.anchor.lane.leave(incarnation);
-                Exit::Fatal
+                ExitReason::Fatal
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);
@@ -156,7 +158,7 @@ impl<C: Component> Pump<C> {
         self.followed = false;
         self.dispose_service(blame);
         let record = &self.anchor.record;
-        let Wishes { tasks, timers, .. } = self.life.take_wishes();
+        let DeferredCommands { tasks, timers, .. } = self.life.take_wishes();
         let fresh = timers.into_iter().map(|(_, _, action)| action);
         fresh.for_each(|action| record.dispose("a timer", action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
@@ -208,10 +210,10 @@ impl<C: Component> Pump<C> {
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.anchor.record.blame(incarnation);
+        self.anchor.record.record_fatal_message(incarnation);
         self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
-        self.report_exit(incarnation, Exit::Aborted, None);
+        self.report_exit(incarnation, ExitReason::Aborted, None);
         self.flush();
     }
 }

@@ -1,7 +1,7 @@
 //! Serves one component's life: hooks, timers, tasks and the data lane, every poll under the guard.
 //!
 //! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and only
-//! the component is rebuilt. The component stays in its [`Home`] while a handler that unwinds borrows
+//! the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that unwinds borrows
 //! it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a guard of its own.
 
 mod at_once;
@@ -9,30 +9,30 @@ mod ending;
 mod outbox;
 mod shared;
 
-pub(crate) use shared::{SharedPump, local};
+pub(crate) use shared::{SharedExecutor, executor_here};
 
-use outbox::Notice;
+use outbox::DeferredReport;
 
-use super::anchor::{Anchor, Blame, Seated};
-use super::arbiters::Seat;
-use super::chores::{Chore, Chores};
-use super::course::{Course, End, Hook, News, Step};
+use super::anchor::{Blame, ComponentCell, CurrentPlacement};
+use super::arbiters::ArbiterSlot;
+use super::chores::{DueWork, ScheduledWork};
+use super::course::{EndReason, Hook, IncarnationLifecycle, LifecycleReport, LifecycleStep};
 use super::label::label;
-use super::life::Life;
-use super::pulse::Pulse;
-use super::stamp::{Place, Slot};
+use super::life::IncarnationState;
+use super::pulse::ArbiterHeartbeat;
+use super::stamp::{ActivitySlot, ActivitySlotRef};
 use super::turn_budget::TurnBudget;
-use super::watch::Watched;
+use super::watch::SampledComponent;
 use crate::component::{Component, Failure};
 use crate::context::Context;
-use crate::lane::Taken;
-use crate::letter::{Brief, Letter, Mail, Nest};
-use crate::panics::Guarded;
+use crate::lane::Popped;
+use crate::letter::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
+use crate::panics::PanicGuard;
 use crate::platform;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
 use blastema_contract::reports::{FaultDeclared, StateReported};
-use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, Why};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, Instant, Lifecycle};
 use std::any::TypeId;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -50,17 +50,17 @@ const NESTS: usize = 4;
 
 /// Where the component lives. A running handler borrows it for as long as it runs; since the guard
 /// holds the other `Rc`, a handler that unwinds never drops the component.
-pub(crate) struct Home<C: Component> {
-    pub(crate) seat: RefCell<Chair<C>>,
+pub(crate) struct ComponentSlot<C: Component> {
+    pub(crate) seat: RefCell<ComponentAndContext<C>>,
 }
 
 /// The component and its context, which a handler borrows together.
-pub(crate) struct Chair<C: Component> {
+pub(crate) struct ComponentAndContext<C: Component> {
     component: C,
     cx: Context<C>,
 }
 
-impl<C: Component> Chair<C> {
+impl<C: Component> ComponentAndContext<C> {
     #[inline]
     pub(crate) fn both(&mut self) -> (&mut C, &mut Context<C>) {
         (&mut self.component, &mut self.cx)
@@ -78,7 +78,7 @@ enum Service {
 struct Nested<C: Component> {
     contract: TypeId,
     label: u32,
-    nest: Pin<Box<dyn Nest<C>>>,
+    nest: Pin<Box<dyn FutureSlot<C>>>,
 }
 
 /// How far one step came.
@@ -91,24 +91,24 @@ enum Progress {
     Over,
 }
 
-pub(crate) struct Pump<C: Component> {
-    anchor: Arc<Anchor<C>>,
-    life: Rc<Life<C>>,
-    course: Course,
-    home: Option<Rc<Home<C>>>,
+pub(crate) struct ComponentExecutor<C: Component> {
+    anchor: Arc<ComponentCell<C>>,
+    life: Rc<IncarnationState<C>>,
+    course: IncarnationLifecycle,
+    home: Option<Rc<ComponentSlot<C>>>,
     service: Service,
     nests: Vec<Nested<C>>,
     /// Boxed, so that what every message touches lies closer together.
-    chores: Box<Chores<C>>,
+    chores: Box<ScheduledWork<C>>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
     /// The last turn went to the component's tasks; this one begins with the next step.
     step_first: bool,
     /// The last step went to a round or a timer.
     message_next: bool,
-    slot: Slot,
-    seat: Seat,
-    pulse: Arc<Pulse>,
+    slot: ActivitySlot,
+    seat: ArbiterSlot,
+    pulse: Arc<ArbiterHeartbeat>,
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
@@ -117,24 +117,24 @@ pub(crate) struct Pump<C: Component> {
     /// This life is over, and none comes after it here.
     over: bool,
     deaths: VecDeque<Instant>,
-    outbox: Vec<Notice>,
+    outbox: Vec<DeferredReport>,
     supervisor: Recipient<ChildReport>,
 }
 
-impl<C: Component> Pump<C> {
+impl<C: Component> ComponentExecutor<C> {
     /// A pump for a life that begins on this arbiter.
     pub(crate) fn new(
-        anchor: Arc<Anchor<C>>,
+        anchor: Arc<ComponentCell<C>>,
         incarnation: Incarnation,
-        seat: Seat,
+        seat: ArbiterSlot,
         supervisor: Recipient<ChildReport>,
     ) -> Self {
-        let slot = Slot::claim();
-        let life = Rc::new(Life::new(incarnation, slot.stamp));
-        let mut pump = Pump {
+        let slot = ActivitySlot::claim();
+        let life = Rc::new(IncarnationState::new(incarnation, slot.stamp));
+        let mut pump = ComponentExecutor {
             anchor,
             life,
-            course: Course::new(true),
+            course: IncarnationLifecycle::new(true),
             home: None,
             service: Service::Idle,
             nests: Vec::new(),
@@ -156,7 +156,7 @@ impl<C: Component> Pump<C> {
         pump.begin_life();
         let record = &pump.anchor.record;
         let anchor = Arc::downgrade(&pump.anchor);
-        let watched = Watched {
+        let watched = SampledComponent {
             object: record.name.clone(),
             inside: anchor,
             pulse: pump.pulse.clone(),
@@ -172,12 +172,12 @@ impl<C: Component> Pump<C> {
         self.slot.stamp.begin_life(self.life.incarnation.0);
         self.life.token.mute(record.is_isolated());
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
-        let seated = Seated { seat, slot: self.place(), token };
+        let seated = CurrentPlacement { seat, slot: self.place(), token };
         let is_newest = record.enter(self.life.incarnation, seated);
         self.chores.begin(record.limits.interval);
         self.slot.stamp.run_every(record.limits.interval);
         if self.course.is_starting() {
-            self.chores.limit(Chore::ReadyLimit, record.limits.ready_within);
+            self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
         }
         // Whoever gave this life up before its place was known could not tell it so.
         if !is_newest || self.anchor.lane.owner() != Some(self.life.incarnation) {
@@ -186,8 +186,8 @@ impl<C: Component> Pump<C> {
     }
 
     #[inline]
-    pub(crate) fn place(&self) -> Place {
-        Place { index: self.slot.index, stamp: self.slot.stamp }
+    pub(crate) fn place(&self) -> ActivitySlotRef {
+        ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
     }
 
     /// The place where it lived is free.
@@ -207,9 +207,9 @@ impl<C: Component> Pump<C> {
     }
 
     /// The supervisor asks for an end in order.
-    pub(crate) fn stop(&mut self, end: End) {
+    pub(crate) fn stop(&mut self, end: EndReason) {
         self.course.handle_stop(end);
-        self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
+        self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
     }
 
     /// One poll of everything. Ready when the last life here is over.
@@ -232,7 +232,7 @@ impl<C: Component> Pump<C> {
             self.pulse.mute(true);
         }
         self.pulse.run(Some(self.slot.index));
-        let guarded = Guarded::enter();
+        let guarded = PanicGuard::enter();
         self.budget.begin();
         let over = self.turn(cx);
         self.budget.end(cx.waker());
@@ -313,13 +313,13 @@ impl<C: Component> Pump<C> {
         }
         if !self.course.is_serving() {
             match self.course.next() {
-                Step::Run(hook) => {
+                LifecycleStep::Run(hook) => {
                     self.begin_hook(hook);
                     return self.advance(cx);
                 }
-                Step::Serve => {}
-                Step::Rest => return Progress::Wait,
-                Step::End(end) => {
+                LifecycleStep::Serve => {}
+                LifecycleStep::Rest => return Progress::Wait,
+                LifecycleStep::End(end) => {
                     self.end(end);
                     return Progress::Over;
                 }
@@ -333,12 +333,12 @@ impl<C: Component> Pump<C> {
             return self.do_chore(chore, cx);
         }
         match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
-            Taken::Got(mail) => self.open(mail, cx),
-            Taken::Empty => match self.chores.next_due() {
+            Popped::Got(mail) => self.open(mail, cx),
+            Popped::Empty => match self.chores.next_due() {
                 Some(chore) => self.do_chore(chore, cx),
                 None => Progress::Wait,
             },
-            Taken::Retired => {
+            Popped::Retired => {
                 self.life.token.end();
                 Progress::Over
             }
@@ -347,11 +347,11 @@ impl<C: Component> Pump<C> {
 
     /// Takes a message into service.
     #[inline]
-    fn open(&mut self, mut mail: Mail<C>, cx: &mut task::Context<'_>) -> Progress {
+    fn open(&mut self, mut mail: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
         let brief = mail.brief();
         if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
             self.slot.stamp.expire();
-            self.anchor.return_mail(mail, Why::Expired);
+            self.anchor.return_mail(mail, DeliveryError::Expired);
             return Progress::More;
         }
         if brief.is_followed
@@ -366,10 +366,10 @@ impl<C: Component> Pump<C> {
     }
 
     /// Notes who is to be told if this message brings death; says why it is not to be served.
-    fn follow(&mut self, mail: &dyn Letter<C>) -> Option<Why> {
+    fn follow(&mut self, mail: &dyn Envelope<C>) -> Option<DeliveryError> {
         if mail.is_void() {
             self.slot.stamp.expire();
-            return Some(Why::DeadlinePassed);
+            return Some(DeliveryError::DeadlinePassed);
         }
         let id = mail.id();
         if id.is_some()
@@ -377,14 +377,14 @@ impl<C: Component> Pump<C> {
         {
             return Some(why);
         }
-        self.anchor.record.follow(mail.revocable(), id);
+        self.anchor.record.begin_service(mail.revocable(), id);
         self.followed = id.is_some();
         None
     }
 
     /// Fills the contract's nest, or builds it.
     #[inline]
-    fn begin_message(&mut self, brief: &Brief, mail: &mut dyn Letter<C>) {
+    fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
         let Some(home) = &self.home else { return };
         self.life.captured_at.set(Some(brief.captured_at));
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
@@ -423,7 +423,7 @@ impl<C: Component> Pump<C> {
                 self.service = Service::Idle;
                 if self.followed {
                     self.followed = false;
-                    self.anchor.record.unfollow();
+                    self.anchor.record.end_service();
                 }
             }
             Service::Hook(hook, future) => {
@@ -458,18 +458,18 @@ impl<C: Component> Pump<C> {
     fn tell_news(&mut self) {
         for news in self.course.poll_news() {
             match news {
-                News::State(state, reason) => self.enter(state, reason),
-                News::Unavailable { reason, retry_in } => {
-                    self.chores.limit(Chore::Retry, retry_in);
+                LifecycleReport::State(state, reason) => self.enter(state, reason),
+                LifecycleReport::Unavailable { reason, retry_in } => {
+                    self.chores.limit(DueWork::Retry, retry_in);
                     let object = self.anchor.record.name.clone();
                     let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
                     let declared = FaultDeclared { object, incarnation, kind, detail: reason };
-                    self.outbox.push(Notice::Declared(declared));
+                    self.outbox.push(DeferredReport::Declared(declared));
                 }
-                News::Child(event) => {
-                    self.chores.cancel_limit(Chore::ReadyLimit);
+                LifecycleReport::Child(event) => {
+                    self.chores.cancel_limit(DueWork::ReadyLimit);
                     self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
-                    self.outbox.push(Notice::Child(event, self.life.incarnation));
+                    self.outbox.push(DeferredReport::Child(event, self.life.incarnation));
                 }
             }
         }
@@ -484,7 +484,7 @@ impl<C: Component> Pump<C> {
         }
         let incarnation = self.life.incarnation;
         // States that were passed through within one poll are not told one by one.
-        if let Some(Notice::State(last)) = self.outbox.last_mut()
+        if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
             && last.incarnation == incarnation
             && last.reason.is_none()
             && reason.is_none()
@@ -493,7 +493,12 @@ impl<C: Component> Pump<C> {
             return;
         }
         let object = self.anchor.record.name.clone();
-        self.outbox.push(Notice::State(StateReported { object, incarnation, state, reason }));
+        self.outbox.push(DeferredReport::State(StateReported {
+            object,
+            incarnation,
+            state,
+            reason,
+        }));
     }
 
     /// Builds the component; user code, so it runs under the guard.
@@ -501,7 +506,9 @@ impl<C: Component> Pump<C> {
         self.slot.stamp.begin(label("its factory"));
         let cx = Context::new(self.anchor.clone(), self.life.clone());
         let component = (self.anchor.factory)();
-        self.home = Some(Rc::new(Home { seat: RefCell::new(Chair { component, cx }) }));
+        self.home = Some(Rc::new(ComponentSlot {
+            seat: RefCell::new(ComponentAndContext { component, cx }),
+        }));
         self.slot.stamp.step();
         self.tell_news();
     }
@@ -519,20 +526,20 @@ impl<C: Component> Pump<C> {
             self.course.handle_failure(failure);
         }
         if wishes.stop {
-            self.course.handle_stop(End::Returned);
-            self.chores.limit(Chore::StopLimit, self.anchor.record.limits.shutdown_within);
+            self.course.handle_stop(EndReason::Returned);
+            self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
         }
         self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
         self.tell_news();
     }
 
-    fn do_chore(&mut self, chore: Chore, cx: &mut task::Context<'_>) -> Progress {
+    fn do_chore(&mut self, chore: DueWork, cx: &mut task::Context<'_>) -> Progress {
         match chore {
-            Chore::Execute => {
+            DueWork::Execute => {
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
             }
-            Chore::Timer(id) => {
+            DueWork::Timer(id) => {
                 if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
                     self.slot.stamp.begin(label("a timer"));
                     {
@@ -545,23 +552,27 @@ impl<C: Component> Pump<C> {
                 }
                 Progress::More
             }
-            Chore::ReadyLimit | Chore::StopLimit | Chore::Retry => Progress::More,
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => Progress::More,
         }
     }
 
     fn handle_limits(&mut self) {
-        if self.chores.take_limit(Chore::Retry) && self.course.handle_retry() {
-            self.chores.limit(Chore::ReadyLimit, self.anchor.record.limits.ready_within);
+        if self.chores.take_limit(DueWork::Retry) && self.course.handle_retry() {
+            self.chores.limit(DueWork::ReadyLimit, self.anchor.record.limits.ready_within);
         }
-        if self.chores.take_limit(Chore::ReadyLimit) && self.course.is_starting() {
+        if self.chores.take_limit(DueWork::ReadyLimit) && self.course.is_starting() {
             self.drop_service();
             let within = self.anchor.record.limits.ready_within;
             self.course.handle_fatal(format!("it was not ready within {within:?}"));
             self.tell_news();
         }
-        if self.chores.take_limit(Chore::StopLimit) && self.course.is_ending() {
+        if self.chores.take_limit(DueWork::StopLimit) && self.course.is_ending() {
             self.drop_service();
-            self.end(if self.course.makes_way() { End::Replaced } else { End::Stopped });
+            self.end(if self.course.makes_way() {
+                EndReason::Replaced
+            } else {
+                EndReason::Stopped
+            });
         }
     }
 
@@ -570,7 +581,7 @@ impl<C: Component> Pump<C> {
         if matches!(self.service, Service::Idle) {
             return;
         }
-        self.anchor.record.blame(self.life.incarnation);
+        self.anchor.record.record_fatal_message(self.life.incarnation);
         self.followed = false;
         self.dispose_service(Blame::Log);
         self.slot.stamp.step();
@@ -581,7 +592,7 @@ impl<C: Component> Pump<C> {
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control lane does not borrow"
 )]
-async fn run_hook<C: Component>(home: Rc<Home<C>>, hook: Hook) -> Result<(), Failure> {
+async fn run_hook<C: Component>(home: Rc<ComponentSlot<C>>, hook: Hook) -> Result<(), Failure> {
     let mut chair = home.seat.borrow_mut();
     let (component, cx) = chair.both();
     if let Some(injected) = cx.before() {

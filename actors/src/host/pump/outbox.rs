@@ -1,6 +1,6 @@
 //! What a pump has to tell, kept until its poll is over.
 
-use super::Pump;
+use super::ComponentExecutor;
 use crate::component::Component;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
@@ -8,14 +8,14 @@ use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 
 /// Told when the poll is over, so that the replacement's first message does not wait for it.
-pub(super) enum Notice {
+pub(super) enum DeferredReport {
     Exited(Exited),
     State(StateReported),
     Declared(FaultDeclared),
     Child(ChildEvent, Incarnation),
 }
 
-impl<C: Component> Pump<C> {
+impl<C: Component> ComponentExecutor<C> {
     pub(super) fn flush(&mut self) {
         if self.outbox.is_empty() {
             return;
@@ -24,10 +24,10 @@ impl<C: Component> Pump<C> {
         let reports = &record.environment.reports;
         for notice in self.outbox.drain(..) {
             match notice {
-                Notice::Exited(exited) => tell(reports.exits.as_ref(), exited),
-                Notice::State(state) => tell(reports.states.as_ref(), state),
-                Notice::Declared(declared) => tell(reports.faults.as_ref(), declared),
-                Notice::Child(event, incarnation) => {
+                DeferredReport::Exited(exited) => tell(reports.exits.as_ref(), exited),
+                DeferredReport::State(state) => tell(reports.states.as_ref(), state),
+                DeferredReport::Declared(declared) => tell(reports.faults.as_ref(), declared),
+                DeferredReport::Child(event, incarnation) => {
                     let object = record.name.clone();
                     self.supervisor.do_send(ChildReport { object, incarnation, event });
                 }
@@ -36,19 +36,19 @@ impl<C: Component> Pump<C> {
     }
 }
 
-impl Notice {
+impl DeferredReport {
     pub(super) fn is_of_after(&self, incarnation: Incarnation) -> bool {
         match self {
-            Notice::Exited(exited) => exited.incarnation > incarnation,
-            Notice::State(state) => state.incarnation > incarnation,
-            Notice::Declared(declared) => declared.incarnation > incarnation,
-            Notice::Child(_, of) => *of > incarnation,
+            DeferredReport::Exited(exited) => exited.incarnation > incarnation,
+            DeferredReport::State(state) => state.incarnation > incarnation,
+            DeferredReport::Declared(declared) => declared.incarnation > incarnation,
+            DeferredReport::Child(_, of) => *of > incarnation,
         }
     }
 
     /// A life before this one ended by itself.
     pub(super) fn is_death_before(&self, incarnation: Incarnation) -> bool {
-        matches!(self, Notice::Exited(exited) if exited.incarnation < incarnation)
+        matches!(self, DeferredReport::Exited(exited) if exited.incarnation < incarnation)
     }
 }
 

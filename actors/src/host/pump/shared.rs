@@ -1,8 +1,8 @@
 //! The pump as a future, and as something that the arbiter's hubs can reach.
 
-use super::Pump;
+use super::ComponentExecutor;
 use crate::component::Component;
-use crate::host::anchor::Anchor;
+use crate::host::anchor::ComponentCell;
 use std::any::Any;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -18,27 +18,29 @@ thread_local! {
 }
 
 /// The pump of a component that lives on this arbiter.
-pub(crate) fn local<C: Component>(anchor: &Arc<Anchor<C>>) -> Option<Weak<RefCell<Pump<C>>>> {
+pub(crate) fn executor_here<C: Component>(
+    anchor: &Arc<ComponentCell<C>>,
+) -> Option<Weak<RefCell<ComponentExecutor<C>>>> {
     let key = Arc::as_ptr(anchor).addr();
     let pump = PUMPS.with_borrow(|pumps| pumps.get(&key)?.upgrade())?;
-    let pump: Rc<RefCell<Pump<C>>> = pump.downcast().ok()?;
+    let pump: Rc<RefCell<ComponentExecutor<C>>> = pump.downcast().ok()?;
     Some(Rc::downgrade(&pump))
 }
 
 /// The pump as a future, and as something that the arbiter's hubs can reach.
-pub(crate) struct SharedPump<C: Component>(pub(crate) Rc<RefCell<Pump<C>>>);
+pub(crate) struct SharedExecutor<C: Component>(pub(crate) Rc<RefCell<ComponentExecutor<C>>>);
 
-impl<C: Component> SharedPump<C> {
-    pub(crate) fn new(pump: Pump<C>) -> Self {
+impl<C: Component> SharedExecutor<C> {
+    pub(crate) fn new(pump: ComponentExecutor<C>) -> Self {
         let key = Arc::as_ptr(&pump.anchor).addr();
         let pump = Rc::new(RefCell::new(pump));
         let erased: Rc<dyn Any> = pump.clone();
         PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
-        SharedPump(pump)
+        SharedExecutor(pump)
     }
 }
 
-impl<C: Component> Future for SharedPump<C> {
+impl<C: Component> Future for SharedExecutor<C> {
     type Output = ();
 
     fn poll(self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
@@ -46,7 +48,7 @@ impl<C: Component> Future for SharedPump<C> {
     }
 }
 
-impl<C: Component> Drop for SharedPump<C> {
+impl<C: Component> Drop for SharedExecutor<C> {
     fn drop(&mut self) {
         let mut pump = self.0.borrow_mut();
         let key = Arc::as_ptr(&pump.anchor).addr();

@@ -1,7 +1,7 @@
 //! Queues, what becomes of what does not fit, and what becomes too old.
 
 use super::{Add, Note, Slow, Stage, acc, logged};
-use crate::{ChildSpec, Component, Context, Event, Handle, WhenFull, Why};
+use crate::{ChildSpec, Component, Context, DeliveryError, Event, Handle, WhenFull};
 use blastema_contract::child::ChildEvent;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
@@ -17,7 +17,7 @@ fn a_full_queue_does_what_its_policy_says() {
             let (_child, acc) = stage.start(spec.queue(2, policy)).await;
             for n in 1..=4 {
                 if let Err(refused) = acc.tell(Note(n)) {
-                    assert_eq!((refused.why, refused.message), (Why::Full, Note(n)));
+                    assert_eq!((refused.kind, refused.message), (DeliveryError::Full, Note(n)));
                 }
             }
             settle().await;
@@ -66,7 +66,7 @@ fn deliver_ends_when_the_receiver_is_stopped() {
         child.stop();
 
         let refused = waiting.await.unwrap().unwrap_err();
-        assert_eq!((refused.why, refused.message), (Why::Stopped, Note(2)));
+        assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(2)));
     });
 }
 
@@ -78,7 +78,7 @@ fn before_its_first_life_a_component_keeps_messages_and_says_restarting_when_ful
         let (mut child, acc) = stage.add(spec.queue(1, WhenFull::Refuse));
 
         acc.tell(Note(1)).unwrap();
-        assert_eq!(acc.tell(Note(2)).unwrap_err().why, Why::Restarting);
+        assert_eq!(acc.tell(Note(2)).unwrap_err().kind, DeliveryError::Restarting);
 
         assert_eq!(stage.begin(&mut *child, 1).await, ChildEvent::Started);
         settle().await;
@@ -103,7 +103,7 @@ fn what_is_left_at_a_stop_goes_back_to_askers_and_to_the_dead_letters() {
         child.stop();
 
         let back = asked.await.unwrap().unwrap_err();
-        assert_eq!((back.why, back.message), (Why::Stopped, Some(Add(3))));
+        assert_eq!((back.kind, back.message), (DeliveryError::Stopped, Some(Add(3))));
         let dead = &stage.environment.dead_letters;
         assert_eq!(dead.count(acc.name(), DeadReason::Stopped), 2);
         let latest: Vec<_> = dead.latest().iter().map(|letter| letter.contract.clone()).collect();

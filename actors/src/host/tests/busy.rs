@@ -1,7 +1,7 @@
 //! Handlers that burn 10 to 30 ms on threads that they share, judged by counts and order.
 
 use super::{Log, Stage, logged};
-use crate::host::arbiters::Arbiters;
+use crate::host::arbiters::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull};
 use blastema_contract::child::ChildEvent;
 use blastema_core::Contract;
@@ -99,7 +99,7 @@ fn longest(steps: &Steps) -> usize {
 #[test]
 fn between_two_rounds_of_its_neighbour_a_busy_component_serves_one_message() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();
         let (_safety, _) = stage.start(safety(&steps)).await;
         let (_busy, busy) = stage.start(busy("busy", &steps)).await;
@@ -131,7 +131,7 @@ fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
         }
     }
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();
         let player = |name, to| {
             let steps = steps.clone();
@@ -152,7 +152,7 @@ fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
 #[test]
 fn between_two_rounds_of_their_neighbour_the_listeners_of_a_topic_serve_one_event_each() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();
         let (_safety, _) = stage.start(safety(&steps)).await;
         let (_one, _) = stage.start(busy("one", &steps)).await;
@@ -170,7 +170,7 @@ fn between_two_rounds_of_their_neighbour_the_listeners_of_a_topic_serve_one_even
 #[test]
 fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();
         let (_safety, _) = stage.start(safety(&steps)).await;
         let kept = steps.clone();
@@ -189,7 +189,7 @@ fn between_two_rounds_of_its_neighbour_one_task_of_a_component_runs() {
 #[test]
 fn a_busy_component_stops_after_one_further_handler() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();
         let (mut child, busy) = stage.start(busy("busy", &steps)).await;
         (0..60).for_each(|_| busy.tell(Load).unwrap());
@@ -235,7 +235,7 @@ fn a_component_whose_rounds_and_tasks_take_all_the_time_still_serves_messages() 
         }
     }
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let (steps, served) = (Steps::default(), Log::default());
         let (kept, log) = (steps.clone(), served.clone());
         let spec = ChildSpec::new("both", move || Both(kept.clone(), log.clone())).rate_hz(200.0);

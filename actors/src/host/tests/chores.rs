@@ -1,7 +1,7 @@
 //! Timers, tasks, threads and isolation.
 
 use super::{Log, Stage, logged, order};
-use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, Sender, Why};
+use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Sender};
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -216,8 +216,8 @@ fn a_detached_sender_ends_with_the_life_that_made_it() {
         settle().await;
 
         let refused = sender.tell(Said(2)).unwrap_err();
-        assert_eq!((refused.why, refused.message), (Why::Fenced, Said(2)));
-        assert_eq!(sender.ask(Said(3)).await.unwrap_err().why, Why::Fenced);
+        assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Said(2)));
+        assert_eq!(sender.ask(Said(3)).await.unwrap_err().kind, DeliveryError::Fenced);
         assert_eq!(logged(&heard), [1]);
     });
 }
@@ -253,7 +253,7 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
         advance(Duration::from_millis(30)).await;
         assert_eq!(logged(&heard), [0; 0]);
         let refused = crier.tell(Said(0)).unwrap_err();
-        assert_eq!((refused.why, refused.message), (Why::Isolated, Said(0)));
+        assert_eq!((refused.kind, refused.message), (DeliveryError::Isolated, Said(0)));
 
         child.isolate(false);
         advance(Duration::from_millis(20)).await;

@@ -1,9 +1,11 @@
 //! Panics, standing orders, aborts, death watch.
 
 use super::{Acc, Add, Boom, Note, Slow, Stage, acc, boom, logged, order};
-use crate::{ChildSpec, Component, Context, Down, Ending, Event, Handle, Incarnation, Why};
+use crate::{
+    ChildSpec, Component, Context, DeliveryError, Down, Ending, Event, Handle, Incarnation,
+};
 use blastema_contract::child::ChildEvent;
-use blastema_contract::reports::Exit;
+use blastema_contract::reports::ExitReason;
 use blastema_core::Lifecycle;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
@@ -28,7 +30,9 @@ fn a_panic_ends_one_life_and_the_queue_lives() {
         let exited = stage.exits.expect().await;
         assert_eq!(exited.incarnation, Incarnation(1));
         assert_eq!(exited.restarted_as, Some(Incarnation(2)));
-        let Exit::Panicked { text, at, during } = exited.exit.clone() else { panic!("{exited:?}") };
+        let ExitReason::Panicked { text, at, during } = exited.exit.clone() else {
+            panic!("{exited:?}")
+        };
         assert_eq!(text, "one");
         assert!(at.contains("tests/mod.rs:"), "{at}");
         assert!(during.contains("Boom"), "{during}");
@@ -49,7 +53,7 @@ fn the_asker_of_the_message_that_kills_is_told_which_life_died() {
 
         let died = acc.ask(boom("x")).await.unwrap_err();
 
-        assert_eq!(died.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
         assert_eq!(died.message, None);
         assert_eq!(acc.incarnation(), Incarnation(2));
     });
@@ -151,7 +155,7 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
             let (mut child, _) = stage.add(spec.rate_hz(10.0));
             child.start(Incarnation(1), stage.reports.recipient());
             let exited = stage.exits.expect().await;
-            let Exit::Panicked { text: told, during, .. } = exited.exit else {
+            let ExitReason::Panicked { text: told, during, .. } = exited.exit else {
                 panic!("{way:?}: {exited:?}")
             };
             assert_eq!((told.as_str(), during), (text, place), "{way:?}");
@@ -173,7 +177,7 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
 fn a_life_whose_arbiter_goes_away_is_reported_as_aborted() {
     let system = actix_rt::System::new();
     system.block_on(async {
-        let stage = Stage::on(crate::host::arbiters::Arbiters::pool(1));
+        let stage = Stage::on(crate::host::arbiters::ArbiterPool::pool(1));
         let (_child, acc) = stage.start(acc("acc").0).await;
         let asked = spawn_local({
             let acc = acc.clone();
@@ -184,9 +188,17 @@ fn a_life_whose_arbiter_goes_away_is_reported_as_aborted() {
         stage.environment.arbiters.stop();
 
         let exited = stage.exits.expect().await;
-        assert_eq!((exited.exit, exited.restarted_as), (Exit::Aborted, None));
-        let why = asked.await.unwrap().unwrap_err().why;
-        assert!(matches!(why, Why::PeerDied { .. } | Why::Stopped | Why::DeadlinePassed), "{why}");
+        assert_eq!((exited.exit, exited.restarted_as), (ExitReason::Aborted, None));
+        let why = asked.await.unwrap().unwrap_err().kind;
+        assert!(
+            matches!(
+                why,
+                DeliveryError::PeerDied { .. }
+                    | DeliveryError::Stopped
+                    | DeliveryError::DeadlinePassed
+            ),
+            "{why}"
+        );
     });
 }
 
@@ -205,8 +217,8 @@ fn a_handler_that_waits_for_ever_is_given_up_on_the_same_arbiter() {
         child.abandon();
         assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
 
-        let why = lost.await.unwrap().unwrap_err().why;
-        assert_eq!(why, Why::PeerDied { incarnation: Incarnation(1) });
+        let why = lost.await.unwrap().unwrap_err().kind;
+        assert_eq!(why, DeliveryError::PeerDied { incarnation: Incarnation(1) });
         assert_eq!(acc.ask(Add(2)).await, Ok(3), "the queue was kept");
         assert!(stage.exits.drain().is_empty(), "who gives up does not want to be told");
         let dead = &stage.environment.dead_letters;
@@ -309,7 +321,7 @@ fn a_component_that_ends_itself_has_returned_and_keeps_its_queue() {
         guest.tell(Note(1)).unwrap();
         settle().await;
 
-        assert_eq!(stage.exits.drain()[0].exit, Exit::Returned);
+        assert_eq!(stage.exits.drain()[0].exit, ExitReason::Returned);
         assert_eq!(guest.state(), Lifecycle::Finalized);
         let report = stage.reports.expect().await;
         assert!(matches!(report.event, ChildEvent::Died { restarted_as: None, .. }));

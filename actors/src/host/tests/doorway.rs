@@ -1,13 +1,13 @@
 //! Names, and the way in from outside the process.
 
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
-use crate::registry::{Asked, Postmark, RemoteDoor, RemoteDoors, ReplyTo};
+use crate::registry::{MessageMetadata, OutgoingRequest, RemoteStub, ReplyTo, StubFactory};
 use crate::{
-    Blob, ChildSpec, Component, Context, DeadReason, Event, Handle, Incarnation, ObjectName, Ports,
-    Request, SpecError, WhenFull, Why,
+    Blob, ChildSpec, Component, Context, DeadReason, DeliveryError, Event, Handle, Incarnation,
+    ObjectName, Ports, Request, SpecError, WhenFull,
 };
 use blastema_core::contract::codec;
-use blastema_core::{Contract, ContractIdentity, MessageId, NodeName, ObjectAddress, Parcel};
+use blastema_core::{Contract, ContractIdentity, GatherBuffer, MessageId, NodeName, ObjectAddress};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
 use std::future::Future;
@@ -26,7 +26,7 @@ fn name(text: &str) -> ObjectName {
     ObjectName::new(text).unwrap()
 }
 
-type ReplyPlace = Arc<Mutex<Option<Result<Parcel, Why>>>>;
+type ReplyPlace = Arc<Mutex<Option<Result<GatherBuffer, DeliveryError>>>>;
 
 /// A place for one reply, and the callback that fills it.
 fn reply() -> (ReplyPlace, ReplyTo) {
@@ -35,8 +35,8 @@ fn reply() -> (ReplyPlace, ReplyTo) {
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
 }
 
-fn postmark(id: Option<MessageId>) -> Postmark {
-    Postmark { id, ..Postmark::default() }
+fn postmark(id: Option<MessageId>) -> MessageMetadata {
+    MessageMetadata { id, ..MessageMetadata::default() }
 }
 
 const ID: Option<MessageId> = Some(MessageId { sender: 9, sequence: 1 });
@@ -69,11 +69,11 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
             kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap();
             settle().await;
             let why = place.lock().unwrap().take().unwrap().unwrap_err();
-            assert_eq!(why, Why::PeerDied { incarnation: Incarnation(life) });
+            assert_eq!(why, DeliveryError::PeerDied { incarnation: Incarnation(life) });
         }
         let (place, reply_to) = reply();
         let refused = kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap_err();
-        assert_eq!(refused, Why::Quarantined { kills: 3 });
+        assert_eq!(refused, DeliveryError::Quarantined { kills: 3 });
         assert_eq!(place.lock().unwrap().take(), Some(Err(refused)));
     });
 }
@@ -91,7 +91,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
             .deliver(&Bytes::from_static(b"no number"), postmark(ID), Some(reply_to))
             .unwrap_err();
 
-        assert!(matches!(why, Why::Undecodable { .. }), "{why}");
+        assert!(matches!(why, DeliveryError::Undecodable { .. }), "{why}");
         assert_eq!(place.lock().unwrap().take(), Some(Err(why)));
         assert_eq!(stage.environment.dead_letters.total(), 1);
         assert!(registry.doorway(acc.name(), "no such contract").is_err());
@@ -109,7 +109,7 @@ fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_whe
 
         note.deliver(&encoded(&Note(1)), postmark(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap_err();
-        assert_eq!(why, Why::Full);
+        assert_eq!(why, DeliveryError::Full);
         note.room().unwrap().await;
         note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(3)), postmark(None), None).unwrap_err();
@@ -164,19 +164,22 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
         assert!(registry.sender::<Add>("here:acc").is_ok());
         for unknown in ["nobody", "there:acc", "no name", ":"] {
             let why = registry.sender::<Add>(unknown).unwrap_err();
-            assert_eq!(why, Why::Unknown { name: unknown.into() });
+            assert_eq!(why, DeliveryError::Unknown { name: unknown.into() });
         }
         for misspelt in ["acx", "here:acx", "Acc"] {
             let why = registry.sender::<Add>(misspelt).unwrap_err();
-            assert_eq!(why, Why::Misspelt { name: misspelt.into(), nearest: "acc".into() });
+            assert_eq!(
+                why,
+                DeliveryError::Misspelt { name: misspelt.into(), nearest: "acc".into() }
+            );
         }
         let why = registry.sender::<Missing>("acc").unwrap_err();
-        let Why::NotServed { object, contract, served } = why else { panic!("{why}") };
+        let DeliveryError::NotServed { object, contract, served } = why else { panic!("{why}") };
         assert_eq!((&*object, &*contract), ("acc", Missing::NAME));
         assert!(served.iter().any(|name| name == Add::NAME), "{served:?}");
         if other::Add::NAME == Add::NAME {
             let why = registry.sender::<other::Add>("acc").unwrap_err();
-            assert!(matches!(why, Why::ContractDiffers { .. }), "{why}");
+            assert!(matches!(why, DeliveryError::ContractDiffers { .. }), "{why}");
         }
         assert_eq!(registry.objects().len(), 1);
         assert_eq!(registry.objects()[0].1.len(), 4);
@@ -185,19 +188,23 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
 
 /// Another node that leads back to this one.
 struct Mirror(crate::registry::Registry);
-struct MirrorDoor(Arc<dyn crate::registry::Doorway>);
+struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
 
-impl RemoteDoors for Mirror {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteDoor> {
+impl StubFactory for Mirror {
+    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(MirrorDoor(self.0.doorway(&to.object, contract.name).unwrap().1))
     }
 }
-impl RemoteDoor for MirrorDoor {
-    fn send(&self, message: Parcel, asked: Option<Asked>) -> Result<(), Why> {
+impl RemoteStub for MirrorDoor {
+    fn send(
+        &self,
+        message: GatherBuffer,
+        asked: Option<OutgoingRequest>,
+    ) -> Result<(), DeliveryError> {
         let id = asked.as_ref().and_then(|asked| asked.id);
         self.0.deliver(&message.into_bytes(), postmark(id), asked.map(|asked| asked.reply_to))
     }
-    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -218,7 +225,7 @@ fn an_object_of_another_node_is_asked_with_the_same_code() {
         settle().await;
         assert_eq!(logged(&log), [3]);
         let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
-        assert_eq!(died.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
     });
 }
 
@@ -233,23 +240,23 @@ struct Image {
 #[derive(Clone, Default)]
 struct Narrow {
     refused: Arc<AtomicBool>,
-    taken: Arc<Mutex<Option<Parcel>>>,
+    taken: Arc<Mutex<Option<GatherBuffer>>>,
 }
 
-impl RemoteDoors for Narrow {
-    fn door(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteDoor> {
+impl StubFactory for Narrow {
+    fn door(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(self.clone())
     }
 }
-impl RemoteDoor for Narrow {
-    fn send(&self, message: Parcel, _: Option<Asked>) -> Result<(), Why> {
+impl RemoteStub for Narrow {
+    fn send(&self, message: GatherBuffer, _: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
         if !self.refused.swap(true, Relaxed) {
-            return Err(Why::Full);
+            return Err(DeliveryError::Full);
         }
         *self.taken.lock().unwrap() = Some(message);
         Ok(())
     }
-    fn room<'a>(&'a self, _: &Why) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -265,7 +272,7 @@ fn a_large_vector_goes_to_another_node_as_it_lies_and_comes_back_so_where_it_is_
         let (place, copy) = (image.pixels.as_ptr(), image.clone());
 
         let refused = images.tell(image).unwrap_err();
-        assert_eq!((refused.why, &refused.message), (Why::Full, &copy));
+        assert_eq!((refused.kind, &refused.message), (DeliveryError::Full, &copy));
         assert_eq!(refused.message.pixels.as_ptr(), place);
 
         images.tell(refused.message).unwrap();

@@ -1,9 +1,9 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
 use super::{Boom, Log, Stage, boom, logged, order};
-use crate::host::arbiters::Arbiters;
+use crate::host::arbiters::ArbiterPool;
 use crate::topic::Publisher;
-use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, Why};
+use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::{Contract, ObjectName};
 use blastema_doubles::{advance, paused, settle};
@@ -67,14 +67,14 @@ fn source(bench: &Bench) -> ChildSpec<Source> {
 }
 
 /// A thread that publishes what it is told, and answers what came of it.
-fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<Why>>) {
+fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<DeliveryError>>) {
     let (orders, told) = channel();
     let (answer, answers) = channel();
     std::thread::spawn(move || {
         while let Ok(n) = told.recv() {
             let refused = publisher.publish(Reading(n)).err();
             assert!(refused.as_ref().is_none_or(|error| error.message == Reading(n)));
-            let _ = answer.send(refused.map(|error| error.why));
+            let _ = answer.send(refused.map(|error| error.kind));
         }
     });
     (orders, answers)
@@ -83,7 +83,7 @@ fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<Why>>)
 #[test]
 fn a_publisher_in_a_thread_publishes_until_its_incarnation_ends_and_then_says_fenced() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let bench = Bench::default();
         let (spec, log) = ear();
         let (_ear, _) = stage.start(spec).await;
@@ -97,7 +97,7 @@ fn a_publisher_in_a_thread_publishes_until_its_incarnation_ends_and_then_says_fe
         source.tell(boom("x")).unwrap();
         stage.exits.expect().await;
         tell.send(2).unwrap();
-        assert_eq!(answers.recv().unwrap(), Some(Why::Fenced));
+        assert_eq!(answers.recv().unwrap(), Some(DeliveryError::Fenced));
         while bench.publishers.lock().unwrap().len() < 2 {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
@@ -123,20 +123,20 @@ fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
         let (mut child, _) = stage.start(source(&bench)).await;
         let publish = |at: usize, n: u64| {
             let publisher = bench.publishers.lock().unwrap()[at].clone();
-            publisher.publish(Reading(n)).map_err(|error| error.why)
+            publisher.publish(Reading(n)).map_err(|error| error.kind)
         };
         assert_eq!(publish(0, 1), Ok(()));
 
         child.abandon();
-        assert_eq!(publish(0, 2), Err(Why::Fenced));
+        assert_eq!(publish(0, 2), Err(DeliveryError::Fenced));
         stage.begin(&mut *child, 2).await;
         assert_eq!(publish(1, 3), Ok(()));
         child.isolate(true);
-        assert_eq!(publish(1, 4), Err(Why::Isolated));
+        assert_eq!(publish(1, 4), Err(DeliveryError::Isolated));
         child.isolate(false);
         child.stop();
         settle().await;
-        assert_eq!(publish(1, 5), Err(Why::Fenced));
+        assert_eq!(publish(1, 5), Err(DeliveryError::Fenced));
 
         settle().await;
         assert_eq!(logged(&log), [1, 3]);

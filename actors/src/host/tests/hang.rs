@@ -1,16 +1,16 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
 use super::{Log, Stage, acc, logged};
-use crate::host::arbiters::Arbiters;
-use crate::host::watch::{self, WatchGuard};
+use crate::host::arbiters::ArbiterPool;
+use crate::host::watch::{self, SamplerGuard};
 use crate::{
-    ChildSpec, Component, Context, Event, Failure, Handle, Incarnation, ObjectName, Ports, Sender,
-    Why,
+    ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation, ObjectName,
+    Ports, Sender,
 };
 use blastema_contract::child::ChildEvent;
-use blastema_contract::reports::Sighted;
-use blastema_core::detection::hang::ScannerConfig;
-use blastema_core::detection::{Current, ObjectKind, Row, Watch};
+use blastema_contract::reports::LivenessReported;
+use blastema_core::detection::hang::HangDetectorConfig;
+use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, ObjectKind};
 use blastema_core::{NodeName, ObjectAddress, Place};
 use blastema_doubles::{Probe, advance, paused};
 use std::sync::{Arc, Mutex, mpsc};
@@ -27,7 +27,7 @@ struct Block(u64);
 
 type Gate = Arc<Mutex<mpsc::Receiver<()>>>;
 /// What came of what a component said after it was let go.
-type Said0 = Arc<Mutex<Vec<Option<Why>>>>;
+type Said0 = Arc<Mutex<Vec<Option<DeliveryError>>>>;
 
 struct Blocker {
     gate: Gate,
@@ -45,7 +45,7 @@ impl Handle<Block> for Blocker {
     async fn handle(&mut self, Block(n): Block, cx: &mut Context<Self>) -> u64 {
         self.gate.lock().unwrap().recv().unwrap();
         cx.publish(Said(666));
-        let said = self.ear.tell(Said(n)).map_err(|refused| refused.why).err();
+        let said = self.ear.tell(Said(n)).map_err(|refused| refused.kind).err();
         self.said.lock().unwrap().push(said);
         n
     }
@@ -73,21 +73,22 @@ impl Handle<Said> for Ear {
 /// A stage on real threads, with the watch, an ear on a thread of its own, and what blocks.
 struct Site {
     stage: Stage,
-    sighted: Probe<Sighted>,
+    sighted: Probe<LivenessReported>,
     open: mpsc::Sender<()>,
     gate: Gate,
     said: Said0,
     heard: Log,
     ear: Sender<Said>,
     _ear: Box<dyn blastema_contract::child::Child>,
-    _watch: WatchGuard,
+    _watch: SamplerGuard,
 }
 
 impl Site {
     async fn new(shared: usize, grace: Duration) -> Self {
-        let stage = Stage::on(Arbiters::pool(shared));
+        let stage = Stage::on(ArbiterPool::pool(shared));
         let sighted = Probe::start();
-        let config = ScannerConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
+        let config =
+            HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
         let environment = &stage.environment;
         let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
         let watch = watch::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
@@ -127,8 +128,8 @@ impl Site {
     }
 
     async fn hangs(&self) -> (ObjectName, Incarnation, &'static str, Vec<ObjectName>) {
-        match self.sighted.wait(|sighted| matches!(sighted, Sighted::Hangs { .. })).await {
-            Sighted::Hangs { object, incarnation, during, victims, .. } => {
+        match self.sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await {
+            LivenessReported::Hangs { object, incarnation, during, victims, .. } => {
                 (object, incarnation, during, victims.to_vec())
             }
             other => panic!("{other:?}"),
@@ -159,29 +160,33 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         blocker.tell(Said(5)).unwrap();
         let here = NodeName::new("here").unwrap();
         let place = Place::Object(ObjectAddress::new(here.clone(), name("blocker")));
-        let mut row = Row::blank(place, ObjectKind::Component);
+        let mut row = MonitorRow::blank(place, ObjectKind::Component);
         row.incarnation = Incarnation(1);
         site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
-        let Current { during, .. } = row.current.unwrap();
+        let CurrentHandler { during, .. } = row.current.unwrap();
         assert_eq!(during, "Block");
         assert_eq!(row.queue.unwrap().queued, 1);
 
         child.abandon();
-        let died = hung.await.unwrap().unwrap_err().why;
-        assert_eq!(died, Why::PeerDied { incarnation: Incarnation(1) }, "while it still blocks");
+        let died = hung.await.unwrap().unwrap_err().kind;
+        assert_eq!(
+            died,
+            DeliveryError::PeerDied { incarnation: Incarnation(1) },
+            "while it still blocks"
+        );
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
         site.until("its queue came along", || logged(&site.heard) == [5]).await;
 
         let early = site.sighted.drain();
-        assert!(!early.iter().any(|s| matches!(s, Sighted::Resumed { .. })), "{early:?}");
+        assert!(!early.iter().any(|s| matches!(s, LivenessReported::Resumed { .. })), "{early:?}");
         site.open.send(()).unwrap();
         assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
         assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
-        assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
+        assert_eq!(*site.said.lock().unwrap(), [Some(DeliveryError::Fenced)]);
         assert_eq!(logged(&site.heard), [0; 0], "what the zombie said went nowhere");
         assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
-        let resumed = site.sighted.wait(|s| matches!(s, Sighted::Resumed { .. })).await;
-        assert_eq!(resumed, Sighted::Resumed { objects: [name("neighbour")].into() });
+        let resumed = site.sighted.wait(|s| matches!(s, LivenessReported::Resumed { .. })).await;
+        assert_eq!(resumed, LivenessReported::Resumed { objects: [name("neighbour")].into() });
         site.stage.environment.arbiters.stop();
     });
 }
@@ -203,9 +208,10 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
         topics.publisher("news").unwrap().publish(Said(8)).unwrap();
 
         child.abandon();
-        let lost = site.sighted.wait(|sighted| matches!(sighted, Sighted::Lost { .. })).await;
+        let lost =
+            site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
         let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
-        assert_eq!(lost, Sighted::Lost { culprit, victims });
+        assert_eq!(lost, LivenessReported::Lost { culprit, victims });
         assert_eq!((arbiters.abandoned(), told.lock().unwrap().clone()), (1, vec![1]));
         moving.abandon();
         assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
@@ -216,7 +222,7 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
 
         site.open.send(()).unwrap();
         site.until("the thread ends", || arbiters.abandoned() == 0).await;
-        assert_eq!(*site.said.lock().unwrap(), [Some(Why::Fenced)]);
+        assert_eq!(*site.said.lock().unwrap(), [Some(DeliveryError::Fenced)]);
         assert_eq!(neighbour.incarnation(), Incarnation(2));
         arbiters.stop();
     });
@@ -316,7 +322,7 @@ fn events_that_a_lost_arbiter_was_handing_out_come_along() {
         site.hangs().await;
         publisher.publish(Hold).unwrap();
         culprit.abandon();
-        site.sighted.wait(|sighted| matches!(sighted, Sighted::Lost { .. })).await;
+        site.sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
         victim.abandon();
         assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 
@@ -366,11 +372,12 @@ impl Handle<Do> for Beater {
     }
 }
 
-fn watched() -> (Stage, Probe<Sighted>, WatchGuard) {
+fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
     let (stage, sighted) = (Stage::new(), Probe::start());
     let environment = &stage.environment;
     let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-    let watch = watch::start_task(list, arbiters, ScannerConfig::default(), sighted.recipient());
+    let watch =
+        watch::start_task(list, arbiters, HangDetectorConfig::default(), sighted.recipient());
     (stage, sighted, watch)
 }
 
@@ -379,8 +386,8 @@ fn silence_is_seen_and_its_end_too() {
     paused(async {
         let (stage, sighted, _watch) = watched();
         let spec = ChildSpec::new("beater", || Beater(true));
-        let push = Watch::push(Duration::from_millis(100), 3);
-        let (mut child, beater) = stage.start(spec.watch(push)).await;
+        let push = Liveness::push(Duration::from_millis(100), 3);
+        let (mut child, beater) = stage.start(spec.liveness(push)).await;
         advance(Duration::from_secs(5)).await;
         assert_eq!(sighted.drain(), []);
 
@@ -388,13 +395,13 @@ fn silence_is_seen_and_its_end_too() {
         advance(Duration::from_secs(1)).await;
         let (object, incarnation) = (name("beater"), Incarnation(1));
         let seen = sighted.drain();
-        let [Sighted::Silent { silent_for, .. }] = seen[..] else { panic!("{seen:?}") };
+        let [LivenessReported::Silent { silent_for, .. }] = seen[..] else { panic!("{seen:?}") };
         assert!(silent_for >= Duration::from_millis(350), "{silent_for:?}");
         assert!(silent_for <= Duration::from_millis(460), "{silent_for:?}");
 
         beater.tell(Do::Speak).unwrap();
         advance(Duration::from_millis(200)).await;
-        assert_eq!(sighted.drain(), [Sighted::Spoke { object, incarnation }]);
+        assert_eq!(sighted.drain(), [LivenessReported::Spoke { object, incarnation }]);
 
         child.stop();
         advance(Duration::from_secs(5)).await;
@@ -408,8 +415,8 @@ fn a_round_that_succeeds_is_a_sign_of_life() {
     impl Component for Worker {}
     paused(async {
         let (stage, sighted, _watch) = watched();
-        let push = Watch::push(Duration::from_millis(100), 3);
-        let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).watch(push);
+        let push = Liveness::push(Duration::from_millis(100), 3);
+        let spec = ChildSpec::new("worker", || Worker).rate_hz(10.0).liveness(push);
         let (_child, _) = stage.start(spec).await;
         advance(Duration::from_secs(10)).await;
         assert_eq!(sighted.drain(), []);
@@ -430,7 +437,9 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [Sighted::Waits { ref object, during, age, .. }] = seen[..] else { panic!("{seen:?}") };
+        let [LivenessReported::Waits { ref object, during, age, .. }] = seen[..] else {
+            panic!("{seen:?}")
+        };
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });

@@ -1,8 +1,8 @@
 //! No two lives of one component have one number, whoever begins them.
 
 use super::{Add, Boom, Slow, Stage, acc, boom, order};
-use crate::host::arbiters::Arbiters;
-use crate::{ChildSpec, Component, Context, Failure, Handle, Incarnation, Ports, Why};
+use crate::host::arbiters::ArbiterPool;
+use crate::{ChildSpec, Component, Context, DeliveryError, Failure, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_doubles::paused;
 use std::sync::{Arc, Mutex};
@@ -61,7 +61,7 @@ impl Handle<Add> for Census {
 #[test]
 fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(2));
+        let stage = Stage::on(ArbiterPool::pool(2));
         let lives = Lives::default();
         let kept = lives.clone();
         let spec = ChildSpec::new("census", move || Census(kept.clone()))
@@ -78,7 +78,11 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
             let answered = loop {
                 match census.ask_within(Add(0), Duration::from_secs(30)).await {
                     Ok(life) => break Incarnation(life),
-                    Err(error) if matches!(error.why, Why::PeerDied { .. } | Why::Restarting) => {}
+                    Err(error)
+                        if matches!(
+                            error.kind,
+                            DeliveryError::PeerDied { .. } | DeliveryError::Restarting
+                        ) => {}
                     Err(error) => panic!("{error}"),
                 }
             };

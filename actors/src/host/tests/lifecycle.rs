@@ -1,9 +1,9 @@
 //! The hooks, their order, and what is told of them.
 
 use super::{Stage, order};
-use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Incarnation, Why};
+use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};
 use blastema_contract::child::ChildEvent;
-use blastema_contract::reports::Exit;
+use blastema_contract::reports::ExitReason;
 use blastema_core::{FaultKind, Lifecycle};
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
@@ -118,8 +118,8 @@ fn a_life_runs_from_initialisation_to_its_end_in_order() {
         assert_eq!(diary.ran(), ["on_deactivated", "on_shutdown", "on_finalize"]);
         assert_eq!(states(&stage).last().unwrap(), &(Lifecycle::Finalized, None));
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Stopped);
-        assert_eq!(reference.tell(Do::Fail).unwrap_err().why, Why::Stopped);
+        assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
+        assert_eq!(reference.tell(Do::Fail).unwrap_err().kind, DeliveryError::Stopped);
 
         child.stop();
         settle().await;
@@ -161,7 +161,7 @@ fn a_failed_initialisation_is_fatal_and_finalised() {
         settle().await;
         assert_eq!(diary.ran(), ["on_initialize", "on_finalize"]);
         assert!(states(&stage).contains(&(Lifecycle::Fatal, Some(reason))));
-        assert_eq!(stage.exits.drain().pop().unwrap().exit, Exit::Fatal);
+        assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Fatal);
         assert!(stage.reports.drain().is_empty(), "it is not told twice");
 
         assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
@@ -313,7 +313,7 @@ fn control_is_served_while_a_hook_awaits() {
         settle().await;
 
         let host = reference.0.control().unwrap();
-        host.send(crate::host::Control::Wake).await.unwrap();
+        host.send(crate::host::HostCommand::Wake).await.unwrap();
 
         assert_eq!(reference.state(), Lifecycle::Created);
     });

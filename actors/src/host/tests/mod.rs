@@ -16,11 +16,11 @@ mod subscriptions;
 mod topics;
 mod watching;
 
-use super::arbiters::Arbiters;
-use super::environment::{HostEnvironment, Reports};
+use super::arbiters::ArbiterPool;
+use super::environment::{ComponentEnvironment, FaultReports};
 use super::spec::ChildSpec;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
-use blastema_contract::child::{Child, ChildEvent, ChildReport, StandingOrder};
+use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 use blastema_doubles::Probe;
@@ -29,7 +29,7 @@ use std::time::Duration;
 
 /// An environment whose every ear is a probe.
 pub(super) struct Stage {
-    pub(super) environment: HostEnvironment,
+    pub(super) environment: ComponentEnvironment,
     pub(super) exits: Probe<Exited>,
     pub(super) states: Probe<StateReported>,
     pub(super) faults: Probe<FaultDeclared>,
@@ -38,18 +38,18 @@ pub(super) struct Stage {
 
 impl Stage {
     pub(super) fn new() -> Self {
-        Self::on(Arbiters::here())
+        Self::on(ArbiterPool::here())
     }
 
-    pub(super) fn on(arbiters: Arbiters) -> Self {
+    pub(super) fn on(arbiters: ArbiterPool) -> Self {
         let (exits, states, faults) = (Probe::start(), Probe::start(), Probe::start());
-        let reports = Reports {
+        let reports = FaultReports {
             exits: Some(exits.recipient()),
             states: Some(states.recipient()),
             faults: Some(faults.recipient()),
             mended: None,
         };
-        let environment = HostEnvironment::new(arbiters, reports);
+        let environment = ComponentEnvironment::new(arbiters, reports);
         Stage { environment, exits, states, faults, reports: Probe::start() }
     }
 
@@ -75,8 +75,8 @@ impl Stage {
     }
 }
 
-pub(super) fn order(times: u32) -> Option<StandingOrder> {
-    Some(StandingOrder { times, period: Duration::from_secs(10) })
+pub(super) fn order(times: u32) -> Option<RestartGrant> {
+    Some(RestartGrant { times, period: Duration::from_secs(10) })
 }
 
 pub(super) type Log = Arc<Mutex<Vec<u64>>>;

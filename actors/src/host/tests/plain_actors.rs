@@ -1,8 +1,8 @@
 //! Plain actix actors among components.
 
 use super::{Add, Note, Stage, acc, logged};
-use crate::plain::{self, Deliver, Serve};
-use crate::{ChildSpec, Component, Context, Handle, Sender, Why};
+use crate::plain::{self, Deliver, ServeRequest};
+use crate::{ChildSpec, Component, Context, DeliveryError, Handle, Sender};
 use actix::Actor;
 use actix::prelude::Handler;
 use blastema_doubles::{paused, settle};
@@ -11,9 +11,9 @@ struct Plain(u64);
 impl Actor for Plain {
     type Context = actix::Context<Self>;
 }
-impl Handler<Serve<Add>> for Plain {
+impl Handler<ServeRequest<Add>> for Plain {
     type Result = u64;
-    fn handle(&mut self, Serve(Add(n)): Serve<Add>, _: &mut Self::Context) -> u64 {
+    fn handle(&mut self, ServeRequest(Add(n)): ServeRequest<Add>, _: &mut Self::Context) -> u64 {
         self.0 += n;
         self.0
     }
@@ -43,7 +43,7 @@ fn a_plain_actor_sends_to_components_through_a_recipient() {
 
         child.stop();
         settle().await;
-        assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Err(Why::Stopped));
+        assert_eq!(add.send(Deliver(Add(4))).await.unwrap(), Err(DeliveryError::Stopped));
     });
 }
 

@@ -1,10 +1,10 @@
 //! Every death is reported, also where a second panic follows before the first was reported.
 
 use super::{Log, Stage, logged, order};
-use crate::host::arbiters::Arbiters;
+use crate::host::arbiters::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
-use blastema_contract::reports::Exit;
+use blastema_contract::reports::ExitReason;
 use blastema_doubles::{paused, settle};
 
 #[derive(Clone, Debug, PartialEq, Event)]
@@ -56,7 +56,7 @@ fn a_condition_that_panics_on_each_event_of_a_batch_is_one_reported_death() {
         let exits = stage.exits.drain();
         assert_eq!(exits.len(), 1, "{exits:?}");
         assert_eq!(exits[0].restarted_as, None);
-        let Exit::Panicked { during, .. } = exits[0].exit else { panic!("{exits:?}") };
+        let ExitReason::Panicked { during, .. } = exits[0].exit else { panic!("{exits:?}") };
         assert_eq!(during, "a condition of a subscription");
         let reports = stage.reports.drain();
         assert!(matches!(reports[..], [ref only] if matches!(only.event, ChildEvent::Died { .. })));
@@ -96,7 +96,7 @@ fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
         child.standing_order(order(5));
-        let pump = crate::host::pump::local(&picky.0).unwrap().upgrade().unwrap();
+        let pump = crate::host::pump::executor_here(&picky.0).unwrap().upgrade().unwrap();
 
         // On the spot, before the pump has its turn.
         pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
@@ -113,18 +113,18 @@ fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
 fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_turn() {
     let system = actix_rt::System::new();
     system.block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let (_child, picky) = stage.start(picky("picky").0).await;
         let anchor = picky.0.clone();
         let seat = anchor.record.seat().unwrap().seat;
 
         seat.handle.spawn_fn(move || {
-            let pump = crate::host::pump::local(&anchor).unwrap().upgrade().unwrap();
+            let pump = crate::host::pump::executor_here(&anchor).unwrap().upgrade().unwrap();
             pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
             actix_rt::Arbiter::current().stop();
         });
 
         let exited = stage.exits.expect().await;
-        assert!(matches!(exited.exit, Exit::Panicked { .. }), "{exited:?}");
+        assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
     });
 }

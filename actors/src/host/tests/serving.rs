@@ -1,9 +1,9 @@
 //! Messages, replies, deadlines.
 
 use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
-use crate::host::Control;
-use crate::host::watch::Glimpsed;
-use crate::{Sender, WhenFull, Why};
+use crate::host::HostCommand;
+use crate::host::watch::AliveSource;
+use crate::{DeliveryError, Sender, WhenFull};
 use blastema_core::Lifecycle;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, now, paused, settle};
@@ -62,7 +62,7 @@ fn a_request_resolves_at_its_deadline_and_not_before() {
 
         let late = acc.ask(Slow(3_600_000)).await.unwrap_err();
 
-        assert_eq!((late.why, late.message), (Why::DeadlinePassed, None));
+        assert_eq!((late.kind, late.message), (DeliveryError::DeadlinePassed, None));
         let waited = now() - before;
         let limit = Duration::from_secs(1);
         assert!(waited >= limit && waited <= limit + Duration::from_millis(30), "{waited:?}");
@@ -82,7 +82,7 @@ fn a_request_whose_asker_gave_up_is_not_served_but_counted() {
 
         let late = acc.ask_within(Add(5), Duration::from_millis(20)).await.unwrap_err();
 
-        assert_eq!(late.why, Why::DeadlinePassed);
+        assert_eq!(late.kind, DeliveryError::DeadlinePassed);
         assert_eq!(slow.await.unwrap(), Ok(1000));
         assert_eq!(acc.ask(Add(0)).await, Ok(1000));
         let dead = &stage.environment.dead_letters;
@@ -103,11 +103,11 @@ fn a_deadline_holds_on_a_thread_without_a_beat() {
                 .start_paused(true)
                 .build()
                 .unwrap();
-            runtime.block_on(sender.ask(Slow(3_600_000))).unwrap_err().why
+            runtime.block_on(sender.ask(Slow(3_600_000))).unwrap_err().kind
         });
 
         // Its clock jumps on its own; ours need not turn for it.
-        assert_eq!(far.join().unwrap(), Why::DeadlinePassed);
+        assert_eq!(far.join().unwrap(), DeliveryError::DeadlinePassed);
     });
 }
 
@@ -133,11 +133,11 @@ fn a_component_that_floods_itself_starves_nobody() {
         let (_other, acc) = stage.start(acc("acc").0).await;
 
         assert_eq!(acc.ask(Add(1)).await, Ok(1));
-        flood.0.control().unwrap().send(Control::Wake).await.unwrap();
+        flood.0.control().unwrap().send(HostCommand::Wake).await.unwrap();
         child.stop();
         settle().await;
 
-        assert_eq!(flood.tell(Again(0)).unwrap_err().why, Why::Stopped);
+        assert_eq!(flood.tell(Again(0)).unwrap_err().kind, DeliveryError::Stopped);
     });
 }
 
@@ -151,15 +151,18 @@ fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
         let (poison, other) = (sender.repeatable(boom("x")), sender.repeatable(boom("y")));
 
         for life in 1..=3 {
-            let why = poison.ask().await.unwrap_err().why;
-            assert_eq!(why, Why::PeerDied { incarnation: crate::Incarnation(life) });
+            let why = poison.ask().await.unwrap_err().kind;
+            assert_eq!(why, DeliveryError::PeerDied { incarnation: crate::Incarnation(life) });
         }
 
         let refused = poison.ask().await.unwrap_err();
-        assert_eq!(refused.why, Why::Quarantined { kills: 3 });
+        assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 });
         assert_eq!(refused.message, Some(boom("x")));
-        assert!(matches!(other.ask().await.unwrap_err().why, Why::PeerDied { .. }));
-        assert!(matches!(acc.ask(boom("z")).await.unwrap_err().why, Why::PeerDied { .. }));
+        assert!(matches!(other.ask().await.unwrap_err().kind, DeliveryError::PeerDied { .. }));
+        assert!(matches!(
+            acc.ask(boom("z")).await.unwrap_err().kind,
+            DeliveryError::PeerDied { .. }
+        ));
         let dead = &stage.environment.dead_letters;
         assert_eq!(dead.count(acc.name(), DeadReason::Quarantined), 1);
     });

@@ -1,13 +1,13 @@
 //! Conditions under guard and watch, hubs of ended lives, and events across a hang.
 
 use super::{Log, Stage, logged};
-use crate::host::arbiters::Arbiters;
-use crate::host::watch::{self, WatchGuard};
+use crate::host::arbiters::ArbiterPool;
+use crate::host::watch::{self, SamplerGuard};
 use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
-use blastema_contract::reports::Sighted;
+use blastema_contract::reports::LivenessReported;
 use blastema_core::Contract;
-use blastema_core::detection::hang::ScannerConfig;
+use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_doubles::{Probe, paused, settle};
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
@@ -83,9 +83,9 @@ fn ear(name: &str, blocks_on: Option<(u64, Barrier)>) -> (ChildSpec<Ear>, Log) {
     (ChildSpec::new(name, make).max_block(Duration::from_millis(100)), log)
 }
 
-fn watched(stage: &Stage, grace: Duration) -> (Probe<Sighted>, WatchGuard) {
+fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerGuard) {
     let sighted = Probe::start();
-    let config = ScannerConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
+    let config = HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
     let (list, arbiters) =
         (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
     let guard = watch::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
@@ -113,7 +113,7 @@ async fn until(what: &str, mut holds: impl FnMut() -> bool) {
 #[test]
 fn a_condition_that_blocks_on_the_first_event_is_named_and_its_neighbours_are_not() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let (sighted, _watch) = watched(&stage, Duration::from_secs(30));
         let (before, first) = ear("before", None);
         let (after, last) = ear("after", None);
@@ -127,10 +127,10 @@ fn a_condition_that_blocks_on_the_first_event_is_named_and_its_neighbours_are_no
         *JUDGED.lock().unwrap() = Some(barrier.clone());
 
         publish(&stage, 1);
-        let seen = sighted.wait(|sighted| matches!(sighted, Sighted::Hangs { .. })).await;
+        let seen = sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
         barrier.open();
 
-        let Sighted::Hangs { object, during, victims, .. } = seen else { unreachable!() };
+        let LivenessReported::Hangs { object, during, victims, .. } = seen else { unreachable!() };
         assert_eq!(object, ObjectName::new("judge").unwrap());
         assert_eq!(during, "a condition of a subscription");
         assert_eq!(victims.len(), 2);
@@ -144,7 +144,7 @@ fn a_condition_that_blocks_on_the_first_event_is_named_and_its_neighbours_are_no
 #[test]
 fn events_are_served_once_and_in_order_across_a_hang() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(2));
+        let stage = Stage::on(ArbiterPool::pool(2));
         let (sighted, _watch) = watched(&stage, Duration::from_millis(100));
         let barrier = Barrier::default();
         // Two arbiters with a listener each, and one that moves from the first to the second.
@@ -157,10 +157,10 @@ fn events_are_served_once_and_in_order_across_a_hang() {
         until("two hubs", || hubs(&stage) == 2).await;
 
         (1..=6).for_each(|n| publish(&stage, n));
-        sighted.wait(|sighted| matches!(sighted, Sighted::Hangs { .. })).await;
+        sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
         (7..=9).for_each(|n| publish(&stage, n));
         culprit.abandon();
-        sighted.wait(|sighted| matches!(sighted, Sighted::Lost { .. })).await;
+        sighted.wait(|sighted| matches!(sighted, LivenessReported::Lost { .. })).await;
         moving.abandon();
         let begun = stage.begin(&mut *moving, 2).await;
         assert_eq!(begun, ChildEvent::Started);
@@ -179,7 +179,7 @@ fn events_are_served_once_and_in_order_across_a_hang() {
 #[test]
 fn the_hubs_of_ended_lives_are_released() {
     actix_rt::System::new().block_on(async {
-        let stage = Stage::on(Arbiters::pool(1));
+        let stage = Stage::on(ArbiterPool::pool(1));
         let (spec, log) = ear("restarted", None);
         let (mut child, _) = stage.add(spec.on_own_thread());
         for life in 1..=20 {

@@ -2,9 +2,11 @@
 
 use super::{Boom, Log, Stage, boom, logged, order};
 use crate::topic::TopicKey;
-use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull, Why};
+use crate::{
+    ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, WhenFull,
+};
 use blastema_contract::child::ChildEvent;
-use blastema_contract::reports::Exit;
+use blastema_contract::reports::ExitReason;
 use blastema_core::Contract;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_doubles::{advance, paused, settle};
@@ -155,8 +157,8 @@ fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
         settle().await;
 
         let exits = stage.exits.drain();
-        let during = |exit: &Exit| match exit {
-            Exit::Panicked { during, .. } => *during,
+        let during = |exit: &ExitReason| match exit {
+            ExitReason::Panicked { during, .. } => *during,
             _ => panic!("{exit:?}"),
         };
         let condition = "a condition of a subscription";
@@ -214,7 +216,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
             .forward(&key, Arc::new(move |bytes, _| kept.lock().unwrap().push(bytes.clone())));
         assert!(matches!(
             topics.inject(&key, 0, &Bytes::from_static(&[1]), Duration::ZERO),
-            Err(Why::Unknown { .. })
+            Err(DeliveryError::Unknown { .. })
         ));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
@@ -233,7 +235,7 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         assert!(shipped.lock().unwrap().is_empty(), "what came in is not sent out again");
         assert!(matches!(
             topics.inject(&key, 0, &Bytes::from_static(&[9, 9, 9]), Duration::ZERO),
-            Err(Why::Undecodable { .. })
+            Err(DeliveryError::Undecodable { .. })
         ));
 
         topics.end_forward(&forward);
@@ -269,7 +271,8 @@ fn two_types_of_one_name_do_not_meet_on_a_topic() {
         let topics = &stage.environment.topics;
         topics.publisher::<One>("t").unwrap();
 
-        let Err(Why::ContractDiffers { difference }) = topics.publisher::<Two>("t") else {
+        let Err(DeliveryError::ContractDiffers { difference }) = topics.publisher::<Two>("t")
+        else {
             panic!("they met")
         };
 

@@ -1,14 +1,14 @@
 //! What other nodes send to the objects of this one: who takes it, and what waits for room.
 
-use super::Gateway;
+use super::GatewayActor;
 use crate::platform;
-use crate::registry::{Doorway, Postmark, ReplyTo, Room};
+use crate::registry::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use actix::prelude::*;
 use blastema_core::net::NodeId;
-use blastema_core::net::peer_protocol::Epoch;
-use blastema_core::net::peer_protocol::receive_backlog::{Admission, WaitingRoom};
-use blastema_core::net::refusal_alarms::Complaints;
-use blastema_core::{Delivery, FaultKind, Instant, ObjectName, PeerIdentity, Why};
+use blastema_core::net::peer_protocol::SessionEpoch;
+use blastema_core::net::peer_protocol::receive_backlog::{BacklogVerdict, ReceiveBacklog};
+use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::{Delivery, DeliveryError, FaultKind, Instant, ObjectName, PeerIdentity};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -23,27 +23,27 @@ const AT_ONCE: usize = 64;
 
 /// What a peer has bound here.
 #[derive(Clone)]
-pub(super) struct Bound {
+pub(super) struct PeerBinding {
     object: ObjectName,
-    doorway: Arc<dyn Doorway>,
+    doorway: Arc<dyn Skeleton>,
     /// Of what comes this way the newest counts: it waits for nothing.
     newest: bool,
 }
 
 /// What waits for room with objects of this node.
 #[derive(Default)]
-pub(super) struct Queues {
-    room: WaitingRoom<Held>,
+pub(super) struct InboundBacklog {
+    room: ReceiveBacklog<Held>,
     /// Who waits for room, for each line.
     watches: BTreeMap<(NodeId, ObjectName), Watch>,
-    complaints: Complaints<NodeId>,
+    complaints: RefusalAlarms<NodeId>,
 }
 
 /// A message that waits.
 struct Held {
     binding: u32,
     payload: Bytes,
-    postmark: Postmark,
+    postmark: MessageMetadata,
     arrived: Instant,
 }
 
@@ -59,23 +59,23 @@ impl Drop for Watch {
 /// An object may have room for what waits.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct RoomFound {
+pub(super) struct CapacityAvailable {
     peer: NodeId,
     object: ObjectName,
 }
 
-impl Gateway {
+impl GatewayActor {
     pub(super) fn bind(
         &mut self,
         peer: NodeId,
-        epoch: Epoch,
+        epoch: SessionEpoch,
         binding: u32,
         object: &ObjectName,
         identity: &PeerIdentity,
     ) {
         let newest = identity.delivery == Delivery::Newest;
         let mut open = |doorway| {
-            let bound = Bound { object: object.clone(), doorway, newest };
+            let bound = PeerBinding { object: object.clone(), doorway, newest };
             self.doorways.insert((peer, binding), bound);
         };
         let result = match self.wiring.registry.doorway(object, &identity.name) {
@@ -98,7 +98,7 @@ impl Gateway {
                     if let Some(peer) = self.peers.get_mut(&peer) {
                         peer.differs(&difference);
                     }
-                    Err((Why::ContractDiffers { difference }, Some(known)))
+                    Err((DeliveryError::ContractDiffers { difference }, Some(known)))
                 }
             },
         };
@@ -109,13 +109,13 @@ impl Gateway {
         &mut self,
         (peer, binding): (NodeId, u32),
         payload: &Bytes,
-        postmark: Postmark,
+        postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
         context: &mut Context<Self>,
     ) {
         let Some(bound) = self.doorways.get(&(peer, binding)) else {
             match reply_to {
-                Some(reply_to) => reply_to(Err(Why::Unknown { name: "binding".into() })),
+                Some(reply_to) => reply_to(Err(DeliveryError::Unknown { name: "binding".into() })),
                 None => debug!(%peer, binding, "a message for what is not bound any more"),
             }
             return;
@@ -125,16 +125,18 @@ impl Gateway {
             && !bound.newest
             && bound.doorway.room().is_some();
         match reply_to {
-            Some(reply_to) if behind => reply_to(Err(Why::Full)),
-            None if behind => self.hold((peer, binding), (payload, postmark), &Why::Full, context),
+            Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
+            None if behind => {
+                self.hold((peer, binding), (payload, postmark), &DeliveryError::Full, context)
+            }
             reply_to => {
                 let told = reply_to.is_none();
                 match bound.doorway.deliver(payload, postmark, reply_to) {
-                    Err(why @ (Why::Full | Why::Restarting)) if told => {
+                    Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if told => {
                         self.hold((peer, binding), (payload, postmark), &why, context);
                     }
                     // The object's own dead letters tell of what it did not take.
-                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
                     _ => {}
                 }
             }
@@ -145,12 +147,12 @@ impl Gateway {
     fn hold(
         &mut self,
         (peer, binding): (NodeId, u32),
-        (payload, postmark): (&Bytes, Postmark),
-        why: &Why,
+        (payload, postmark): (&Bytes, MessageMetadata),
+        why: &DeliveryError,
         context: &mut Context<Self>,
     ) {
         let Some(bound) = self.doorways.get(&(peer, binding)).cloned() else { return };
-        let Bound { object, doorway, newest } = bound;
+        let PeerBinding { object, doorway, newest } = bound;
         let Some(room) = doorway.room().filter(|_| !newest) else {
             return doorway.bury(why);
         };
@@ -159,18 +161,25 @@ impl Gateway {
         let bytes = payload.len();
         let held = Held { binding, payload, postmark, arrived: platform::now() };
         match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
-            Admission::First => {
+            BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
                 self.exchange.handle_full(peer, binding);
                 self.watch(peer, object, room, context);
             }
-            Admission::Behind => {}
-            Admission::Refused(_) => doorway.bury(why),
+            BacklogVerdict::Behind => {}
+            BacklogVerdict::Refused(_) => doorway.bury(why),
         }
     }
 
-    fn watch(&mut self, peer: NodeId, object: ObjectName, room: Room, context: &mut Context<Self>) {
-        let (gateway, found) = (context.address(), RoomFound { peer, object: object.clone() });
+    fn watch(
+        &mut self,
+        peer: NodeId,
+        object: ObjectName,
+        room: CapacityFuture,
+        context: &mut Context<Self>,
+    ) {
+        let (gateway, found) =
+            (context.address(), CapacityAvailable { peer, object: object.clone() });
         let waits = actix_rt::spawn(async move {
             room.await;
             gateway.do_send(found);
@@ -186,7 +195,7 @@ impl Gateway {
             else {
                 return;
             };
-            if let Some(Bound { doorway, .. }) = self.doorways.get(&(peer, *binding))
+            if let Some(PeerBinding { doorway, .. }) = self.doorways.get(&(peer, *binding))
                 && let Some(mut room) = doorway.room()
             {
                 // Asked first, so that nothing is decoded in vain.
@@ -194,15 +203,15 @@ impl Gateway {
                     return self.watch(peer, object, room, context);
                 }
                 let age = postmark.age + (platform::now() - *arrived);
-                match doorway.deliver(payload, Postmark { age, ..*postmark }, None) {
+                match doorway.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
                     // Somebody else was quicker.
-                    Err(Why::Full | Why::Restarting) => {
+                    Err(DeliveryError::Full | DeliveryError::Restarting) => {
                         if let Some(room) = doorway.room() {
                             self.watch(peer, object, room, context);
                         }
                         return;
                     }
-                    Err(Why::Undecodable { .. }) => self.breaks_its_word(peer),
+                    Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
                     _ => {}
                 }
             }
@@ -212,11 +221,11 @@ impl Gateway {
                 return;
             }
         }
-        context.notify(RoomFound { peer, object });
+        context.notify(CapacityAvailable { peer, object });
     }
 
     /// The session with this peer is over: what waits is not served any more.
-    pub(super) fn end_lines(&mut self, peer: NodeId, why: &Why) {
+    pub(super) fn end_lines(&mut self, peer: NodeId, why: &DeliveryError) {
         for (object, held) in self.queues.room.handle_ended(peer) {
             self.queues.watches.remove(&(peer, object));
             if let Some(bound) = self.doorways.get(&(peer, held.binding)) {
@@ -252,10 +261,10 @@ impl Gateway {
     }
 }
 
-impl Handler<RoomFound> for Gateway {
+impl Handler<CapacityAvailable> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: RoomFound, context: &mut Context<Self>) {
+    fn handle(&mut self, message: CapacityAvailable, context: &mut Context<Self>) {
         self.hand_over(message.peer, message.object, context);
         self.drive(context);
     }

@@ -1,24 +1,26 @@
 //! What the gateway is told and asked.
 
-use super::peer::Peer;
-use super::{Gateway, LEAVE_PATIENCE, topic};
-use crate::net::gateway_messages::{Answered, Interested, Noticed, Notify, Published, Ship};
-use crate::net::isolation::KeptOut;
-use crate::net::stub::Condition;
+use super::peer::GatewayPeer;
+use super::{GatewayActor, LEAVE_PATIENCE, topic};
+use crate::net::gateway_messages::{
+    FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, TopicInterestChanged,
+};
+use crate::net::isolation::IsolationChanged;
+use crate::net::stub::PeerCondition;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::naming::{FindObject, FoundObject, NodeRow, ReadDifferences, ReadNames};
-use blastema_contract::router::PanicOnPurpose;
-use blastema_contract::session::{BeginAnew, Leave, PeerSeen, SessionReported};
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::{CloseSessions, PeerStatusChanged, ResetSession, SessionReported};
 use blastema_contract::strategy::IsolateNode;
 use blastema_core::net::NodeId;
-use blastema_core::net::isolation::{Decision, NoSay};
-use blastema_core::net::peer_protocol::{Call, Sent};
-use blastema_core::recovery::{Done, Failed};
-use blastema_core::{Incarnation, NodeName, ObjectAddress, ObjectName, Why};
+use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
+use blastema_core::net::peer_protocol::{Call, TransmitState};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
+use blastema_core::{DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName};
 use tracing::debug;
 
-impl Handler<SessionReported> for Gateway {
+impl Handler<SessionReported> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
@@ -31,7 +33,7 @@ impl Handler<SessionReported> for Gateway {
                     .entry(peer)
                     .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
                 if !gate.has_session() {
-                    self.set(peer, Condition::Opening);
+                    self.set(peer, PeerCondition::Opening);
                 }
             }
             SessionReported::Unreachable { node } => {
@@ -39,7 +41,7 @@ impl Handler<SessionReported> for Gateway {
                 self.exchange.handle_unreachable(peer);
                 gate.path_lost();
                 if !gate.has_session() {
-                    self.set(peer, Condition::Unreachable);
+                    self.set(peer, PeerCondition::Unreachable);
                 }
             }
             SessionReported::Opened { node, incarnation, session } => {
@@ -56,7 +58,7 @@ impl Handler<SessionReported> for Gateway {
             }
             SessionReported::Returned { peer, message, why, sent } => {
                 let why = self.because(peer, why);
-                let sent = if sent { Sent::Perhaps } else { Sent::Nothing };
+                let sent = if sent { TransmitState::Perhaps } else { TransmitState::Nothing };
                 self.exchange.handle_returned(peer, message, why, sent);
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
@@ -71,7 +73,7 @@ impl Handler<SessionReported> for Gateway {
     }
 }
 
-impl Gateway {
+impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, gate) = self.meet(&node);
         self.peers.entry(id).and_modify(|peer| peer.begin(session, incarnation));
@@ -83,13 +85,13 @@ impl Gateway {
         }
         gate.begin();
         self.wiring.wardens.opened(node.clone());
-        self.tell_envoys(&PeerSeen::Opened { node, incarnation });
+        self.tell_envoys(&PeerStatusChanged::Opened { node, incarnation });
     }
 
-    fn session_ended(&mut self, peer: NodeId, why: Why) {
+    fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
         let condition = match self.exchange.is_reachable(peer) {
-            true => Condition::Opening,
-            false => Condition::Unreachable,
+            true => PeerCondition::Opening,
+            false => PeerCondition::Unreachable,
         };
         self.set(peer, condition);
         let why = self.because(peer, why);
@@ -97,41 +99,41 @@ impl Gateway {
         self.naming.handle_ended(peer);
         if let Some(peer) = self.peers.get(&peer) {
             self.wiring.wardens.ended(&peer.node);
-            self.tell_envoys(&PeerSeen::Ended { node: peer.node.clone() });
+            self.tell_envoys(&PeerStatusChanged::Ended { node: peer.node.clone() });
         }
     }
 }
 
-impl Handler<KeptOut> for Gateway {
+impl Handler<IsolationChanged> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: KeptOut, context: &mut Context<Self>) {
-        let KeptOut { node, isolated } = message;
+    fn handle(&mut self, message: IsolationChanged, context: &mut Context<Self>) {
+        let IsolationChanged { node, isolated } = message;
         let (peer, _) = self.meet(&node);
         if isolated {
             // What is under way with it is resolved, and what it has here goes.
-            self.exchange.handle_ended(peer, &Why::Isolated);
+            self.exchange.handle_ended(peer, &DeliveryError::Isolated);
             self.naming.handle_ended(peer);
-            self.tell_envoys(&PeerSeen::Ended { node });
+            self.tell_envoys(&PeerStatusChanged::Ended { node });
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.
-            self.wiring.sessions.begin_anew.do_send(BeginAnew { peer: Some(peer) });
+            self.wiring.sessions.begin_anew.do_send(ResetSession { peer: Some(peer) });
         }
         self.drive(context);
     }
 }
 
 /// A recovery strategy has decided so.
-impl Handler<IsolateNode> for Gateway {
-    type Result = Result<Done, Failed>;
+impl Handler<IsolateNode> for GatewayActor {
+    type Result = Result<RecoveryDone, RecoveryFailed>;
 
     fn handle(&mut self, message: IsolateNode, _: &mut Context<Self>) -> Self::Result {
         let IsolateNode { node, isolated, cause } = &message;
-        let decision = Decision { node, isolated: *isolated, cause };
+        let decision = IsolationDecision { node, isolated: *isolated, cause };
         match self.wiring.wardens.carry_decision_out(decision) {
-            Ok(()) => Ok(Done::default()),
-            Err(NoSay::Oneself) => Err(format!("{node} has no say on itself").into()),
-            Err(NoSay::TooMany { limit }) => {
+            Ok(()) => Ok(RecoveryDone::default()),
+            Err(VoteRefused::Oneself) => Err(format!("{node} has no say on itself").into()),
+            Err(VoteRefused::TooMany { limit }) => {
                 Err(format!("this node has voted on {limit} others already: admit one of them")
                     .into())
             }
@@ -139,11 +141,11 @@ impl Handler<IsolateNode> for Gateway {
     }
 }
 
-impl Handler<Ship> for Gateway {
+impl Handler<SendToPeer> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Ship, context: &mut Context<Self>) {
-        let Ship { to, contract, id, sent, until, payload, reply_to, credit } = message;
+    fn handle(&mut self, message: SendToPeer, context: &mut Context<Self>) {
+        let SendToPeer { to, contract, id, sent, until, payload, reply_to, credit } = message;
         self.credit = Some(credit);
         let reply_as = reply_to.map(|reply_to| {
             let number = self.number();
@@ -158,25 +160,25 @@ impl Handler<Ship> for Gateway {
     }
 }
 
-impl Handler<Answered> for Gateway {
+impl Handler<LocalReply> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Answered, context: &mut Context<Self>) {
-        let Answered { peer, epoch, call, result } = message;
+    fn handle(&mut self, message: LocalReply, context: &mut Context<Self>) {
+        let LocalReply { peer, epoch, call, result } = message;
         self.exchange.handle_answer(peer, epoch, call, result, platform::now());
         self.drive(context);
     }
 }
 
-impl Handler<Published> for Gateway {
+impl Handler<LocalEvent> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Published, context: &mut Context<Self>) {
-        let Published { peer, subscription, event, sent, credit } = message;
+    fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
+        let LocalEvent { peer, subscription, event, sent, credit } = message;
         self.credit = Some(credit);
         match self.verify((peer, subscription)) {
             Ok(by) => self.exchange.handle_event(peer, by, event, sent),
-            Err(why @ Why::ContractDiffers { .. }) => {
+            Err(why @ DeliveryError::ContractDiffers { .. }) => {
                 self.differs(peer, &why.to_string());
                 self.retire((peer, subscription), &why);
                 self.bury_late((peer, subscription));
@@ -189,22 +191,22 @@ impl Handler<Published> for Gateway {
     }
 }
 
-impl Handler<Interested> for Gateway {
+impl Handler<TopicInterestChanged> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Interested, context: &mut Context<Self>) {
-        let Interested { key, more } = message;
+    fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
+        let TopicInterestChanged { key, more } = message;
         let identities = if more { self.wiring.topics.identities(&key) } else { Vec::new() };
         self.exchange.handle_interest(topic(&key), identities);
         self.drive(context);
     }
 }
 
-impl Handler<Notify> for Gateway {
+impl Handler<ForwardFault> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Notify, context: &mut Context<Self>) {
-        let Notify { peer, payload, confirm } = message;
+    fn handle(&mut self, message: ForwardFault, context: &mut Context<Self>) {
+        let ForwardFault { peer, payload, confirm } = message;
         let number = self.number();
         self.notices.insert(number, confirm);
         self.exchange.handle_notice(peer, number, payload);
@@ -212,27 +214,27 @@ impl Handler<Notify> for Gateway {
     }
 }
 
-impl Handler<Noticed> for Gateway {
+impl Handler<FaultForwarded> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, message: Noticed, context: &mut Context<Self>) {
-        let Noticed { peer, epoch, number } = message;
+    fn handle(&mut self, message: FaultForwarded, context: &mut Context<Self>) {
+        let FaultForwarded { peer, epoch, number } = message;
         self.exchange.handle_noticed(peer, epoch, number);
         self.drive(context);
     }
 }
 
-impl Handler<Leave> for Gateway {
+impl Handler<CloseSessions> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, _: Leave, context: &mut Context<Self>) {
+    fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         self.leaving = true;
         context.run_later(LEAVE_PATIENCE, |gateway, _| gateway.leave());
         self.drive(context);
     }
 }
 
-impl Handler<FindObject> for Gateway {
+impl Handler<FindObject> for GatewayActor {
     type Result = MessageResult<FindObject>;
 
     fn handle(&mut self, message: FindObject, _: &mut Context<Self>) -> Self::Result {
@@ -244,7 +246,7 @@ impl Handler<FindObject> for Gateway {
     }
 }
 
-impl Handler<ReadNames> for Gateway {
+impl Handler<ReadNames> for GatewayActor {
     type Result = MessageResult<ReadNames>;
 
     fn handle(&mut self, _: ReadNames, _: &mut Context<Self>) -> Self::Result {
@@ -257,19 +259,19 @@ impl Handler<ReadNames> for Gateway {
     }
 }
 
-impl Handler<ReadDifferences> for Gateway {
+impl Handler<ReadDifferences> for GatewayActor {
     type Result = MessageResult<ReadDifferences>;
 
     fn handle(&mut self, _: ReadDifferences, _: &mut Context<Self>) -> Self::Result {
-        let of = |peer: &Peer| (peer.node.clone(), peer.differences().to_vec());
+        let of = |peer: &GatewayPeer| (peer.node.clone(), peer.differences().to_vec());
         MessageResult(self.peers.values().map(of).collect())
     }
 }
 
-impl Handler<PanicOnPurpose> for Gateway {
+impl Handler<InjectPanic> for GatewayActor {
     type Result = ();
 
-    fn handle(&mut self, _: PanicOnPurpose, _: &mut Context<Self>) {
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
         panic!("the gateway panics on purpose");
     }
 }

@@ -1,13 +1,13 @@
 //! Another node, as the gateway knows it.
 
-use crate::net::stub::Gate;
+use crate::net::stub::PeerSendState;
 use blastema_core::{Incarnation, NodeName};
 use std::sync::Arc;
 
 /// Another node.
-pub(super) struct Peer {
+pub(super) struct GatewayPeer {
     pub(super) node: NodeName,
-    pub(super) gate: Arc<Gate>,
+    pub(super) gate: Arc<PeerSendState>,
     /// The number of the session that was opened last.
     pub(super) session: u32,
     /// The life that it is with, or was.
@@ -18,14 +18,14 @@ pub(super) struct Peer {
     differences: Vec<String>,
 }
 
-impl Peer {
+impl GatewayPeer {
     /// More are in the log: whoever differs in so many was built from another source.
     const DIFFERENCES_MAX: usize = 16;
 
     /// One that no session was open with yet.
-    pub(super) fn new(node: NodeName, gate: Arc<Gate>) -> Self {
+    pub(super) fn new(node: NodeName, gate: Arc<PeerSendState>) -> Self {
         let (session, incarnation, left) = (0, Incarnation::default(), false);
-        Peer { node, gate, session, incarnation, left, differences: Vec::new() }
+        GatewayPeer { node, gate, session, incarnation, left, differences: Vec::new() }
     }
 
     /// A session begins.

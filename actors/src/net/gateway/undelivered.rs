@@ -1,13 +1,13 @@
 //! What did not arrive at other nodes, as dead letters.
 
-use super::peer::Peer;
-use super::{Forwarded, Gateway};
-use crate::host::office::DeadLetterOffice;
+use super::peer::GatewayPeer;
+use super::{Forwarded, GatewayActor};
+use crate::host::office::DeadLetterLog;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;
-use blastema_core::net::peer_protocol::Addressee;
-use blastema_core::{NodeName, ObjectName, Why};
+use blastema_core::net::peer_protocol::MessageTarget;
+use blastema_core::{DeliveryError, NodeName, ObjectName};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -26,8 +26,8 @@ const REASONS: [DeadReason; 5] = [
 const PAST_MAX: usize = 16 * 1024;
 
 /// Counts the events of one topic that do not go to one peer.
-pub(super) struct Losses {
-    office: DeadLetterOffice,
+pub(super) struct UndeliveredEvents {
+    office: DeadLetterLog,
     node: NodeName,
     contract: String,
     topic: Option<ObjectName>,
@@ -36,7 +36,7 @@ pub(super) struct Losses {
     counts: [AtomicU64; REASONS.len()],
 }
 
-impl Losses {
+impl UndeliveredEvents {
     /// One event more that is not sent.
     pub(super) fn take(&self, reason: DeadReason) {
         match REASONS.iter().position(|known| *known == reason) {
@@ -63,7 +63,7 @@ impl Losses {
     }
 }
 
-impl Drop for Losses {
+impl Drop for UndeliveredEvents {
     /// Whoever is publishing just now may count one more after the last look.
     fn drop(&mut self) {
         self.collect();
@@ -71,18 +71,18 @@ impl Drop for Losses {
 }
 
 /// A subscription whose events may still come back, or be about to go.
-pub(super) struct Past {
+pub(super) struct EndedSubscription {
     /// Under which number its events went.
     number: u32,
-    losses: Arc<Losses>,
+    losses: Arc<UndeliveredEvents>,
     /// Why it ended.
     reason: DeadReason,
 }
 
-impl Gateway {
+impl GatewayActor {
     /// What this peer does not get of the topic.
-    pub(super) fn losses(&self, peer: &Peer, key: &TopicKey) -> Arc<Losses> {
-        Arc::new(Losses {
+    pub(super) fn losses(&self, peer: &GatewayPeer, key: &TopicKey) -> Arc<UndeliveredEvents> {
+        Arc::new(UndeliveredEvents {
             office: self.wiring.dead_letters.clone(),
             node: peer.node.clone(),
             contract: key.contract.to_string(),
@@ -99,11 +99,11 @@ impl Gateway {
 
     /// Ends a subscription that the peer has not ended: what is lost of it is counted until the peer's next session
     /// is open.
-    pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &Why) {
+    pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &DeliveryError) {
         if let Some(Forwarded { by, losses, .. }) = self.end_forward(forward)
             && self.past.len() < PAST_MAX
         {
-            let past = Past { number: by.0, losses, reason: why.into() };
+            let past = EndedSubscription { number: by.0, losses, reason: why.into() };
             self.past.insert(forward, past);
         }
     }
@@ -123,17 +123,17 @@ impl Gateway {
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
-    pub(super) fn bury(&self, peer: NodeId, to: Addressee, why: &Why) {
+    pub(super) fn bury(&self, peer: NodeId, to: MessageTarget, why: &DeliveryError) {
         match to {
-            Addressee::Object(object, contract) => {
+            MessageTarget::Object(object, contract) => {
                 let node = self.peers.get(&peer).map(|peer| peer.node.clone());
                 self.wiring.dead_letters.take_for(node, &object, contract, why);
             }
-            Addressee::Subscription(number) => match self.losses_under(peer, number) {
+            MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
                 Some(losses) => losses.write_down(why.into(), 1),
                 None => debug!(%peer, %why, "an event came back that nobody listens to any more"),
             },
-            Addressee::Forgotten => {
+            MessageTarget::Forgotten => {
                 debug!(%peer, %why, "a message came back, and to whom is not known")
             }
         }
@@ -141,7 +141,7 @@ impl Gateway {
 
     /// What counts the events that went to the peer under this number: the version of a contract is added to that of
     /// the subscription, so that it is the nearest below.
-    fn losses_under(&self, peer: NodeId, number: u32) -> Option<&Losses> {
+    fn losses_under(&self, peer: NodeId, number: u32) -> Option<&UndeliveredEvents> {
         let below = (peer, 0)..=(peer, number);
         let present = self.forwards.range(below.clone()).next_back();
         let present = present.map(|(_, forwarded)| (forwarded.by.0, &forwarded.losses));

@@ -1,7 +1,7 @@
 //! Links that nobody has described: made and given up while the node runs.
 
-use super::Links;
-use crate::drive::Body;
+use super::LinksActor;
+use crate::drive::MachineActor;
 use crate::net::LinkSpec;
 use crate::platform;
 use actix::prelude::*;
@@ -9,14 +9,14 @@ use blastema_contract::link::LinkChanged;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
 use blastema_core::detection::LinkCondition;
-use blastema_core::net::routing::{Health, LinkStatus};
-use blastema_core::net::{LinkNumber, LinkState};
+use blastema_core::net::routing::{LinkHealth, LinkStatus};
+use blastema_core::net::{LinkId, LinkState};
 
 /// What those who tell others of our neighbours must know. A ground is a network, by its place among
 /// those that discover.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) enum Seen {
+pub(crate) enum NeighbourChange {
     /// A link came up, or went down.
     Neighbour { ground: usize, node: NodeName, remote: MediumAddress, up: bool },
     /// The network is open at this port.
@@ -26,26 +26,26 @@ pub(crate) enum Seen {
 /// Make a link.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) struct Learn {
-    pub(crate) number: LinkNumber,
+pub(crate) struct AddDiscoveredLink {
+    pub(crate) number: LinkId,
     pub(crate) spec: LinkSpec,
 }
 
 /// Give up a link that was made.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) struct Forget {
-    pub(crate) number: LinkNumber,
+pub(crate) struct RemoveDiscoveredLink {
+    pub(crate) number: LinkId,
 }
 
 /// Tell again of every link that is up.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(crate) struct TellNeighbours;
+pub(crate) struct ReportNeighbours;
 
-impl Links {
+impl LinksActor {
     /// Tells of a link's neighbour whom it is, where others are told.
-    pub(super) fn tell_discovery(&self, number: LinkNumber, state: LinkState) {
+    pub(super) fn tell_discovery(&self, number: LinkId, state: LinkState) {
         let (Some((ground, discovery)), Some(spec)) =
             (&self.wiring.discovery, self.specs.get(&number))
         else {
@@ -60,7 +60,7 @@ impl Links {
         let node = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
             let (ground, remote) = (*ground, spec.remote.clone());
-            discovery.do_send(Seen::Neighbour { ground, node, remote, up });
+            discovery.do_send(NeighbourChange::Neighbour { ground, node, remote, up });
         }
     }
 
@@ -69,15 +69,19 @@ impl Links {
         if let (Some((ground, discovery)), MediumAddress::Ip(local)) =
             (&self.wiring.discovery, local)
         {
-            discovery.do_send(Seen::Open { ground: *ground, port: local.port() });
+            discovery.do_send(NeighbourChange::Open { ground: *ground, port: local.port() });
         }
     }
 }
 
-impl Handler<Learn> for Links {
+impl Handler<AddDiscoveredLink> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, Learn { number, spec }: Learn, context: &mut Context<Self>) {
+    fn handle(
+        &mut self,
+        AddDiscoveredLink { number, spec }: AddDiscoveredLink,
+        context: &mut Context<Self>,
+    ) {
         // Where a link leads already, none is needed.
         if self.by_remote.contains_key(&spec.remote) {
             return;
@@ -90,12 +94,16 @@ impl Handler<Learn> for Links {
     }
 }
 
-impl Handler<Forget> for Links {
+impl Handler<RemoveDiscoveredLink> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, Forget { number }: Forget, context: &mut Context<Self>) {
+    fn handle(
+        &mut self,
+        RemoveDiscoveredLink { number }: RemoveDiscoveredLink,
+        context: &mut Context<Self>,
+    ) {
         if let Some(status) = self.told.remove(&number) {
-            let status = LinkStatus { health: Health::Down, ..status };
+            let status = LinkStatus { health: LinkHealth::Down, ..status };
             self.wiring.router_changes.do_send(LinkChanged { link: number, status });
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
@@ -107,10 +115,10 @@ impl Handler<Forget> for Links {
     }
 }
 
-impl Handler<TellNeighbours> for Links {
+impl Handler<ReportNeighbours> for LinksActor {
     type Result = ();
 
-    fn handle(&mut self, _: TellNeighbours, _: &mut Context<Self>) {
+    fn handle(&mut self, _: ReportNeighbours, _: &mut Context<Self>) {
         for (number, link) in self.bundle.iter() {
             self.tell_discovery(number, link.state());
         }

@@ -78,7 +78,7 @@ fn a_slow_medium_is_dearer_and_is_spared_hellos() {
         assert!(rows[0].hello_interval > 80 * MS, "{:?}", rows[0].hello_interval);
         assert_eq!(rows[1].hello_interval, 50 * MS);
         assert!(rows.iter().all(|row| row.state == LinkState::Up && row.phi < 1.0), "{rows:?}");
-        assert_eq!(left.net.read_routes().await.routes[0].next, LinkNumber(1));
+        assert_eq!(left.net.read_routes().await.routes[0].next, LinkId(1));
     });
 }
 
@@ -121,7 +121,7 @@ fn a_medium_that_cannot_be_opened_is_told_as_its_links_being_down() {
 fn two_links_of_one_name_are_refused_before_anything_starts() {
     paused(async {
         let robot = Robot::default();
-        let host = HostEnvironment::new(Arbiters::here(), Reports::default());
+        let host = ComponentEnvironment::new(ArbiterPool::here(), FaultReports::default());
         let exits = Probe::start();
         let memory = Memory::new(MemoryConfig::new(&robot.medium, "x")).start();
         let link = |to: &str| LinkSpec::new("same", MediumAddress::Memory(to.into()));
@@ -145,7 +145,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             nodes: None,
             faults: None,
             mended: None,
-            judges: Judges::Majority,
+            judges: IsolationAuthority::Majority,
             envoys: Vec::new(),
         };
 

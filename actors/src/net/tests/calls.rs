@@ -83,9 +83,9 @@ fn asking<M: crate::Request>(
     sender: Sender<M>,
     message: M,
     within: Duration,
-) -> actix_rt::task::JoinHandle<Result<M::Reply, Why>> {
+) -> actix_rt::task::JoinHandle<Result<M::Reply, DeliveryError>> {
     actix_rt::spawn(
-        async move { sender.ask_within(message, within).await.map_err(|error| error.why) },
+        async move { sender.ask_within(message, within).await.map_err(|error| error.kind) },
     )
 }
 
@@ -112,7 +112,7 @@ fn a_request_whose_deadline_passed_in_the_queue_is_not_begun() {
         for asked in asked {
             answers.push(asked.await.unwrap());
         }
-        let late = Err(Why::DeadlinePassed);
+        let late = Err(DeliveryError::DeadlinePassed);
         assert_eq!(answers, [Ok(1), Ok(2), late.clone(), late]);
         // The third was begun in time; the fourth was not.
         assert_eq!(log.take(), [0, 1, 2, 3]);
@@ -134,7 +134,7 @@ fn a_request_that_was_late_on_the_way_is_not_begun() {
         restore_all(&robot);
         advance(2000 * MS).await;
 
-        assert_eq!(late.await.unwrap(), Err(Why::DeadlinePassed));
+        assert_eq!(late.await.unwrap(), Err(DeliveryError::DeadlinePassed));
         assert_eq!(in_time.await.unwrap(), Ok(2));
         assert_eq!(log.take(), [0, 2]);
     });
@@ -157,9 +157,9 @@ fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_known() 
         advance(5000 * MS).await;
 
         let why = sent.await.unwrap().unwrap_err();
-        assert!(matches!(why, Why::OutcomeUnknown { .. }), "{why}");
+        assert!(matches!(why, DeliveryError::OutcomeUnknown { .. }), "{why}");
         let why = kept.await.unwrap().unwrap_err();
-        assert_eq!(why, Why::Unreachable { node: "right".into() });
+        assert_eq!(why, DeliveryError::Unreachable { node: "right".into() });
         assert_eq!(log.take(), [0, 1], "it did take effect, which nobody could know");
     });
 }
@@ -177,7 +177,7 @@ fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() {
         advance(20 * MS).await;
         cut_all(&robot);
         advance(5000 * MS).await;
-        assert_eq!(late.await.unwrap(), Err(Why::DeadlinePassed));
+        assert_eq!(late.await.unwrap(), Err(DeliveryError::DeadlinePassed));
         restore_all(&robot);
         advance(5000 * MS).await;
 
@@ -208,7 +208,10 @@ fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
         advance(3000 * MS).await;
 
         assert_eq!(again.await.unwrap(), Ok(1));
-        assert_eq!(once.await.unwrap(), Err(Why::PeerDied { incarnation: Incarnation(1) }));
+        assert_eq!(
+            once.await.unwrap(),
+            Err(DeliveryError::PeerDied { incarnation: Incarnation(1) })
+        );
         drop(log);
     });
 }
@@ -227,7 +230,7 @@ fn a_request_that_is_sent_again_under_its_identity_takes_effect_once() {
             assert_ne!(sender.id(), repeatable.id());
             let asked = actix_rt::spawn(async move {
                 let result = repeatable.ask_within(10_000 * MS).await;
-                (repeatable, result.map_err(|error| error.why))
+                (repeatable, result.map_err(|error| error.kind))
             });
             advance(20 * MS).await;
             cut_all(&robot);
@@ -235,7 +238,7 @@ fn a_request_that_is_sent_again_under_its_identity_takes_effect_once() {
             asked
         };
         let (repeatable, result) = first.await.unwrap();
-        assert!(matches!(result, Err(Why::OutcomeUnknown { .. })), "{result:?}");
+        assert!(matches!(result, Err(DeliveryError::OutcomeUnknown { .. })), "{result:?}");
         restore_all(&robot);
         advance(5000 * MS).await;
 
@@ -271,19 +274,22 @@ fn a_reply_that_is_too_large_says_that_the_request_took_effect_and_whose_limit_i
 
         let error = left.sender::<Grow>("right:desk").ask(Grow(70_000)).await.unwrap_err();
         assert_eq!(error.outcome(), Outcome::TookEffect);
-        assert_eq!((error.why, error.message), (Why::ReplyTooLarge { limit: 65_536 }, None));
+        assert_eq!(
+            (error.kind, error.message),
+            (DeliveryError::ReplyTooLarge { limit: 65_536 }, None)
+        );
         assert_eq!(log.take(), [70_000]);
 
         let much = left.sender::<GrowMuch>("right:desk");
         let error = much.ask(GrowMuch(2_000_000, vec![])).await.unwrap_err();
         assert_eq!(error.outcome(), Outcome::TookEffect);
-        let Why::ReplyTooLarge { limit } = error.why else { panic!("{error}") };
+        let DeliveryError::ReplyTooLarge { limit } = error.kind else { panic!("{error}") };
         assert_eq!(limit >> 10, 1028);
         assert_eq!(log.take(), [2_000_000]);
 
         let error = much.ask(GrowMuch(1, vec![7; 2_000_000])).await.unwrap_err();
         assert_eq!(error.outcome(), Outcome::NotTaken);
-        assert!(matches!(error.why, Why::TooLargeForSession { .. }), "{error}");
+        assert!(matches!(error.kind, DeliveryError::TooLargeForSession { .. }), "{error}");
         assert!(error.to_string().contains("whatever its contract allows"), "{error}");
         assert_eq!(error.message.map(|message| message.0), Some(1));
         assert_eq!(much.ask(GrowMuch(3, vec![7; 1 << 20])).await.unwrap(), [7; 3]);

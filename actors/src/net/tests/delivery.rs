@@ -115,7 +115,10 @@ fn readings_do_not_wait_behind_what_waits_in_order() {
         let notes = left.sender::<Note>("right:acc");
         while notes.tell(Note(1)).is_ok() {}
         advance(5 * MS).await;
-        assert!(matches!(notes.tell(Note(1)).unwrap_err().why, Why::WayFull { bulk: false, .. }));
+        assert!(matches!(
+            notes.tell(Note(1)).unwrap_err().kind,
+            DeliveryError::WayFull { bulk: false, .. }
+        ));
 
         assert_eq!(readings.tell(Reading(1, vec![])), Ok(()));
 
@@ -261,7 +264,7 @@ fn who_tells_bulk_without_waiting_is_told_that_the_way_is_full_and_not_the_recei
             }
         };
 
-        assert_eq!(error.why, Why::WayFull { node: "right".into(), bulk: true });
+        assert_eq!(error.kind, DeliveryError::WayFull { node: "right".into(), bulk: true });
         assert!(error.to_string().contains("the way to node right is full"), "{error}");
         assert_eq!(bulk.tell(Bulk(taken, vec![])), Ok(()), "there is room for what is small");
         advance(1000 * MS).await;

@@ -4,7 +4,7 @@ use super::*;
 use blastema_contract::router::SegmentArrived;
 use blastema_core::net::NodeId;
 use blastema_core::net::session::VERSION;
-use blastema_core::net::wire::segment::{Ack, Open, Segment};
+use blastema_core::net::wire::segment::{Ack, OpenSegment, Segment};
 use bytes::Bytes;
 
 /// Three nodes, each with a cable to both others.
@@ -44,7 +44,7 @@ fn stale(tag: u32) -> Vec<Segment> {
         || Some(Ack { next: u64::MAX >> 1, window: u32::MAX, ranges: vec![(1 << 63, 1 << 63)] });
     let open = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
-        Segment::Open(Open { version: VERSION, tag, echo: 0, incarnation, number })
+        Segment::Open(OpenSegment { version: VERSION, tag, echo: 0, incarnation, number })
     };
     vec![
         Segment::Acknowledge { tag, control: ack(), data: ack(), redundant: None },
@@ -93,7 +93,7 @@ async fn ends_and_is_told_again(victim: &Module, object: &str, again: impl Async
     assert_eq!(victim.mended.drain(), [], "it may not be over yet");
     advance(10_000 * MS).await;
     let mended = victim.mended.drain();
-    let over = |fault: &FaultMended| (fault.object.to_string(), fault.kind.clone());
+    let over = |fault: &DeclaredFaultCleared| (fault.object.to_string(), fault.kind.clone());
     assert_eq!(
         mended.iter().map(over).collect::<Vec<_>>(),
         [(object.into(), FaultKind::CheckFailed)]

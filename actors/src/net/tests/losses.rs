@@ -90,7 +90,7 @@ fn what_was_under_way_when_the_gateway_panicked_is_counted() {
         let (robot, left, right) = pair().await;
         deliver_in_vain(&robot, &left).await;
 
-        left.net.victims()[2].do_send(PanicOnPurpose);
+        left.net.victims()[2].do_send(InjectPanic);
         advance(100 * MS).await;
 
         assert_eq!(counted(&left), all_unreachable());

@@ -54,7 +54,7 @@ fn a_contract_that_differs_is_refused_and_the_difference_shown() {
 
         let error = sender.ask(other::Add { summand: 1.0 }).await.unwrap_err();
 
-        let Why::ContractDiffers { difference } = error.why else { panic!("{error:?}") };
+        let DeliveryError::ContractDiffers { difference } = error.kind else { panic!("{error:?}") };
         assert!(difference.contains("here") && difference.contains("there"), "{difference}");
         let declared = right.declared.expect().await;
         assert_eq!(declared.kind, FaultKind::ContractMismatch);
@@ -68,9 +68,9 @@ fn an_unknown_object_and_an_unknown_node_are_told_apart() {
         let (_robot, left, _right) = pair().await;
 
         let nobody = left.sender::<Add>("right:nobody").ask(Add(1)).await.unwrap_err();
-        assert!(matches!(nobody.why, Why::Unknown { .. }), "{nobody:?}");
+        assert!(matches!(nobody.kind, DeliveryError::Unknown { .. }), "{nobody:?}");
         let nowhere = left.sender::<Add>("nowhere:acc").ask(Add(1)).await.unwrap_err();
-        assert_eq!(nowhere.why, Why::Unreachable { node: "nowhere".into() });
+        assert_eq!(nowhere.kind, DeliveryError::Unreachable { node: "nowhere".into() });
     });
 }
 
@@ -81,7 +81,7 @@ fn a_request_that_kills_the_remote_object_is_resolved_with_its_death() {
 
         let error = left.sender::<Boom>("right:acc").ask(Boom).await.unwrap_err();
 
-        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
     });
 }
 
@@ -98,7 +98,10 @@ fn a_flood_is_refused_when_full_and_nothing_accepted_is_lost() {
             match sender.tell(Note(n)) {
                 Ok(()) => accepted += 1,
                 Err(error) => {
-                    assert_eq!(error.why, Why::WayFull { node: "right".into(), bulk: false });
+                    assert_eq!(
+                        error.kind,
+                        DeliveryError::WayFull { node: "right".into(), bulk: false }
+                    );
                     break;
                 }
             }

@@ -20,7 +20,7 @@ fn a_node_that_dies_and_returns_is_a_new_life_and_what_it_owed_is_resolved() {
         advance(1000 * MS).await;
 
         let error = asked.await.unwrap().unwrap_err();
-        assert_eq!(error.why, Why::PeerDied { incarnation: Incarnation(1) });
+        assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
         assert_eq!(left.sender::<Add>("right:acc").ask(Add(5)).await.unwrap(), 5);
         left.publisher().publish(Note(7)).unwrap();
         advance(10 * MS).await;
@@ -41,9 +41,9 @@ fn a_node_that_stays_away_is_lost_and_what_it_owed_is_resolved() {
         robot.kill("ieee1394/right");
         let error = sender.ask_within(Add(1), 60_000 * MS).await.unwrap_err();
 
-        assert!(matches!(error.why, Why::OutcomeUnknown { .. }), "{}", error.why);
+        assert!(matches!(error.kind, DeliveryError::OutcomeUnknown { .. }), "{}", error.kind);
         let refused = left.sender::<Note>("right:acc").tell(Note(1)).unwrap_err();
-        assert_eq!(refused.why, Why::Unreachable { node: "right".into() });
+        assert_eq!(refused.kind, DeliveryError::Unreachable { node: "right".into() });
         let conditions: Vec<_> =
             left.nodes.drain().into_iter().map(|report| report.condition).collect();
         assert!(
@@ -108,8 +108,8 @@ fn a_node_that_leaves_in_order_delivers_first() {
         advance(100 * MS).await;
 
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
-        let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().why;
-        assert_eq!(why, Why::Left { node: "left".into() });
+        let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().kind;
+        assert_eq!(why, DeliveryError::Left { node: "left".into() });
         let told = right.nodes.drain().into_iter().map(|report| report.condition);
         let told: Vec<_> = told.collect();
         assert_eq!(told, [NodeCondition::Reachable, NodeCondition::Left]);

@@ -10,7 +10,7 @@ fn a_panic_in_the_router_loses_nothing() {
 
         for n in 0..100 {
             if n % 20 == 10 {
-                left.net.router().do_send(PanicOnPurpose);
+                left.net.router().do_send(InjectPanic);
             }
             sender.tell(Note(n)).unwrap();
             advance(5 * MS).await;
@@ -42,7 +42,7 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
                         actix_rt::spawn(async move { sender.ask_within(Add(1), 60_000 * MS).await })
                     })
                     .collect();
-                module.net.victims()[victim].do_send(PanicOnPurpose);
+                module.net.victims()[victim].do_send(InjectPanic);
                 let told = platform::now();
                 for asked in asked {
                     // The reply, or why there is none: never nothing.
@@ -77,7 +77,7 @@ fn a_panic_in_the_sessions_gives_back_only_what_that_session_held() {
         for n in 1..50 {
             sender.tell(Note(n)).unwrap();
         }
-        left.net.victims()[1].do_send(PanicOnPurpose);
+        left.net.victims()[1].do_send(InjectPanic);
         advance(1000 * MS).await;
 
         let arrived = right.log.take();

@@ -2,12 +2,12 @@
 
 use super::*;
 use crate::{Event, Outcome, WhenFull};
-use blastema_contract::session::Say;
+use blastema_contract::session::SendReliable;
 use blastema_core::contract::codec;
 use blastema_core::net::peer_protocol::receive_backlog::MESSAGES_MAX;
-use blastema_core::net::wire::message::Message;
+use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::segment::Stream;
-use blastema_core::net::{NodeId, Strand};
+use blastema_core::net::{NodeId, OrderingKey};
 use bytes::Bytes;
 
 /// Is worked at for a while.
@@ -129,11 +129,14 @@ fn who_tells_a_full_object_of_another_node_gets_the_message_back_and_no_other_ob
         advance(20 * MS).await;
 
         let error = jobs.tell(Job(200)).unwrap_err();
-        assert_eq!((error.why, error.message), (Why::Full, Job(200)));
+        assert_eq!((error.kind, error.message), (DeliveryError::Full, Job(200)));
         // Whatever the contract, it is the same queue.
-        assert_eq!(left.sender::<Memo>("right:slow").tell(Memo(0)).unwrap_err().why, Why::Full);
+        assert_eq!(
+            left.sender::<Memo>("right:slow").tell(Memo(0)).unwrap_err().kind,
+            DeliveryError::Full
+        );
         let error = left.sender::<Busy>("right:slow").ask(Busy).await.unwrap_err();
-        assert_eq!((error.outcome(), error.why), (Outcome::NotTaken, Why::Full));
+        assert_eq!((error.outcome(), error.kind), (Outcome::NotTaken, DeliveryError::Full));
 
         let other = left.sender::<Add>("right:acc");
         for n in 1..=50 {
@@ -170,7 +173,7 @@ fn what_waits_for_room_is_overtaken_by_nothing_of_its_sender() {
         let asked = left.sender::<Busy>("right:slow").ask(Busy).await.unwrap_err();
         advance(2000 * MS).await;
 
-        assert_eq!(asked.why, Why::Full);
+        assert_eq!(asked.kind, DeliveryError::Full);
         assert_eq!(log.take(), (0..1000).collect::<Vec<_>>());
         assert_eq!(lost([&left, &right]), [0, 0]);
     });
@@ -209,7 +212,7 @@ fn an_object_that_is_stopped_for_good_turns_what_waits_into_dead_letters_and_nob
             jobs.tell(Job(n)).unwrap();
         }
         advance(20 * MS).await;
-        assert_eq!(jobs.tell(Job(200)).unwrap_err().why, Why::Full);
+        assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
         child.stop();
         advance(10_000 * MS).await;
@@ -230,11 +233,11 @@ fn what_waits_when_the_session_ends_is_counted_and_the_next_session_begins_with_
             jobs.tell(Job(n)).unwrap();
         }
         advance(20 * MS).await;
-        assert_eq!(jobs.tell(Job(200)).unwrap_err().why, Why::Full);
+        assert_eq!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Full);
 
         ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.cut(end));
         advance(5000 * MS).await;
-        assert!(matches!(jobs.tell(Job(200)).unwrap_err().why, Why::Unreachable { .. }));
+        assert!(matches!(jobs.tell(Job(200)).unwrap_err().kind, DeliveryError::Unreachable { .. }));
         ["ethernet/left", "ieee1394/left"].into_iter().for_each(|end| robot.restore(end));
         advance(5000 * MS).await;
 
@@ -257,7 +260,7 @@ fn a_panic_of_the_gateway_leaves_nothing_full_and_nothing_uncounted() {
         advance(20 * MS).await;
 
         for module in [&right, &left] {
-            module.net.victims()[2].do_send(PanicOnPurpose);
+            module.net.victims()[2].do_send(InjectPanic);
             advance(2000 * MS).await;
         }
 
@@ -299,12 +302,12 @@ fn blurt(left: &Module, count: usize) {
     codec::encode(&Job(7), &mut payload).unwrap();
     let payload = Bytes::from(payload);
     let message =
-        Message::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
+        PeerMessage::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
-        let (stream, strand, message) = (Stream::Data, Strand::default(), message.clone());
+        let (stream, strand, message) = (Stream::Data, OrderingKey::default(), message.clone());
         let (session, credit) = (1, None);
-        left.net.sessions.do_send(Say { peer, session, stream, strand, message, credit });
+        left.net.sessions.do_send(SendReliable { peer, session, stream, strand, message, credit });
     }
 }
 

@@ -300,8 +300,8 @@ fn a_conversion_that_panics_is_the_receivers_fault_and_costs_that_message_alone(
         advance(50 * MS).await;
         assert_eq!(log.take(), [1, 2, 3, 4]);
         for n in [13, 14] {
-            let refused = brittle.ask(frail_one::Brittle(n)).await.unwrap_err().why;
-            let Why::Undecodable { reason } = &refused else { panic!("{refused}") };
+            let refused = brittle.ask(frail_one::Brittle(n)).await.unwrap_err().kind;
+            let DeliveryError::Undecodable { reason } = &refused else { panic!("{refused}") };
             assert!(reason.contains("versions.rs"), "{reason}");
         }
         assert_eq!(brittle.ask(frail_one::Brittle(5)).await, Ok(5));

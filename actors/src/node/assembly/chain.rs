@@ -2,51 +2,55 @@
 
 use super::{enrolment, middleware, named};
 use crate::chain::callbacks::Callbacks;
-use crate::chain::detector::Detector;
-use crate::chain::directory::Directory;
-use crate::chain::monitor::Monitor;
-use crate::chain::notifier::Notifier;
+use crate::chain::detector::DetectorActor;
+use crate::chain::directory::SupervisorDirectory;
+use crate::chain::monitor::MonitorActor;
+use crate::chain::notifier::NotifierActor;
 use crate::chain::outside::{ChainWatch, OutsideSetup};
-use crate::chain::recoverer::{Recoverer, RecovererSetup};
-use crate::chain::strategy::{SAFE_OUTPUTS, SafeOutputs, ToolBox, Tools, object_of};
+use crate::chain::recoverer::{RecovererActor, RecovererSetup};
+use crate::chain::strategy::{
+    SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
+};
 use crate::guardian::{Guardian, own_arbiter};
-use crate::host::arbiters::Arbiters;
-use crate::host::environment::Reports;
-use crate::host::watch::WatchGuard;
-use crate::lease::Yard;
-use crate::node::builder::{NodeBuilder, Placement, StartError};
-use crate::node::keeper::{Keeper, KeeperSetup, NodeState, TellRest};
-use crate::node::tree::Planted;
+use crate::host::arbiters::ArbiterPool;
+use crate::host::environment::FaultReports;
+use crate::host::watch::SamplerGuard;
+use crate::lease::ActuatorTable;
+use crate::node::builder::{ActorPlacement, NodeBuilder, StartError};
+use crate::node::keeper::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
+use crate::node::tree::PreparedComponent;
 use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
-use blastema_contract::monitor::{Dismiss, Enrol, ReadTable};
+use blastema_contract::monitor::{ReadTable, Register, Unregister};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
-use blastema_contract::strategy::{IsolateNode, Reroute, RestNode};
-use blastema_core::detection::{DetectorLimits, EnrolError, MonitorLimits, NotifierLimits, Port};
-use blastema_core::recovery::{self, Measure, RecovererLimits};
+use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
+use blastema_core::detection::{
+    DetectorLimits, MonitorLimits, NotifierLimits, RecovererPort, RegistrationError,
+};
+use blastema_core::recovery::{self, RecovererLimits, RecoveryAction};
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
 
 /// The fault chain as the rest of the node sees it.
-pub(in crate::node) struct Chain {
+pub(in crate::node) struct FaultChain {
     pub(in crate::node) table: Recipient<ReadTable>,
     pub(in crate::node) record: Recipient<ReadRecord>,
     pub(in crate::node) subscribe: Recipient<Subscribe>,
-    pub(super) enrol: Recipient<Enrol>,
-    dismiss: Recipient<Dismiss>,
+    pub(super) enrol: Recipient<Register>,
+    dismiss: Recipient<Unregister>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// Where its actors answer.
     pub(super) inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     pub(super) notifier: Recipient<AddPort>,
     pub(super) recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
-    lookout: Mutex<Option<WatchGuard>>,
+    lookout: Mutex<Option<SamplerGuard>>,
     /// Watches the chain itself; it ends when it is dropped.
     outside: Mutex<Option<ChainWatch>>,
     /// Whether the chain stands.
@@ -59,8 +63,8 @@ pub(in crate::node) struct Chain {
     journal: Mutex<Option<crate::journal::JournalGuard>>,
 }
 
-impl Chain {
-    pub(super) async fn enrol_all(&self, enrolments: Vec<Enrol>) -> Result<(), StartError> {
+impl FaultChain {
+    pub(super) async fn enrol_all(&self, enrolments: Vec<Register>) -> Result<(), StartError> {
         for enrolment in enrolments {
             // The chain's mailboxes close only when the node has ended.
             if let Ok(answer) = self.enrol.send(enrolment).await {
@@ -71,16 +75,16 @@ impl Chain {
     }
 
     /// Watches a component that was planted after the start.
-    pub(in crate::node) async fn enrol(&self, node: &NodeName, planted: &Planted) {
+    pub(in crate::node) async fn enrol(&self, node: &NodeName, planted: &PreparedComponent) {
         let name = planted.child.name();
         if let Ok(enrolment) = enrolment(node, name, &planted.depends_on) {
             // A component that cannot be watched as it wishes still has its guard.
-            let _: Result<Result<_, EnrolError>, _> = self.enrol.send(enrolment).await;
+            let _: Result<Result<_, RegistrationError>, _> = self.enrol.send(enrolment).await;
         }
     }
 
     pub(in crate::node) fn dismiss(&self, object: ObjectName) {
-        self.dismiss.do_send(Dismiss { object });
+        self.dismiss.do_send(Unregister { object });
     }
 
     /// What an actor of the chain answers; `None` where it has ended, or the chain stands.
@@ -115,7 +119,7 @@ impl Chain {
         *self.journal.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     }
 
-    pub(super) fn look_out(&self, lookout: Option<WatchGuard>) {
+    pub(super) fn look_out(&self, lookout: Option<SamplerGuard>) {
         *self.lookout.lock().unwrap_or_else(PoisonError::into_inner) = lookout;
     }
 
@@ -125,15 +129,15 @@ impl Chain {
 }
 
 /// Everything between the threads and the components.
-pub(super) struct Parts {
+pub(super) struct FaultChainParts {
     pub(super) guardian: Guardian,
-    pub(super) chain: Chain,
-    pub(super) monitor: Addr<Monitor>,
-    pub(super) keeper: Addr<Keeper>,
+    pub(super) chain: FaultChain,
+    pub(super) monitor: Addr<MonitorActor>,
+    pub(super) keeper: Addr<NodeController>,
     pub(super) state: watch::Receiver<NodeState>,
-    pub(super) directory: Directory,
+    pub(super) directory: SupervisorDirectory,
     pub(super) registry: Registry,
-    pub(super) actuators: Yard,
+    pub(super) actuators: ActuatorTable,
     stands: watch::Sender<bool>,
 }
 
@@ -141,41 +145,43 @@ pub(super) struct Parts {
 pub(super) fn make_chain(
     builder: &NodeBuilder,
     (node, incarnation): (&NodeName, Incarnation),
-    arbiters: &Arbiters,
-) -> Result<Parts, StartError> {
+    arbiters: &ArbiterPool,
+) -> Result<FaultChainParts, StartError> {
     let arbiter = match builder.placement {
-        Placement::Here => None,
-        Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
+        ActorPlacement::Here => None,
+        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
     };
     let place = arbiter.as_ref();
     let guardian = Guardian::default();
 
-    let notifier = guardian.start(named("chain/notifier"), place, |_: &mut Context<Notifier>| {
-        Notifier::new(NotifierLimits::default())
-    });
+    let notifier =
+        guardian.start(named("chain/notifier"), place, |_: &mut Context<NotifierActor>| {
+            NotifierActor::new(NotifierLimits::default())
+        });
     let (of, found, cleared) =
         (node.clone(), notifier.clone().recipient(), notifier.clone().recipient());
     let detector =
-        guardian.start(named("chain/detector"), place, move |_: &mut Context<Detector>| {
-            Detector::new(of, DetectorLimits::default(), found, cleared)
+        guardian.start(named("chain/detector"), place, move |_: &mut Context<DetectorActor>| {
+            DetectorActor::new(of, DetectorLimits::default(), found, cleared)
         });
     let (of, observed) = (node.clone(), detector.clone().recipient());
-    let monitor = guardian.start(named("chain/monitor"), place, move |_: &mut Context<Monitor>| {
-        Monitor::new(of, MonitorLimits::default(), observed)
-    });
+    let monitor =
+        guardian.start(named("chain/monitor"), place, move |_: &mut Context<MonitorActor>| {
+            MonitorActor::new(of, MonitorLimits::default(), observed)
+        });
     guardian.report_to(monitor.clone().recipient());
 
     let callbacks = match builder.placement {
-        Placement::Here => Callbacks::default(),
-        Placement::Threads { .. } | Placement::ComponentsHere => {
+        ActorPlacement::Here => Callbacks::default(),
+        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
             Callbacks::on_threads(builder.callback_limit, arbiters.clone())
         }
     };
     let reports = reports(&monitor);
     callbacks.report_to(reports.clone());
-    let (state, actuators) = (builder.state.subscribe(), Yard::new(callbacks.clone()));
+    let (state, actuators) = (builder.state.subscribe(), ActuatorTable::new(callbacks.clone()));
     let safe_outputs = SafeOutputs::new(builder.safe_outputs.clone(), callbacks.clone(), reports);
-    let setup = KeeperSetup {
+    let setup = NodeControllerSetup {
         node: node.clone(),
         incarnation,
         state: builder.state.clone(),
@@ -183,13 +189,14 @@ pub(super) fn make_chain(
         actuators: actuators.clone(),
         nodes: monitor.clone().recipient(),
     };
-    let keeper =
-        guardian.start(named("keeper"), place, move |_: &mut Context<Keeper>| Keeper::new(setup));
+    let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<NodeController>| {
+        NodeController::new(setup)
+    });
 
-    let (directory, registry) = (Directory::default(), Registry::default());
+    let (directory, registry) = (SupervisorDirectory::default(), Registry::default());
     registry.watch_in(guardian.watched());
     let router = Arc::<OnceLock<_>>::default();
-    let tools = Tools::new(ToolBox {
+    let tools = StrategyContext::new(StrategyTargets {
         node: node.clone(),
         directory: directory.clone(),
         registry: registry.clone(),
@@ -208,12 +215,12 @@ pub(super) fn make_chain(
         callbacks: callbacks.clone(),
     };
     let recoverer =
-        guardian.start(named("chain/recoverer"), place, move |_: &mut Context<Recoverer>| {
-            Recoverer::new(setup)
+        guardian.start(named("chain/recoverer"), place, move |_: &mut Context<RecovererActor>| {
+            RecovererActor::new(setup)
         });
-    keeper.do_send(TellRest(recoverer.clone().recipient()));
+    keeper.do_send(SubscribeSafeState(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
-        port: Port::Local,
+        port: RecovererPort::Local,
         recover: recoverer.clone().recipient(),
         stand_down: Some(recoverer.clone().recipient()),
     });
@@ -226,7 +233,7 @@ pub(super) fn make_chain(
         (named("keeper"), keeper.clone().recipient()),
     ];
     let (stands, seen) = watch::channel(false);
-    let chain = Chain {
+    let chain = FaultChain {
         table: monitor.clone().recipient(),
         record: detector.clone().recipient(),
         subscribe: detector.recipient(),
@@ -245,12 +252,22 @@ pub(super) fn make_chain(
         recoverer: recoverer.recipient(),
         router,
     };
-    Ok(Parts { guardian, chain, monitor, keeper, state, directory, registry, actuators, stands })
+    Ok(FaultChainParts {
+        guardian,
+        chain,
+        monitor,
+        keeper,
+        state,
+        directory,
+        registry,
+        actuators,
+        stands,
+    })
 }
 
 /// Whom guards and components tell.
-pub(super) fn reports(monitor: &Addr<Monitor>) -> Reports {
-    Reports {
+pub(super) fn reports(monitor: &Addr<MonitorActor>) -> FaultReports {
+    FaultReports {
         exits: Some(monitor.clone().recipient()),
         states: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
@@ -259,16 +276,16 @@ pub(super) fn reports(monitor: &Addr<Monitor>) -> Reports {
 }
 
 /// The application's code that the chain calls: faults of it stand under these names.
-pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Enrol> {
+pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
     let strategies = builder.strategies.names();
-    let strategies = strategies.map(|name| object_of(&Measure::Custom(name.into())));
+    let strategies = strategies.map(|name| object_of(&RecoveryAction::Custom(name.into())));
     let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.
     let all: BTreeSet<ObjectName> = strategies.chain(outputs).collect();
     all.into_iter().map(|name| middleware(name, None)).collect()
 }
 
-impl Parts {
+impl FaultChainParts {
     /// Watches the chain from outside from now on, and strokes these as long as it answers.
     pub(super) fn watch_chain(
         &self,
@@ -277,7 +294,7 @@ impl Parts {
     ) -> Result<(), StartError> {
         let node = node.clone();
         let (safe_outputs, actuators) = (self.chain.safe_outputs.clone(), self.actuators.clone());
-        let rest: Recipient<RestNode> = self.keeper.clone().recipient();
+        let rest: Recipient<EnterSafeState> = self.keeper.clone().recipient();
         let last_resort = move |reason: String| {
             let now = platform::now();
             let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), now);
@@ -285,7 +302,7 @@ impl Parts {
             drop(safe_outputs.rest(&fault));
             actuators.rest();
             // Should the chain answer again, the node comes to rest in order.
-            rest.do_send(RestNode { fault, reason });
+            rest.do_send(EnterSafeState { fault, reason });
         };
         let outside = ChainWatch::start(OutsideSetup {
             callbacks: self.chain.callbacks.clone(),

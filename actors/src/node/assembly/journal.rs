@@ -1,6 +1,6 @@
 //! The journal of faults as a part of the node.
 
-use super::{Assembly, middleware, named};
+use super::{NodeAssembly, middleware, named};
 use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup, LockError};
 use crate::node::builder::StartError;
 use crate::platform;
@@ -13,7 +13,7 @@ use std::time::Duration;
 const LOCK_ATTEMPTS: u32 = 20;
 const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
-impl Assembly {
+impl NodeAssembly {
     /// Hears of every fault from the first on.
     pub(super) async fn keep_journal(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(path) = file else { return Ok(()) };

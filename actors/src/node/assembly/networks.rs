@@ -1,22 +1,22 @@
 //! The networks of a node: what stands on its media, and how that is led to the fault chain.
 
-use super::chain::Parts;
+use super::chain::FaultChainParts;
 use super::{middleware, named};
 use crate::guardian::own_arbiter;
-use crate::host::environment::HostEnvironment;
-use crate::net::claims::{ClaimsBody, ClaimsSetup};
-use crate::net::safe_state::{RestBody, RestSetup};
+use crate::host::environment::ComponentEnvironment;
+use crate::net::claims::{GlobalNamesActor, GlobalNamesSetup};
+use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
-use crate::node::builder::{Placement, StartError};
-use crate::node::keeper::TellRest;
+use crate::node::builder::{ActorPlacement, StartError};
+use crate::node::keeper::SubscribeSafeState;
 use crate::node::network::{Cable, Network};
 use actix::prelude::*;
-use blastema_contract::monitor::Enrol;
+use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;
 use blastema_contract::transport::Close;
-use blastema_core::detection::Port;
-use blastema_core::net::discovery::Admission;
-use blastema_core::net::isolation::Judges;
+use blastema_core::detection::RecovererPort;
+use blastema_core::net::discovery::DiscoveryAdmission;
+use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::{Incarnation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -78,16 +78,16 @@ impl Networks {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 pub(super) fn make_networks(
-    (networks, judges): (Vec<Network>, Judges),
-    placement: Placement,
+    (networks, judges): (Vec<Network>, IsolationAuthority),
+    placement: ActorPlacement,
     (node, incarnation): (&NodeName, Incarnation),
-    parts: &Parts,
-    environment: &HostEnvironment,
-) -> Result<(Networks, Vec<Enrol>), StartError> {
-    let Parts { guardian, chain, monitor, .. } = parts;
+    parts: &FaultChainParts,
+    environment: &ComponentEnvironment,
+) -> Result<(Networks, Vec<Register>), StartError> {
+    let FaultChainParts { guardian, chain, monitor, .. } = parts;
     let arbiter = match placement {
-        Placement::Here => None,
-        Placement::Threads { .. } | Placement::ComponentsHere => Some(own_arbiter()?),
+        ActorPlacement::Here => None,
+        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
     };
     let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
     let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
@@ -102,7 +102,7 @@ pub(super) fn make_networks(
     }
     let mut described = neighbours.clone();
     described.extend(specs.iter().flat_map(admitted).cloned());
-    if let Judges::Wardens(wardens) = &judges {
+    if let IsolationAuthority::Named(wardens) = &judges {
         described.extend(wardens.iter().cloned());
     }
     let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
@@ -126,17 +126,17 @@ pub(super) fn make_networks(
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
     let setup = claims_setup((node, incarnation), parts, environment);
-    let setup = ClaimsSetup {
+    let setup = GlobalNamesSetup {
         settle: settling(slowest.unwrap_or_default()),
         expected: neighbours.iter().cloned().collect(),
         ..setup
     };
-    let claims = ClaimsBody::start(setup, guardian, arbiter.as_ref());
+    let claims = GlobalNamesActor::start(setup, guardian, arbiter.as_ref());
     enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
     let setup =
         RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
-    let rest = RestBody::start(setup, guardian, arbiter.as_ref());
-    parts.keeper.do_send(TellRest(rest.own));
+    let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
+    parts.keeper.do_send(SubscribeSafeState(rest.own));
     enrolments.push(middleware(named("net/rest"), Some(rest.inquiries)));
     let envoys = vec![claims.peers, rest.peers];
     let net_environment = NetEnvironment { envoys, ..net_environment };
@@ -148,7 +148,7 @@ pub(super) fn make_networks(
     let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {
         let recover = handle.recoverer_of(&neighbour);
-        let port = Port::Remote(neighbour);
+        let port = RecovererPort::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
     Ok((Networks { handle, cables, transports, arbiter, described }, enrolments))
@@ -157,8 +157,8 @@ pub(super) fn make_networks(
 /// Those that are admitted by name where they are met.
 fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
     let names = match spec.discovery.as_ref().map(|discovery| &discovery.admission) {
-        Some(Admission::Only(names)) => Some(names),
-        Some(Admission::Anybody) | None => None,
+        Some(DiscoveryAdmission::Only(names)) => Some(names),
+        Some(DiscoveryAdmission::Anybody) | None => None,
     };
     names.into_iter().flatten()
 }
@@ -166,10 +166,10 @@ fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
 /// Claims of a node that knows nobody.
 pub(super) fn claims_setup(
     (node, incarnation): (&NodeName, Incarnation),
-    parts: &Parts,
-    environment: &HostEnvironment,
-) -> ClaimsSetup {
-    ClaimsSetup {
+    parts: &FaultChainParts,
+    environment: &ComponentEnvironment,
+) -> GlobalNamesSetup {
+    GlobalNamesSetup {
         node: node.clone(),
         incarnation,
         settle: Duration::ZERO,

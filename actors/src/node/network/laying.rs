@@ -7,21 +7,21 @@ use crate::node::builder::StartError;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
-use blastema_core::net::discovery::Admission;
+use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::{NodeName, ObjectName};
 #[cfg(feature = "unix")]
 use blastema_transports::Unix;
 use blastema_transports::endpoint::{CanConfig, SlcanConfig};
 use blastema_transports::{
-    Endpoint, EndpointError, Faulty, FaultyConfig, FrameTransport, Memory, MemoryConfig,
-    MemoryMedium,
+    Endpoint, EndpointError, FaultInjector, FaultInjectorConfig, FrameTransport, Memory,
+    MemoryConfig, MemoryMedium,
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{Tcp, Udp};
 use std::time::Duration;
 
 /// A network whose transport runs.
-pub(in crate::node) struct Laid {
+pub(in crate::node) struct StartedNetwork {
     pub(in crate::node) spec: NetworkSpec,
     pub(in crate::node) cable: Option<Cable>,
     pub(in crate::node) neighbours: Vec<NodeName>,
@@ -146,7 +146,7 @@ impl Network {
         own: &NodeName,
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
-    ) -> Result<Laid, StartError> {
+    ) -> Result<StartedNetwork, StartError> {
         let link_names: Vec<String> = self.link_names().collect();
         let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
         medium.name_node(own);
@@ -202,11 +202,11 @@ impl Network {
                 return Err(StartError::Network(text));
             }
             None => None,
-            Some(Admitted::Anybody) => Some(Admission::Anybody),
+            Some(Admitted::Anybody) => Some(DiscoveryAdmission::Anybody),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");
-                Some(Admission::Only(nodes.map_err(StartError::name_of(of))?))
+                Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?))
             }
         };
         let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
@@ -223,8 +223,9 @@ impl Network {
                 let object =
                     ObjectName::new(&format!("cable/{name}")).map_err(StartError::name_of(of))?;
                 transports.push(object.clone());
-                let (inner, config) = (transport.clone(), FaultyConfig::new(seed, platform::now));
-                let make = move |_: &mut Context<Faulty>| Faulty::new(inner, config);
+                let (inner, config) =
+                    (transport.clone(), FaultInjectorConfig::new(seed, platform::now));
+                let make = move |_: &mut Context<FaultInjector>| FaultInjector::new(inner, config);
                 let faulty = guardian.start(object, arbiter, make);
                 transport = Transport::from(faulty.clone());
                 let there = |spec: &LinkSpec| {
@@ -234,6 +235,6 @@ impl Network {
             }
         };
         let spec = NetworkSpec { name: name.into(), transport, interface, links: specs, discovery };
-        Ok(Laid { spec, cable, neighbours, transports })
+        Ok(StartedNetwork { spec, cable, neighbours, transports })
     }
 }

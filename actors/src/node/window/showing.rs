@@ -1,11 +1,11 @@
 //! What goes on at a window: who comes is shown the node, and a socket that is taken away is made again.
 
 use super::open;
-use crate::host::environment::Reports;
+use crate::host::environment::FaultReports;
 use crate::node::{Node, Shared};
 use crate::platform;
 use blastema_core::Machine;
-use blastema_core::snapshot_server::{Audience, AudienceOutput, PictureNumber, Viewer};
+use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
 use blastema_transports::unix::PathListener;
 use futures_util::StreamExt;
 use futures_util::future::{AbortHandle, abortable};
@@ -26,42 +26,42 @@ const LOOK: Duration = Duration::from_millis(500);
 /// After so long a machine that had no descriptor left may have one again.
 const PAUSE: Duration = Duration::from_millis(10);
 
-pub(super) struct Showing {
+pub(super) struct InspectionServer {
     path: Arc<Path>,
     node: Weak<Shared>,
-    reports: Reports,
+    reports: FaultReports,
     /// `None` while the socket cannot be made.
     listener: Option<PathListener>,
     /// Whether it was told last that it cannot. Nobody knows what a life before has told.
     told: Option<bool>,
-    audience: Audience,
+    audience: SnapshotServer,
     /// Those who are not given their picture yet.
-    waiting: BTreeMap<Viewer, UnixStream>,
+    waiting: BTreeMap<ClientId, UnixStream>,
     /// Those who are given it: as many as the audience has seats.
-    looking: BTreeMap<Viewer, AbortHandle>,
+    looking: BTreeMap<ClientId, AbortHandle>,
     work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
 }
 
 enum Done {
-    Taken { picture: PictureNumber, text: Arc<str> },
-    Seen(Viewer),
+    Taken { picture: SnapshotId, text: Arc<str> },
+    Seen(ClientId),
     Closed,
 }
 
-impl Showing {
+impl InspectionServer {
     pub(super) fn new(
         path: Arc<Path>,
         node: Weak<Shared>,
-        reports: Reports,
+        reports: FaultReports,
         listener: Option<PathListener>,
     ) -> Self {
-        Showing {
+        InspectionServer {
             path,
             node,
             reports,
             listener,
             told: None,
-            audience: Audience::default(),
+            audience: SnapshotServer::default(),
             waiting: BTreeMap::new(),
             looking: BTreeMap::new(),
             work: FuturesUnordered::new(),
@@ -90,14 +90,14 @@ impl Showing {
     fn carry_out(&mut self) -> bool {
         while let Some(output) = self.audience.poll_output() {
             match output {
-                AudienceOutput::Take(picture) => {
+                SnapshotServerOutput::Take(picture) => {
                     let Some(node) = self.node.upgrade().map(Node) else { return false };
                     self.work.push(Box::pin(async move {
-                        let text = (node.picture().await.to_json() + "\n").into();
+                        let text = (node.snapshot().await.to_json() + "\n").into();
                         Done::Taken { picture, text }
                     }));
                 }
-                AudienceOutput::Close(viewer) => {
+                SnapshotServerOutput::Close(viewer) => {
                     if let Some(looking) = self.looking.remove(&viewer) {
                         looking.abort();
                     }
@@ -122,7 +122,7 @@ impl Showing {
         }
     }
 
-    fn give(&mut self, viewer: Viewer, text: Arc<str>) {
+    fn give(&mut self, viewer: ClientId, text: Arc<str>) {
         let Some(mut stream) = self.waiting.remove(&viewer) else { return };
         let (seen, looking) = abortable(async move {
             // Whoever goes away while it reads has seen enough.

@@ -1,6 +1,6 @@
 //! The structure of Rust's own types, and of the middleware's words that users put into messages.
 
-use super::{Described, Field, Fields, Layout, Leaf, Shape, Variant};
+use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
 use crate::{
     FaultId, FaultKind, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName, Place,
     Severity,
@@ -15,7 +15,7 @@ macro_rules! leaves {
     ($($type:ty => $leaf:ident $({ $($more:tt)* })?),* $(,)?) => {$(
         impl Described for $type {
             fn layout() -> &'static Layout {
-                const { &Layout { id: TypeId::of::<$type>, shape: Shape::Leaf(Leaf::$leaf) } }
+                const { &Layout { id: TypeId::of::<$type>, shape: Shape::Leaf(Primitive::$leaf) } }
             }
 
             $($($more)*)?
@@ -38,7 +38,7 @@ impl Described for () {
     const EMPTY: bool = true;
 
     fn layout() -> &'static Layout {
-        const { &Layout { id: TypeId::of::<()>, shape: Shape::Leaf(Leaf::Unit) } }
+        const { &Layout { id: TypeId::of::<()>, shape: Shape::Leaf(Primitive::Unit) } }
     }
 }
 

@@ -216,8 +216,8 @@ fn printable(text: &Text) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contract::layout::difference::{Half, compare};
-    use crate::contract::layout::{Field, Leaf, Variant};
+    use crate::contract::layout::difference::{ContractPart, compare};
+    use crate::contract::layout::{Field, Primitive, Variant};
     use proptest::prelude::*;
 
     /// Few kinds, few names and few types, so that equal and nearly equal tables are common.
@@ -235,7 +235,7 @@ mod tests {
             })
         };
         prop_oneof![
-            2 => prop_oneof![Just(Leaf::U8), Just(Leaf::Text)].prop_map(Shape::Leaf),
+            2 => prop_oneof![Just(Primitive::U8), Just(Primitive::Text)].prop_map(Shape::Leaf),
             1 => of().prop_map(Shape::Optional),
             2 => of().prop_map(Shape::Sequence),
             1 => (of(), of()).prop_map(|(key, value)| Shape::Map(key, value)),
@@ -263,7 +263,7 @@ mod tests {
             b in any_description(),
         ) {
             let same = merged(a.types.clone()) == merged(b.types.clone());
-            let lines = compare(Half::Message, &a, &b);
+            let lines = compare(ContractPart::Message, &a, &b);
             prop_assert_eq!(lines.is_empty(), same, "{:?}", lines);
         }
 
@@ -272,7 +272,7 @@ mod tests {
             a in any_description(),
         ) {
             let merged_once = LayoutDescription { types: merged(a.types.clone()) };
-            prop_assert!(compare(Half::Message, &a, &merged_once).is_empty());
+            prop_assert!(compare(ContractPart::Message, &a, &merged_once).is_empty());
             prop_assert_eq!(merged(merged_once.types.clone()), merged_once.types);
         }
     }

@@ -31,7 +31,7 @@ impl fmt::Display for Difference {
 
 /// Which half of a contract a structure belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Half {
+pub enum ContractPart {
     /// The message itself.
     Message,
     /// What a request is answered with.
@@ -39,7 +39,11 @@ pub enum Half {
 }
 
 /// Compares two structures and says what differs, one line for each thing; none when they are the same.
-pub fn compare(half: Half, here: &LayoutDescription, there: &LayoutDescription) -> Vec<String> {
+pub fn compare(
+    half: ContractPart,
+    here: &LayoutDescription,
+    there: &LayoutDescription,
+) -> Vec<String> {
     let mut comparison = Comparison {
         half,
         here: here.types(),
@@ -72,7 +76,7 @@ struct Pair {
 }
 
 struct Comparison<'a> {
-    half: Half,
+    half: ContractPart,
     here: &'a [Shape<u32>],
     there: &'a [Shape<u32>],
     open: VecDeque<Pair>,
@@ -248,15 +252,15 @@ impl Comparison<'_> {
     fn name(&self, path: &str) -> String {
         match self.half {
             _ if !path.is_empty() => format!("field `{path}`{}", self.of_reply()),
-            Half::Message => "the message".into(),
-            Half::Reply => "the reply".into(),
+            ContractPart::Message => "the message".into(),
+            ContractPart::Reply => "the reply".into(),
         }
     }
 
     fn of_reply(&self) -> &'static str {
         match self.half {
-            Half::Message => "",
-            Half::Reply => " of the reply",
+            ContractPart::Message => "",
+            ContractPart::Reply => " of the reply",
         }
     }
 }

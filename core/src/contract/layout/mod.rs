@@ -42,7 +42,7 @@ pub struct Layout {
 #[non_exhaustive]
 pub enum Shape<R: Clone + 'static> {
     /// A value without parts.
-    Leaf(Leaf),
+    Leaf(Primitive),
     /// A value or none.
     Optional(R),
     /// Any number of values, in order.
@@ -65,7 +65,7 @@ pub enum Shape<R: Clone + 'static> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "each is called as the type that it stands for")]
-pub enum Leaf {
+pub enum Primitive {
     Unit,
     Bool,
     U8,
@@ -225,27 +225,27 @@ impl<R: Clone> Fields<R> {
     }
 }
 
-impl Leaf {
+impl Primitive {
     /// The name by which differences and lists call it.
     pub fn name(self) -> &'static str {
         match self {
-            Leaf::Unit => "()",
-            Leaf::Bool => "bool",
-            Leaf::U8 => "u8",
-            Leaf::U16 => "u16",
-            Leaf::U32 => "u32",
-            Leaf::U64 => "u64",
-            Leaf::U128 => "u128",
-            Leaf::I8 => "i8",
-            Leaf::I16 => "i16",
-            Leaf::I32 => "i32",
-            Leaf::I64 => "i64",
-            Leaf::I128 => "i128",
-            Leaf::F32 => "f32",
-            Leaf::F64 => "f64",
-            Leaf::Char => "char",
-            Leaf::Text => "text",
-            Leaf::Duration => "duration",
+            Primitive::Unit => "()",
+            Primitive::Bool => "bool",
+            Primitive::U8 => "u8",
+            Primitive::U16 => "u16",
+            Primitive::U32 => "u32",
+            Primitive::U64 => "u64",
+            Primitive::U128 => "u128",
+            Primitive::I8 => "i8",
+            Primitive::I16 => "i16",
+            Primitive::I32 => "i32",
+            Primitive::I64 => "i64",
+            Primitive::I128 => "i128",
+            Primitive::F32 => "f32",
+            Primitive::F64 => "f64",
+            Primitive::Char => "char",
+            Primitive::Text => "text",
+            Primitive::Duration => "duration",
         }
     }
 }

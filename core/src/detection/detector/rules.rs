@@ -3,7 +3,7 @@
 use super::{Cause, Detector, Scene, Seen};
 use crate::detection::correlation::is_down;
 use crate::detection::hang::OverloadFigures;
-use crate::detection::{Exit, Finding, LinkCondition, NodeCondition};
+use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition};
 use crate::{
     Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place,
 };
@@ -139,32 +139,35 @@ impl Detector {
         &mut self,
         object: &ObjectName,
         scene: &Scene,
-        exit: Exit,
+        exit: ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = seen.state;
         // A life that was already over ends in some way or other; that is no second fault.
-        let over = std::mem::replace(&mut seen.doomed, exit != Exit::Stopped);
+        let over = std::mem::replace(&mut seen.doomed, exit != ExitReason::Stopped);
         seen.state = match exit {
-            Exit::Stopped => Lifecycle::Finalized,
+            ExitReason::Stopped => Lifecycle::Finalized,
             _ => Lifecycle::Fatal,
         };
         let (kind, detail) = match exit {
-            Exit::Panicked { text, at, during } => {
+            ExitReason::Panicked { text, at, during } => {
                 (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
             }
-            Exit::Returned if !over && !self.may_end.contains(object) => {
+            ExitReason::Returned if !over && !self.may_end.contains(object) => {
                 // A life that ends itself in order is finalized before its guard says how it ended.
                 (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
             }
-            Exit::Fatal if !over => {
+            ExitReason::Fatal if !over => {
                 (FaultKind::UnexpectedExit, "it could not go on, and did not say why".into())
             }
-            Exit::Aborted if !over && before != Lifecycle::Finalized => {
+            ExitReason::Aborted if !over && before != Lifecycle::Finalized => {
                 (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
             }
-            Exit::Returned | Exit::Fatal | Exit::Aborted | Exit::Stopped => return,
+            ExitReason::Returned
+            | ExitReason::Fatal
+            | ExitReason::Aborted
+            | ExitReason::Stopped => return,
         };
         let Some(next) = restarted_as else {
             self.find(scene, kind, detail, Cause::Itself);

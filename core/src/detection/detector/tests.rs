@@ -7,7 +7,7 @@ mod symptoms;
 
 use super::*;
 use crate::detection::hang::OverloadFigures;
-use crate::detection::{Exit, FaultStatus, Finding, LinkCondition, NodeCondition};
+use crate::detection::{ExitReason, FaultStatus, Finding, LinkCondition, NodeCondition};
 use crate::{ObjectAddress, Severity};
 use std::sync::Arc;
 
@@ -86,7 +86,7 @@ impl Bench {
                     said.push(format!("{turn} {}", fault.id.0));
                 }
                 DetectorOutput::HandOver { number, notice } => {
-                    let sign = if matches!(notice, Notice::Found(_)) { '+' } else { '-' };
+                    let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
                     said.push(format!("{sign}{}", notice.id().0));
                     self.detector.handle_confirmed(number, self.now);
                 }
@@ -109,7 +109,7 @@ impl Bench {
         said
     }
 
-    fn entries(&self) -> Vec<super::super::Entry> {
+    fn entries(&self) -> Vec<super::super::FaultEntry> {
         self.detector.read_record().entries
     }
 
@@ -119,12 +119,12 @@ impl Bench {
     }
 }
 
-fn exited(exit: Exit) -> Finding {
+fn exited(exit: ExitReason) -> Finding {
     Finding::Exited { exit, restarted_as: None }
 }
 
-fn panicked() -> Exit {
-    Exit::Panicked { text: "boom".into(), at: "arm.rs:7".into(), during: "Move" }
+fn panicked() -> ExitReason {
+    ExitReason::Panicked { text: "boom".into(), at: "arm.rs:7".into(), during: "Move" }
 }
 
 fn state(state: Lifecycle) -> Finding {

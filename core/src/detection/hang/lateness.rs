@@ -1,6 +1,6 @@
 //! Whether a component that works is late, from counts over time.
 
-use super::{Judged, QueueReading, SlotId, StampReading};
+use super::{ComponentSample, HangLimits, QueueReading, SlotId};
 use crate::Instant;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -88,8 +88,8 @@ impl Lateness {
     /// Counts rounds. Answers what the latest window held if that and the one before it were bad.
     pub(super) fn handle_counts(
         &mut self,
-        judged: &Judged,
-        reading: &StampReading,
+        judged: &HangLimits,
+        reading: &ComponentSample,
         (window, root): (Duration, Option<SlotId>),
         now: Instant,
     ) -> Option<Counts> {
@@ -118,7 +118,7 @@ impl Lateness {
     }
 
     /// How many rounds were due since the interval was set.
-    fn count_rounds(&mut self, reading: &StampReading, now: Instant) -> u64 {
+    fn count_rounds(&mut self, reading: &ComponentSample, now: Instant) -> u64 {
         let runs = reading.speaks && !reading.interval.is_zero();
         let same = self.rounds.is_some_and(|rounds| rounds.interval == reading.interval);
         if !runs || !same {

@@ -2,8 +2,8 @@
 
 use super::lateness::Counts;
 use super::{
-    Arbiter, Around, Component, Episode, Late, Looked, OverloadFigures, QueueReading, Scanner,
-    Sighting, Silence, SlotId, StampReading,
+    Arbiter, Around, Component, ComponentSample, Episode, HangDetector, Late, LivenessEvent,
+    Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
 use crate::Instant;
 use crate::detection::hang::occupancy::Occupancy;
@@ -44,7 +44,7 @@ impl Component {
         looked: &impl Looked,
         now: Instant,
         late: &mut Vec<Late>,
-    ) -> Option<Sighting> {
+    ) -> Option<LivenessEvent> {
         let reading = self.reading?;
         let pushed = self.judged.max_silence.filter(|_| reading.speaks);
         let pushed = pushed.map(|limit| if self.heard { limit.between } else { limit.first });
@@ -72,7 +72,7 @@ impl Component {
             return None;
         }
         self.silence = Silence::Told;
-        Some(self.says(reading, |object, incarnation| Sighting::Silent {
+        Some(self.says(reading, |object, incarnation| LivenessEvent::Silent {
             object,
             incarnation,
             silent_for,
@@ -96,7 +96,7 @@ impl Component {
         looked: &impl Looked,
         turned: bool,
         now: Instant,
-        (outputs, late): (&mut VecDeque<Sighting>, &mut Vec<Late>),
+        (outputs, late): (&mut VecDeque<LivenessEvent>, &mut Vec<Late>),
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
@@ -129,9 +129,9 @@ impl Component {
 
     fn get_stuck(
         &mut self,
-        reading: StampReading,
+        reading: ComponentSample,
         queue: QueueReading,
-        outputs: &mut VecDeque<Sighting>,
+        outputs: &mut VecDeque<LivenessEvent>,
     ) {
         if self.stuck {
             return;
@@ -140,7 +140,7 @@ impl Component {
             self.flow(reading, outputs);
         }
         self.stuck = true;
-        outputs.push_back(self.says(reading, |object, incarnation| Sighting::Stuck {
+        outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Stuck {
             object,
             incarnation,
             queue,
@@ -148,15 +148,15 @@ impl Component {
     }
 
     /// It is neither stuck nor overloaded any more.
-    fn flow(&mut self, reading: StampReading, outputs: &mut VecDeque<Sighting>) {
+    fn flow(&mut self, reading: ComponentSample, outputs: &mut VecDeque<LivenessEvent>) {
         (self.stuck, self.overload) = (false, None);
         outputs.push_back(
-            self.says(reading, |object, incarnation| Sighting::Flows { object, incarnation }),
+            self.says(reading, |object, incarnation| LivenessEvent::Flows { object, incarnation }),
         );
     }
 }
 
-impl Scanner {
+impl HangDetector {
     /// Finds the roots of those who are late, and tells each when it is new, or its victims are more.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
         let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
@@ -192,7 +192,7 @@ impl Scanner {
             }
             let name = |slot| Some(self.component(slot)?.judged.object.clone());
             let victims = victims.into_iter().filter_map(name).collect();
-            let seen = Sighting::Overloaded { object, incarnation, figures, victims };
+            let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
             self.outputs.push_back(seen);
         }
     }

@@ -20,8 +20,8 @@ mod types;
 pub mod occupancy;
 
 pub use self::types::{
-    ArbiterId, ArbiterSeen, Judged, Looked, MaxSilence, OverloadFigures, PulseReading,
-    QueueReading, ScannerConfig, Sighting, SlotId, StampReading,
+    ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig, HangLimits,
+    LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading, SlotId,
 };
 
 use self::lateness::{Episode, Late, Lateness};
@@ -58,8 +58,8 @@ struct Hang {
 
 #[derive(Debug)]
 struct Component {
-    judged: Judged,
-    reading: Option<StampReading>,
+    judged: HangLimits,
+    reading: Option<ComponentSample>,
     /// Its arbiter's beat at the last look.
     beat: u64,
     turn_since: Instant,
@@ -91,19 +91,19 @@ enum Silence {
 /// The judge. Shown pulses often and stamps less often, each time between
 /// [`handle_look`](Scanner::handle_look) and draining the outputs.
 #[derive(Debug)]
-pub struct Scanner {
-    config: ScannerConfig,
+pub struct HangDetector {
+    config: HangDetectorConfig,
     looked_at: Option<Instant>,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
     components: Vec<Option<Component>>,
-    outputs: VecDeque<Sighting>,
+    outputs: VecDeque<LivenessEvent>,
 }
 
-impl Scanner {
+impl HangDetector {
     /// A scanner that has seen nothing yet.
-    pub fn new(config: ScannerConfig) -> Self {
-        Scanner {
+    pub fn new(config: HangDetectorConfig) -> Self {
+        HangDetector {
             config,
             looked_at: None,
             arbiters: BTreeMap::new(),
@@ -113,7 +113,7 @@ impl Scanner {
     }
 
     /// This component is judged from now on.
-    pub fn handle_enter(&mut self, slot: SlotId, judged: Judged, now: Instant) {
+    pub fn handle_enter(&mut self, slot: SlotId, judged: HangLimits, now: Instant) {
         let at = slot as usize;
         if self.components.len() <= at {
             self.components.resize_with(at + 1, || None);
@@ -152,11 +152,11 @@ impl Scanner {
         for component in self.components.iter_mut().flatten() {
             component.void(now);
         }
-        self.outputs.push_back(Sighting::Stalled { gap });
+        self.outputs.push_back(LivenessEvent::Stalled { gap });
     }
 
     /// What an arbiter says.
-    pub fn handle_pulse(&mut self, id: ArbiterId, reading: PulseReading, now: Instant) {
+    pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample, now: Instant) {
         let turn = reading.stamp.map(|stamp| stamp.turn);
         let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
@@ -217,7 +217,7 @@ impl Scanner {
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
             arbiter.hang = Some(Hang { culprit: object.clone(), slot });
         }
-        self.outputs.push_back(Sighting::Hangs { slot, object, age, victims });
+        self.outputs.push_back(LivenessEvent::Hangs { slot, object, age, victims });
     }
 
     fn resume(&mut self, id: ArbiterId, hang: &Hang, now: Instant) {
@@ -232,7 +232,7 @@ impl Scanner {
         }
         let lost = self.arbiters.get(&id).is_some_and(|arbiter| arbiter.lost);
         if !lost {
-            self.outputs.push_back(Sighting::Resumed { objects });
+            self.outputs.push_back(LivenessEvent::Resumed { objects });
         }
     }
 
@@ -248,7 +248,7 @@ impl Scanner {
         });
         let Some((culprit, slot)) = known else { return };
         let victims = self.others_on(id, slot);
-        self.outputs.push_back(Sighting::Lost { arbiter: id, culprit, victims });
+        self.outputs.push_back(LivenessEvent::Lost { arbiter: id, culprit, victims });
     }
 
     fn component(&self, slot: SlotId) -> Option<&Component> {
@@ -263,10 +263,10 @@ impl Scanner {
     }
 
     /// What is known of every arbiter.
-    pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterSeen)> + '_ {
+    pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterStatus)> + '_ {
         self.arbiters.iter().map(|(id, arbiter)| {
             let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
-            (*id, ArbiterSeen { busy: arbiter.occupancy.share(), hangs })
+            (*id, ArbiterStatus { busy: arbiter.occupancy.share(), hangs })
         })
     }
 
@@ -302,7 +302,7 @@ impl Scanner {
 
     /// Looks at all components.
     pub fn handle_stamps(&mut self, now: Instant, looked: &impl Looked) {
-        let Scanner { config, arbiters, components, outputs, .. } = self;
+        let HangDetector { config, arbiters, components, outputs, .. } = self;
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         for (slot, place) in (0..).zip(components) {
             let Some(component) = place else { continue };
@@ -320,7 +320,7 @@ impl Scanner {
 struct Around<'a> {
     slot: SlotId,
     arbiter: Option<&'a Arbiter>,
-    config: &'a ScannerConfig,
+    config: &'a HangDetectorConfig,
 }
 
 impl Around<'_> {
@@ -346,7 +346,7 @@ impl Around<'_> {
 }
 
 impl Component {
-    fn new(judged: Judged, now: Instant) -> Self {
+    fn new(judged: HangLimits, now: Instant) -> Self {
         Component {
             judged,
             reading: None,
@@ -378,7 +378,11 @@ impl Component {
         around: &Around<'_>,
         looked: &impl Looked,
         now: Instant,
-        (outputs, late, silent): (&mut VecDeque<Sighting>, &mut Vec<Late>, &mut Vec<Sighting>),
+        (outputs, late, silent): (
+            &mut VecDeque<LivenessEvent>,
+            &mut Vec<Late>,
+            &mut Vec<LivenessEvent>,
+        ),
     ) {
         let reading = looked.stamp(around.slot);
         let before = self.reading.replace(reading);
@@ -407,12 +411,10 @@ impl Component {
             }
             if self.silence != Silence::No && (signs || answers) {
                 self.silence = Silence::No;
-                outputs.push_back(
-                    self.says(reading, |object, incarnation| Sighting::Spoke {
-                        object,
-                        incarnation,
-                    }),
-                );
+                outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Spoke {
+                    object,
+                    incarnation,
+                }));
             }
         }
         if around.runs() && !turned && around.stands(now) {
@@ -426,7 +428,7 @@ impl Component {
         if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
             self.waits = true;
             let slot = around.slot;
-            outputs.push_back(self.says(reading, |object, incarnation| Sighting::Waits {
+            outputs.push_back(self.says(reading, |object, incarnation| LivenessEvent::Waits {
                 slot,
                 object,
                 incarnation,
@@ -440,17 +442,17 @@ impl Component {
 
     fn says(
         &self,
-        reading: StampReading,
-        what: impl FnOnce(ObjectName, crate::Incarnation) -> Sighting,
-    ) -> Sighting {
+        reading: ComponentSample,
+        what: impl FnOnce(ObjectName, crate::Incarnation) -> LivenessEvent,
+    ) -> LivenessEvent {
         what(self.judged.object.clone(), reading.incarnation)
     }
 }
 
-impl Machine for Scanner {
-    type Output = Sighting;
+impl Machine for HangDetector {
+    type Output = LivenessEvent;
 
-    fn poll_output(&mut self) -> Option<Sighting> {
+    fn poll_output(&mut self) -> Option<LivenessEvent> {
         self.outputs.pop_front()
     }
 

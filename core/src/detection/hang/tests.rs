@@ -17,8 +17,8 @@ fn ms(millis: u64) -> Duration {
     Duration::from_millis(millis)
 }
 
-fn judged(object: &str) -> Judged {
-    Judged {
+fn judged(object: &str) -> HangLimits {
+    HangLimits {
         object: name(object),
         arbiter: HOME,
         max_block: ms(500),
@@ -32,21 +32,21 @@ fn judged(object: &str) -> Judged {
 
 /// A scanner with a culprit in slot 0 and a victim in slot 2, and the world that it looks at.
 struct World {
-    scanner: Scanner,
+    scanner: HangDetector,
     now: u64,
-    pulse: PulseReading,
+    pulse: ArbiterSample,
     eyes: Eyes,
     /// Stamps are looked at with every so many pulses.
     every: u64,
 }
 
 struct Eyes {
-    stamps: [StampReading; 3],
+    stamps: [ComponentSample; 3],
     queues: [QueueReading; 3],
 }
 
 impl Looked for Eyes {
-    fn stamp(&self, slot: SlotId) -> StampReading {
+    fn stamp(&self, slot: SlotId) -> ComponentSample {
         self.stamps[slot as usize]
     }
 
@@ -57,10 +57,10 @@ impl Looked for Eyes {
 
 impl World {
     fn new() -> Self {
-        let mut scanner = Scanner::new(ScannerConfig::default());
+        let mut scanner = HangDetector::new(HangDetectorConfig::default());
         scanner.handle_enter(0, judged("culprit"), at(0));
         scanner.handle_enter(2, judged("victim"), at(0));
-        let stamp = StampReading {
+        let stamp = ComponentSample {
             turn: 0,
             alive: 0,
             incarnation: Incarnation(1),
@@ -70,13 +70,13 @@ impl World {
             interval: Duration::ZERO,
             expired: 0,
         };
-        let pulse = PulseReading { beat: 0, running: None, stamp: None, fenced: false };
+        let pulse = ArbiterSample { beat: 0, running: None, stamp: None, fenced: false };
         let queues = [QueueReading::default(); 3];
         World { scanner, now: 0, pulse, eyes: Eyes { stamps: [stamp; 3], queues }, every: 1 }
     }
 
     /// Time passes; the arbiter beats or stands.
-    fn pass(&mut self, millis: u64, beats: bool) -> Vec<Sighting> {
+    fn pass(&mut self, millis: u64, beats: bool) -> Vec<LivenessEvent> {
         let mut seen = Vec::new();
         for _ in 0..millis / 10 {
             self.now += 10;
@@ -86,13 +86,13 @@ impl World {
         seen
     }
 
-    fn look(&mut self) -> Vec<Sighting> {
+    fn look(&mut self) -> Vec<LivenessEvent> {
         let now = at(self.now);
         self.scanner.handle_look(now);
         // As the watch does: the culprit's stamp is read with the pulse.
         let read = |slot: SlotId| self.eyes.stamps.get(slot as usize).copied();
         let stamp = self.pulse.running.filter(|slot| self.scanner.component(*slot).is_some());
-        let pulse = PulseReading { stamp: stamp.and_then(read), ..self.pulse };
+        let pulse = ArbiterSample { stamp: stamp.and_then(read), ..self.pulse };
         self.scanner.handle_pulse(HOME, pulse, now);
         if (self.now / 10).is_multiple_of(self.every) {
             self.scanner.handle_stamps(now, &self.eyes);
@@ -119,7 +119,7 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
 
     let victims = vec![name("victim")];
     let object = name("culprit");
-    assert_eq!(seen, [Sighting::Hangs { slot: 0, object, age: ms(500), victims }]);
+    assert_eq!(seen, [LivenessEvent::Hangs { slot: 0, object, age: ms(500), victims }]);
     assert_eq!(world.scanner.poll_timeout(), None);
     world.scanner.handle_timeout(at(3000));
     assert_eq!(world.scanner.poll_output(), None);
@@ -153,7 +153,7 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 
     assert_eq!(world.pass(2000, false), []);
 
-    assert!(matches!(world.pass(20, false)[..], [Sighting::Hangs { .. }]));
+    assert!(matches!(world.pass(20, false)[..], [LivenessEvent::Hangs { .. }]));
 }
 
 #[test]
@@ -169,7 +169,7 @@ fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short
     world.pulse.running = Some(0);
 
     assert_eq!(world.pass(1990, false), []);
-    assert!(matches!(world.pass(20, false)[..], [Sighting::Hangs { .. }]));
+    assert!(matches!(world.pass(20, false)[..], [LivenessEvent::Hangs { .. }]));
 }
 
 #[test]
@@ -182,7 +182,7 @@ fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
     world.eyes.stamps[0].allowance = Duration::ZERO;
 
     assert_eq!(world.pass(490, false), []);
-    assert!(matches!(world.pass(30, false)[..], [Sighting::Hangs { .. }]));
+    assert!(matches!(world.pass(30, false)[..], [LivenessEvent::Hangs { .. }]));
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
     let seen = world.pass(1000, false);
 
     let (culprit, victims) = (name("culprit"), vec![name("victim")]);
-    assert_eq!(seen, [Sighting::Lost { arbiter: HOME, culprit, victims }]);
+    assert_eq!(seen, [LivenessEvent::Lost { arbiter: HOME, culprit, victims }]);
 }
 
 #[test]
@@ -207,18 +207,19 @@ fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() 
     world.pulse.running = Some(0);
     let seen = world.pass(1000, false);
     let (object, incarnation) = (name("victim"), Incarnation(1));
-    let silent = |silent_for| Sighting::Silent { object: object.clone(), incarnation, silent_for };
-    let [Sighting::Hangs { slot: 0, .. }, after] = &seen[..] else { panic!("{seen:?}") };
+    let silent =
+        |silent_for| LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
+    let [LivenessEvent::Hangs { slot: 0, .. }, after] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!(*after, silent(ms(600)));
 
     world.pulse.running = None;
     let seen = world.pass(500, true);
 
     let objects = vec![name("victim"), name("culprit")];
-    assert_eq!(seen, [Sighting::Resumed { objects }]);
+    assert_eq!(seen, [LivenessEvent::Resumed { objects }]);
     assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
     world.eyes.stamps[2].alive += 1;
-    let spoke = Sighting::Spoke { object: object.clone(), incarnation };
+    let spoke = LivenessEvent::Spoke { object: object.clone(), incarnation };
     assert_eq!(world.pass(100, true), [spoke], "once");
 }
 
@@ -233,7 +234,7 @@ fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
     let seen = world.pass(1000, false);
 
     let (culprit, victims) = (name("culprit"), vec![name("victim")]);
-    assert_eq!(seen, [Sighting::Lost { arbiter: HOME, culprit, victims }]);
+    assert_eq!(seen, [LivenessEvent::Lost { arbiter: HOME, culprit, victims }]);
     assert_eq!(world.pass(100, true), [], "what comes back now comes too late");
     world.scanner.handle_gone(HOME);
     assert_eq!(world.pass(100, true), []);
@@ -251,7 +252,7 @@ fn a_fence_that_is_lifted_in_time_loses_nothing() {
     world.pulse.fenced = false;
     let seen = world.pass(1000, true);
 
-    assert_eq!(seen, [Sighting::Resumed { objects: vec![name("victim")] }]);
+    assert_eq!(seen, [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
 }
 
 #[test]
@@ -263,7 +264,7 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let seen = world.pass(3000, true);
 
     let (object, incarnation) = (name("victim"), Incarnation(1));
-    let waits = Sighting::Waits { slot: 2, object, incarnation, age: ms(1000) };
+    let waits = LivenessEvent::Waits { slot: 2, object, incarnation, age: ms(1000) };
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
@@ -306,11 +307,11 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let seen = world.pass(1000, true);
     let (object, incarnation) = (name("culprit"), Incarnation(1));
     let silent_for = ms(300);
-    let silent = Sighting::Silent { object: object.clone(), incarnation, silent_for };
+    let silent = LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
     assert_eq!(seen, [silent]);
 
     world.eyes.stamps[0].alive += 1;
-    assert_eq!(world.pass(100, true), [Sighting::Spoke { object, incarnation }]);
+    assert_eq!(world.pass(100, true), [LivenessEvent::Spoke { object, incarnation }]);
 }
 
 #[test]
@@ -351,7 +352,7 @@ fn what_the_scanner_missed_condemns_nobody() {
     world.now += 60_000;
     let seen = world.look();
 
-    assert_eq!(seen, [Sighting::Stalled { gap: ms(60_000) }]);
+    assert_eq!(seen, [LivenessEvent::Stalled { gap: ms(60_000) }]);
     assert_eq!(world.pass(190, false), []);
 }
 
@@ -363,7 +364,7 @@ fn a_stall_of_the_scanner_does_not_end_a_hang() {
 
     world.now += 60_000;
 
-    assert_eq!(world.look(), [Sighting::Stalled { gap: ms(60_000) }]);
+    assert_eq!(world.look(), [LivenessEvent::Stalled { gap: ms(60_000) }]);
     assert_eq!(world.pass(1000, false), [], "it was named before");
 }
 

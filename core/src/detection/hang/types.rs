@@ -10,7 +10,7 @@ pub type SlotId = u32;
 
 /// When the scanner believes what it sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ScannerConfig {
+pub struct HangDetectorConfig {
     /// How long a fenced arbiter may take to come back before its components are re-created
     /// elsewhere. Longer spares more restarts; the victims stand still meanwhile.
     pub grace: Duration,
@@ -31,9 +31,9 @@ pub struct ScannerConfig {
     pub window: Duration,
 }
 
-impl Default for ScannerConfig {
+impl Default for HangDetectorConfig {
     fn default() -> Self {
-        ScannerConfig {
+        HangDetectorConfig {
             grace: Duration::from_millis(200),
             gap: Duration::from_millis(100),
             standstill: Duration::from_millis(50),
@@ -46,7 +46,7 @@ impl Default for ScannerConfig {
 
 /// How one component is judged.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Judged {
+pub struct HangLimits {
     /// Who.
     pub object: ObjectName,
     /// The arbiter that it lives on.
@@ -77,21 +77,21 @@ pub struct MaxSilence {
 
 /// What an arbiter says about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PulseReading {
+pub struct ArbiterSample {
     /// Counts up while the event loop turns.
     pub beat: u64,
     /// The component that is on the thread.
     pub running: Option<SlotId>,
     /// What that component says, read at the same time; `None` where it is no longer judged. An
     /// allowance that its handler has just announced counts from the next pulse on.
-    pub stamp: Option<StampReading>,
+    pub stamp: Option<ComponentSample>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
 }
 
 /// What a component says about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct StampReading {
+pub struct ComponentSample {
     /// Odd while something is in service.
     pub turn: u64,
     /// Signs of life.
@@ -122,7 +122,7 @@ pub struct QueueReading {
 /// What a scanner looks at.
 pub trait Looked {
     /// What the component of a slot says.
-    fn stamp(&self, slot: SlotId) -> StampReading;
+    fn stamp(&self, slot: SlotId) -> ComponentSample;
     /// How its queue is. Asked only where something may wait.
     fn queue(&self, slot: SlotId) -> QueueReading;
 }
@@ -146,7 +146,7 @@ pub struct OverloadFigures {
 
 /// What the scanner has seen.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Sighting {
+pub enum LivenessEvent {
     /// A handler keeps its arbiter.
     Hangs {
         /// The culprit's place.
@@ -236,7 +236,7 @@ pub enum Sighting {
 
 /// What is known of an arbiter, for people.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ArbiterSeen {
+pub struct ArbiterStatus {
     /// The share of the latest looks that found a component on its thread; `None` before the first.
     pub busy: Option<f32>,
     /// Whose handler keeps it for longer than it may, and since when, at least.

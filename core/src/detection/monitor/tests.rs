@@ -1,7 +1,7 @@
 //! A table of one or two objects, and every input in every state of theirs.
 
 use super::*;
-use crate::detection::Current;
+use crate::detection::CurrentHandler;
 use crate::detection::hang::OverloadFigures;
 use proptest::prelude::*;
 use std::time::Duration;
@@ -27,9 +27,9 @@ fn monitor() -> Monitor {
     Monitor::new(node("m"), MonitorLimits::default(), at(0))
 }
 
-fn watched(watch: Watch) -> Monitor {
+fn watched(watch: Liveness) -> Monitor {
     let mut monitor = monitor();
-    let enrolment = Enrolment::new(object("laser")).watch(watch).incarnation(TWO);
+    let enrolment = Registration::new(object("laser")).watch(watch).incarnation(TWO);
     monitor.enrol(enrolment, at(0)).expect("there is room");
     seen(&mut monitor, 0);
     monitor
@@ -71,21 +71,21 @@ fn run(monitor: &mut Monitor, until: u64) -> Vec<(u64, String)> {
     }
 }
 
-fn row(monitor: &Monitor, name: &str, now: u64) -> Row {
-    let is_it = |row: &Row| row.place.to_string() == name;
+fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
+    let is_it = |row: &MonitorRow| row.place.to_string() == name;
     monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
 }
 
-fn panicked() -> Exit {
-    Exit::Panicked { text: "boom".into(), at: "laser.rs:1".into(), during: "Scan" }
+fn panicked() -> ExitReason {
+    ExitReason::Panicked { text: "boom".into(), at: "laser.rs:1".into(), during: "Scan" }
 }
 
 #[test]
 fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
-    let watch = Watch::pull(TENTH, TENTH);
+    let watch = Liveness::pull(TENTH, TENTH);
     let mut monitor = monitor();
     let laser = object("laser");
-    let enrolment = Enrolment::new(laser.clone()).incarnation(Incarnation::default());
+    let enrolment = Registration::new(laser.clone()).incarnation(Incarnation::default());
     monitor.enrol(enrolment.watch(watch), at(0)).unwrap();
     while monitor.poll_output().is_some() {}
 
@@ -99,7 +99,7 @@ fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
 
 #[test]
 fn silence_is_observed_and_so_is_its_end() {
-    let mut monitor = watched(Watch::push(TENTH, 3));
+    let mut monitor = watched(Liveness::push(TENTH, 3));
     monitor.handle_silent(&object("laser"), TWO, TENTH, at(360));
 
     assert_eq!(seen(&mut monitor, 360), ["m:laser Silent"]);
@@ -111,13 +111,13 @@ fn silence_is_observed_and_so_is_its_end() {
     assert_eq!(row(&monitor, "m:laser", 3001).opinion, Opinion::Trusted);
 }
 
-fn answer(life: Incarnation, state: Lifecycle) -> Progress {
-    Progress { incarnation: life, state }
+fn answer(life: Incarnation, state: Lifecycle) -> WorkProgress {
+    WorkProgress { incarnation: life, state }
 }
 
 #[test]
 fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH / 2));
+    let mut monitor = watched(Liveness::pull(TENTH, TENTH / 2));
     for question in [0, 100, 200] {
         let told = run(&mut monitor, question + 60);
         assert!(told.iter().all(|(_, text)| text == "ask laser" || text.ends_with("State")));
@@ -133,7 +133,7 @@ fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
 
 #[test]
 fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
-    let mut monitor = watched(Watch::Guard);
+    let mut monitor = watched(Liveness::Guard);
     let (laser, figures) = (object("laser"), OverloadFigures::default());
     monitor.handle_overloaded(&laser, TWO, figures, [object("map")].into(), at(1));
     monitor.handle_overloaded(&laser, ONE, figures, [].into(), at(2));
@@ -146,7 +146,7 @@ fn an_overload_is_observed_with_its_victims_and_condemns_nobody() {
 
 #[test]
 fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
     let mut says = |state, now| {
         monitor.handle_alive(&object("laser"), answer(TWO, state), at(now));
         seen(&mut monitor, now)
@@ -166,7 +166,7 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
 
 #[test]
 fn whoever_is_asked_and_answers_nothing_is_silent() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
     let mut told = Vec::new();
     for turn in 0..=20 {
         told.extend(run(&mut monitor, turn * 100));
@@ -218,7 +218,7 @@ fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
     match input {
         "alive" => monitor.handle_alive(&laser, answer(life, Lifecycle::Active), now),
         "died" => monitor.handle_exited(&laser, life, panicked(), None, now),
-        "stopped" => monitor.handle_exited(&laser, life, Exit::Stopped, None, now),
+        "stopped" => monitor.handle_exited(&laser, life, ExitReason::Stopped, None, now),
         "state" => monitor.handle_state(&laser, life, Lifecycle::Active, None, now),
         "declared" => {
             monitor.handle_declared(&laser, life, FaultKind::CheckFailed, "1".into(), now);
@@ -231,14 +231,14 @@ fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
 }
 
 fn in_state(state: State) -> Monitor {
-    let mut monitor = watched(Watch::Guard);
+    let mut monitor = watched(Liveness::Guard);
     let laser = object("laser");
     match state {
         State::Going => {}
         State::Finalized => {
             monitor.handle_state(&laser, TWO, Lifecycle::Finalized, None, at(0));
         }
-        State::Stopped => monitor.handle_exited(&laser, TWO, Exit::Stopped, None, at(0)),
+        State::Stopped => monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(0)),
         State::Died => monitor.handle_exited(&laser, TWO, panicked(), None, at(0)),
     }
     seen(&mut monitor, 0);
@@ -308,7 +308,7 @@ fn whatever_a_newer_life_says_begins_a_new_history() {
 
 #[test]
 fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
-    let mut monitor = watched(Watch::Guard);
+    let mut monitor = watched(Liveness::Guard);
 
     monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
 
@@ -322,10 +322,10 @@ fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
 fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
     for (exit, state, opinion) in [
         (panicked(), Lifecycle::Fatal, Opinion::Failed),
-        (Exit::Aborted, Lifecycle::Fatal, Opinion::Failed),
-        (Exit::Stopped, Lifecycle::Finalized, Opinion::AtRest),
+        (ExitReason::Aborted, Lifecycle::Fatal, Opinion::Failed),
+        (ExitReason::Stopped, Lifecycle::Finalized, Opinion::AtRest),
     ] {
-        let mut monitor = watched(Watch::Guard);
+        let mut monitor = watched(Liveness::Guard);
         monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));
 
         monitor.handle_exited(&object("laser"), TWO, exit, None, at(1));
@@ -337,7 +337,7 @@ fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
 
 #[test]
 fn a_note_goes_when_its_cause_goes_and_no_earlier() {
-    let mut monitor = watched(Watch::Guard);
+    let mut monitor = watched(Liveness::Guard);
     let laser = object("laser");
     let note = |monitor: &Monitor| row(monitor, "m:laser", 9).note;
     let state = |monitor: &mut Monitor, state, reason: Option<&str>| {
@@ -362,8 +362,8 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
 
 #[test]
 fn a_hang_makes_its_victims_suspect_and_is_observed_once() {
-    let mut monitor = watched(Watch::Guard);
-    monitor.enrol(Enrolment::new(object("map")), at(0)).expect("there is room");
+    let mut monitor = watched(Liveness::Guard);
+    monitor.enrol(Registration::new(object("map")), at(0)).expect("there is room");
     seen(&mut monitor, 0);
     let victims: Arc<[ObjectName]> = [object("laser"), object("map"), object("ghost")].into();
 
@@ -372,7 +372,7 @@ fn a_hang_makes_its_victims_suspect_and_is_observed_once() {
         monitor.handle_hangs(&laser, TWO, "Scan", age, victims.clone(), at(now));
     }
     assert_eq!(seen(&mut monitor, 600), ["m:laser Hangs"]);
-    let current = Current { during: "Scan", age: Duration::from_millis(600) };
+    let current = CurrentHandler { during: "Scan", age: Duration::from_millis(600) };
     assert_eq!(row(&monitor, "m:laser", 600).current, Some(current));
     assert_eq!(row(&monitor, "m:laser", 600).opinion, Opinion::Failed);
     assert_eq!(row(&monitor, "m:map", 600).opinion, Opinion::Suspect);
@@ -391,7 +391,7 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
     let mut monitor = monitor();
 
     monitor.handle_exited(&object("a"), ONE, panicked(), None, at(0));
-    monitor.handle_exited(&object("b"), ONE, Exit::Stopped, None, at(0));
+    monitor.handle_exited(&object("b"), ONE, ExitReason::Stopped, None, at(0));
     monitor.handle_state(&object("c"), ONE, Lifecycle::Finalized, None, at(0));
 
     assert_eq!(seen(&mut monitor, 0), ["m:a Exited"]);
@@ -419,9 +419,9 @@ fn a_node_that_begins_anew_with_a_smaller_number_is_seen_in_its_new_life() {
 fn a_full_table_refuses_and_counts() {
     let limits = MonitorLimits { rows: 1, ..MonitorLimits::default() };
     let mut monitor = Monitor::new(node("m"), limits, at(0));
-    monitor.enrol(Enrolment::new(object("a")), at(0)).expect("there is room");
+    monitor.enrol(Registration::new(object("a")), at(0)).expect("there is room");
 
-    let refused = monitor.enrol(Enrolment::new(object("b")), at(0));
+    let refused = monitor.enrol(Registration::new(object("b")), at(0));
     monitor.handle_exited(&object("c"), ONE, panicked(), None, at(0));
     monitor.handle_link(node("m"), "eth".into(), None, LinkCondition::Up, at(0));
     monitor.handle_node(node("n"), ONE, NodeCondition::Reachable, at(0));
@@ -429,12 +429,12 @@ fn a_full_table_refuses_and_counts() {
     let text = refused.unwrap_err().to_string();
     assert_eq!(text, "b is not watched: the monitor's table already has 1 rows");
     assert_eq!((monitor.refused(), monitor.read_table(at(0)).len()), (3, 1));
-    monitor.enrol(Enrolment::new(object("a")), at(0)).expect("it has its row already");
+    monitor.enrol(Registration::new(object("a")), at(0)).expect("it has its row already");
 }
 
 #[test]
 fn whoever_is_dismissed_is_forgotten() {
-    let mut monitor = watched(Watch::push(TENTH, 3));
+    let mut monitor = watched(Liveness::push(TENTH, 3));
 
     monitor.dismiss(&object("laser"), at(10));
     monitor.dismiss(&object("laser"), at(10));
@@ -446,7 +446,7 @@ fn whoever_is_dismissed_is_forgotten() {
 
 #[test]
 fn isolation_is_shown_and_outlives_a_restart() {
-    let mut monitor = watched(Watch::Guard);
+    let mut monitor = watched(Liveness::Guard);
 
     monitor.handle_isolation(&object("laser"), true);
     monitor.handle_state(&object("laser"), THREE, Lifecycle::Created, None, at(0));
@@ -456,7 +456,7 @@ fn isolation_is_shown_and_outlives_a_restart() {
 
 #[test]
 fn a_stall_of_the_monitor_itself_condemns_nobody() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
     run(&mut monitor, 0);
 
     monitor.handle_stall(Duration::from_secs(60), at(60_000));
@@ -470,7 +470,7 @@ fn a_stall_of_the_monitor_itself_condemns_nobody() {
 
 #[test]
 fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confirmed() {
-    let mut monitor = watched(Watch::pull(TENTH, TENTH));
+    let mut monitor = watched(Liveness::pull(TENTH, TENTH));
     run(&mut monitor, 0);
     monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
     assert!(matches!(monitor.poll_output(), Some(MonitorOutput::Observe { .. })));
@@ -489,7 +489,7 @@ proptest! {
     fn an_object_that_answers_in_time_is_never_silent(
         inputs in prop::collection::vec((0..INPUTS.len(), 1..4u64, 0..100u64), 0..100)
     ) {
-        let mut monitor = watched(Watch::pull(TENTH, TENTH));
+        let mut monitor = watched(Liveness::pull(TENTH, TENTH));
         let mut now = at(0);
         for (input, life, wait) in inputs {
             // An outsider's word that it is silent is believed; it is not what is tested here.

@@ -63,7 +63,7 @@ impl Default for Addressing {
 
 /// What an identifier says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Parties {
+pub struct AddressInfo {
     /// Who speaks.
     pub source: BusAddress,
     /// To whom, or [`BusAddress::ALL`].
@@ -80,8 +80,8 @@ impl Addressing {
     }
 
     /// The identifier; `None` for an address that no node can have here.
-    pub fn id(self, parties: Parties) -> Option<CanId> {
-        let Parties { source, target } = parties;
+    pub fn id(self, parties: AddressInfo) -> Option<CanId> {
+        let AddressInfo { source, target } = parties;
         let to_all = target == BusAddress::ALL;
         if !self.names(source) || !to_all && !self.names(target) {
             return None;
@@ -101,7 +101,7 @@ impl Addressing {
 
     /// Who speaks to whom; `None` for an identifier that other things on the bus use. The priority is
     /// the speaker's business.
-    pub fn parties(self, id: CanId) -> Option<Parties> {
+    pub fn parties(self, id: CanId) -> Option<AddressInfo> {
         let number = id.number();
         let (to_all, target, source) = match (self, id) {
             (Addressing::Extended { .. }, CanId::Extended(_)) => {
@@ -123,7 +123,7 @@ impl Addressing {
         };
         let source = BusAddress(source as u8);
         let target = if to_all { BusAddress::ALL } else { BusAddress(target as u8) };
-        self.names(source).then_some(Parties { source, target })
+        self.names(source).then_some(AddressInfo { source, target })
     }
 }
 
@@ -131,13 +131,13 @@ impl Addressing {
 mod tests {
     use super::*;
 
-    fn parties(source: u8, target: u8) -> Parties {
-        Parties { source: BusAddress(source), target: BusAddress(target) }
+    fn parties(source: u8, target: u8) -> AddressInfo {
+        AddressInfo { source: BusAddress(source), target: BusAddress(target) }
     }
 
     #[test]
     fn the_identifiers_are_these_for_ever_and_are_read_back() {
-        let check = |addressing: Addressing, who: Parties, expected: u32| {
+        let check = |addressing: Addressing, who: AddressInfo, expected: u32| {
             let id = addressing.id(who).unwrap();
             assert_eq!(id.number(), expected, "{who:?}");
             assert_eq!(addressing.parties(id), Some(who));

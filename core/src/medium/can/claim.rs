@@ -36,7 +36,7 @@ const FORM: u8 = 1;
 
 /// Who wants an address, or has it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Claim {
+pub struct AddressClaimed {
     /// It has held the address for a while.
     pub held: bool,
     /// Drawn anew by each who claims, so that two of one name are told apart, and an echo from another.
@@ -45,10 +45,10 @@ pub struct Claim {
     pub name: String,
 }
 
-impl Claim {
+impl AddressClaimed {
     /// Whether it goes before another.
-    fn precedes(&self, other: &Claim) -> bool {
-        let rank = |claim: &Claim| (!claim.held, claim.name.clone(), claim.number);
+    fn precedes(&self, other: &AddressClaimed) -> bool {
+        let rank = |claim: &AddressClaimed| (!claim.held, claim.name.clone(), claim.number);
         rank(self) < rank(other)
     }
 
@@ -68,7 +68,7 @@ impl Claim {
         let (number, name) = rest.split_first_chunk()?;
         let name = std::str::from_utf8(name).ok().filter(|name| name.len() <= NAME_MAX)?;
         let is_text = !name.chars().any(char::is_control);
-        is_text.then(|| Claim {
+        is_text.then(|| AddressClaimed {
             held: held == 1,
             number: u32::from_be_bytes(*number),
             name: name.to_owned(),
@@ -77,7 +77,7 @@ impl Claim {
 }
 
 /// As an error names it.
-impl fmt::Display for Claim {
+impl fmt::Display for AddressClaimed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.name.as_str() {
             "" => write!(f, "a node without a name"),
@@ -88,34 +88,34 @@ impl fmt::Display for Claim {
 
 /// What an [`AddressClaim`] wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ClaimOutput {
+pub enum AddressClaimOutput {
     /// Send this to all under the address.
-    Say(Claim),
+    Say(AddressClaimed),
     /// The address is ours: others may hear us now.
     Held,
     /// Another wanted it, and is to fall silent. It is told once for each.
     Kept {
         /// Who.
-        from: Claim,
+        from: AddressClaimed,
     },
     /// Another has it: be silent.
     Lost {
         /// Who.
-        to: Claim,
+        to: AddressClaimed,
     },
 }
 
 /// The machine of one node's claim to its address.
 #[derive(Debug)]
 pub struct AddressClaim {
-    own: Claim,
+    own: AddressClaimed,
     state: State,
     said: Instant,
     /// It is to be said again, when the pause is over.
     owed: bool,
     /// The name of the one it was kept from last, and when he was heard last.
     rival: Option<(String, Instant)>,
-    outputs: VecDeque<ClaimOutput>,
+    outputs: VecDeque<AddressClaimOutput>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,21 +130,21 @@ impl AddressClaim {
     pub fn new(name: &str, number: u32, now: Instant) -> Self {
         let end = (0..=NAME_MAX.min(name.len())).rev().find(|end| name.is_char_boundary(*end));
         let name = name[..end.unwrap_or(0)].to_owned();
-        let own = Claim { held: false, number, name };
-        let outputs = VecDeque::from([ClaimOutput::Say(own.clone())]);
+        let own = AddressClaimed { held: false, number, name };
+        let outputs = VecDeque::from([AddressClaimOutput::Say(own.clone())]);
         let state = State::Claiming { until: now + PATIENCE };
         AddressClaim { own, state, said: now, owed: false, rival: None, outputs }
     }
 
     /// Somebody claims the address.
-    pub fn handle_claim(&mut self, claim: Claim, now: Instant) {
+    pub fn handle_claim(&mut self, claim: AddressClaimed, now: Instant) {
         let is_echo = (claim.number, &claim.name) == (self.own.number, &self.own.name);
         if is_echo || self.state == State::Lost {
             return;
         }
         if claim.precedes(&self.own) {
             self.state = State::Lost;
-            self.outputs.push_back(ClaimOutput::Lost { to: claim });
+            self.outputs.push_back(AddressClaimOutput::Lost { to: claim });
             return;
         }
         self.object(now);
@@ -155,7 +155,7 @@ impl AddressClaim {
             .is_some_and(|(name, heard)| name == claim.name && now - heard < MEMORY);
         self.rival = Some((claim.name.clone(), now));
         if !known {
-            self.outputs.push_back(ClaimOutput::Kept { from: claim });
+            self.outputs.push_back(AddressClaimOutput::Kept { from: claim });
         }
     }
 
@@ -170,15 +170,15 @@ impl AddressClaim {
         self.owed = now - self.said < PAUSE;
         if !self.owed {
             self.said = now;
-            self.outputs.push_back(ClaimOutput::Say(self.own.clone()));
+            self.outputs.push_back(AddressClaimOutput::Say(self.own.clone()));
         }
     }
 }
 
 impl Machine for AddressClaim {
-    type Output = ClaimOutput;
+    type Output = AddressClaimOutput;
 
-    fn poll_output(&mut self) -> Option<ClaimOutput> {
+    fn poll_output(&mut self) -> Option<AddressClaimOutput> {
         self.outputs.pop_front()
     }
 
@@ -197,7 +197,7 @@ impl Machine for AddressClaim {
             && until <= now
         {
             (self.state, self.own.held) = (State::Held, true);
-            self.outputs.push_back(ClaimOutput::Held);
+            self.outputs.push_back(AddressClaimOutput::Held);
         }
         if self.owed && self.state != State::Lost {
             self.object(now);
@@ -213,18 +213,18 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn claim(held: bool, name: &str, number: u32) -> Claim {
-        Claim { held, number, name: name.into() }
+    fn claim(held: bool, name: &str, number: u32) -> AddressClaimed {
+        AddressClaimed { held, number, name: name.into() }
     }
 
-    fn outputs(machine: &mut AddressClaim) -> Vec<ClaimOutput> {
+    fn outputs(machine: &mut AddressClaim) -> Vec<AddressClaimOutput> {
         std::iter::from_fn(|| machine.poll_output()).collect()
     }
 
     /// One that has said its claim at 0 ms, and one that has held the address since.
     fn claiming() -> AddressClaim {
         let mut machine = AddressClaim::new("m", 5, at(0));
-        assert_eq!(outputs(&mut machine), [ClaimOutput::Say(claim(false, "m", 5))]);
+        assert_eq!(outputs(&mut machine), [AddressClaimOutput::Say(claim(false, "m", 5))]);
         machine
     }
 
@@ -233,20 +233,20 @@ mod tests {
         machine.handle_timeout(at(249));
         assert_eq!(outputs(&mut machine), []);
         machine.handle_timeout(at(250));
-        assert_eq!(outputs(&mut machine), [ClaimOutput::Held]);
+        assert_eq!(outputs(&mut machine), [AddressClaimOutput::Held]);
         machine
     }
 
     #[test]
     fn who_has_held_it_goes_first_then_the_lesser_name_then_the_lesser_number() {
-        let check = |mut machine: AddressClaim, other: Claim, lost: bool| {
+        let check = |mut machine: AddressClaim, other: AddressClaimed, lost: bool| {
             let now = at(1_000);
             machine.handle_claim(other.clone(), now);
             let own = machine.own.clone();
             let expected = if lost {
-                vec![ClaimOutput::Lost { to: other }]
+                vec![AddressClaimOutput::Lost { to: other }]
             } else {
-                vec![ClaimOutput::Say(own), ClaimOutput::Kept { from: other }]
+                vec![AddressClaimOutput::Say(own), AddressClaimOutput::Kept { from: other }]
             };
             assert_eq!(outputs(&mut machine), expected);
         };
@@ -271,7 +271,7 @@ mod tests {
                     nodes[from].handle_timeout(at(millis));
                     for output in outputs(&mut nodes[from]) {
                         match output {
-                            ClaimOutput::Say(claim) => {
+                            AddressClaimOutput::Say(claim) => {
                                 nodes[1 - from].handle_claim(claim, at(millis))
                             }
                             other => told[from].push(other),
@@ -282,9 +282,9 @@ mod tests {
 
             let [first, second] = told;
             assert!(
-                matches!(&first[..], [ClaimOutput::Kept { from }, ClaimOutput::Held] if from.name == b)
+                matches!(&first[..], [AddressClaimOutput::Kept { from }, AddressClaimOutput::Held] if from.name == b)
             );
-            assert!(matches!(&second[..], [ClaimOutput::Lost { to }] if to.name == a));
+            assert!(matches!(&second[..], [AddressClaimOutput::Lost { to }] if to.name == a));
         }
     }
 
@@ -303,7 +303,7 @@ mod tests {
 
         (300..3_300).for_each(|millis| machine.handle_intruder(at(millis)));
 
-        let say = ClaimOutput::Say(claim(true, "m", 5));
+        let say = AddressClaimOutput::Say(claim(true, "m", 5));
         assert_eq!(outputs(&mut machine), [say.clone(), say.clone(), say]);
     }
 
@@ -315,14 +315,15 @@ mod tests {
             machine.handle_claim(claim(false, "z", 1), at(millis));
             machine.handle_timeout(at(millis));
             let told = outputs(&mut machine);
-            said += told.iter().filter(|output| matches!(output, ClaimOutput::Say(_))).count();
+            said +=
+                told.iter().filter(|output| matches!(output, AddressClaimOutput::Say(_))).count();
         }
         assert_eq!(said, 20);
         assert_eq!(machine.poll_timeout(), Some(at(2_000)));
 
         machine.handle_timeout(at(2_000));
 
-        assert_eq!(outputs(&mut machine), [ClaimOutput::Say(claim(true, "m", 5))]);
+        assert_eq!(outputs(&mut machine), [AddressClaimOutput::Say(claim(true, "m", 5))]);
         assert_eq!(machine.poll_timeout(), None);
     }
 
@@ -334,8 +335,8 @@ mod tests {
         for second in seconds {
             machine.handle_claim(claim(false, "z", second), at(1_000 * u64::from(second)));
             let told = outputs(&mut machine);
-            assert!(told.iter().any(|output| matches!(output, ClaimOutput::Say(_))));
-            if told.iter().any(|output| matches!(output, ClaimOutput::Kept { .. })) {
+            assert!(told.iter().any(|output| matches!(output, AddressClaimOutput::Say(_))));
+            if told.iter().any(|output| matches!(output, AddressClaimOutput::Kept { .. })) {
                 kept.push(second);
             }
         }
@@ -359,7 +360,7 @@ mod tests {
     fn a_claim_comes_back_as_it_was_and_nothing_else_does() {
         let bytes = claim(true, "module1", 0x0102_0304).encode();
         assert_eq!(&bytes[..], b"\x01\x01\x01\x02\x03\x04module1");
-        assert_eq!(Claim::decode(&bytes), Some(claim(true, "module1", 0x0102_0304)));
+        assert_eq!(AddressClaimed::decode(&bytes), Some(claim(true, "module1", 0x0102_0304)));
         for wrong in [
             &b""[..],
             b"\x01\x01\x01\x02\x03",
@@ -367,10 +368,18 @@ mod tests {
             b"\x01\x02abcdm",
             b"\x01\x01abcd\xff",
         ] {
-            assert_eq!(Claim::decode(wrong), None, "{wrong:02x?}");
+            assert_eq!(AddressClaimed::decode(wrong), None, "{wrong:02x?}");
         }
-        assert_eq!(Claim::decode(&[&bytes[..6], &[b'm'; 65]].concat()), None, "no name is so long");
-        assert_eq!(Claim::decode(&[&bytes[..6], b"a\nb"].concat()), None, "no line of a log");
+        assert_eq!(
+            AddressClaimed::decode(&[&bytes[..6], &[b'm'; 65]].concat()),
+            None,
+            "no name is so long"
+        );
+        assert_eq!(
+            AddressClaimed::decode(&[&bytes[..6], b"a\nb"].concat()),
+            None,
+            "no line of a log"
+        );
         let long = AddressClaim::new(&"\u{e4}".repeat(40), 1, at(0));
         assert_eq!(long.own.name.len(), 64);
     }

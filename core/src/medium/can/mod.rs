@@ -16,7 +16,7 @@ pub mod frame;
 pub mod isotp;
 pub mod slcan;
 
-pub use address::{Addressing, BusAddress, Parties};
-pub use claim::{AddressClaim, Claim, ClaimOutput};
+pub use address::{AddressInfo, Addressing, BusAddress};
+pub use claim::{AddressClaim, AddressClaimOutput, AddressClaimed};
 pub use frame::{CLASSIC_MAX, CanFrame, CanId, FD_MAX, Format, bits_on_bus};
 pub use isotp::{IsoTp, IsoTpConfig, IsoTpOutput};

@@ -9,17 +9,17 @@ struct Robot {
     nodes: BTreeMap<NodeName, Isolation>,
     told: Vec<String>,
     /// Whether the last decision counts.
-    said: Result<(), NoSay>,
+    said: Result<(), VoteRefused>,
 }
 
 impl Robot {
-    fn new(names: &[&str], judges: &Judges) -> Self {
+    fn new(names: &[&str], judges: &IsolationAuthority) -> Self {
         let mut robot = Robot { nodes: BTreeMap::new(), told: vec![], said: Ok(()) };
         names.iter().for_each(|name| robot.join(name, 1, judges));
         robot
     }
 
-    fn join(&mut self, name: &str, life: u64, judges: &Judges) {
+    fn join(&mut self, name: &str, life: u64, judges: &IsolationAuthority) {
         let mut own = Isolation::new(node(name), Incarnation(life), judges.clone());
         self.nodes.remove(&node(name));
         for (other, isolation) in &mut self.nodes {
@@ -34,7 +34,7 @@ impl Robot {
     fn decides(&mut self, by: &str, about: &str, isolated: bool) -> Vec<String> {
         let by = self.nodes.get_mut(&node(by)).unwrap();
         let (node, cause) = (&node(about), "it floods");
-        self.said = by.handle_decision(Decision { node, isolated, cause });
+        self.said = by.handle_decision(IsolationDecision { node, isolated, cause });
         self.carry();
         std::mem::take(&mut self.told)
     }
@@ -73,8 +73,8 @@ impl Robot {
     }
 }
 
-fn wardens(names: &[&str]) -> Judges {
-    Judges::Wardens(names.iter().map(|name| node(name)).collect())
+fn wardens(names: &[&str]) -> IsolationAuthority {
+    IsolationAuthority::Named(names.iter().map(|name| node(name)).collect())
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn who_is_no_warden_decides_for_itself_alone_until_a_warden_speaks() {
 #[test]
 fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
     let names = ["a", "b", "c", "d", "e"];
-    let mut robot = Robot::new(&names, &Judges::Majority);
+    let mut robot = Robot::new(&names, &IsolationAuthority::Majority);
     for about in ["a", "b", "c", "d"] {
         robot.decides("e", about, true);
     }
@@ -127,7 +127,7 @@ fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
 
 #[test]
 fn what_a_majority_has_isolated_a_majority_lets_in_again() {
-    let mut robot = Robot::new(&["a", "b", "c", "d"], &Judges::Majority);
+    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::Majority);
     robot.decides("a", "d", true);
     robot.decides("b", "d", true);
     assert_eq!(robot.refuse("d"), "abc");
@@ -140,17 +140,17 @@ fn what_a_majority_has_isolated_a_majority_lets_in_again() {
 
 #[test]
 fn of_two_nodes_each_decides_for_itself() {
-    let mut robot = Robot::new(&["a", "b"], &Judges::Majority);
+    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::Majority);
     robot.decides("b", "a", true);
     assert_eq!(robot.refuse("a"), "b");
     robot.decides("b", "b", true);
     assert_eq!(robot.refuse("b"), "", "on itself a node has no say");
-    assert_eq!(robot.said, Err(NoSay::Oneself));
+    assert_eq!(robot.said, Err(VoteRefused::Oneself));
 }
 
 #[test]
 fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
-    let mut robot = Robot::new(&["a", "b"], &Judges::Majority);
+    let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::Majority);
     for n in 0..VOTES_MAX {
         robot.decides("a", &format!("n{n}"), true);
         assert_eq!(robot.said, Ok(()));
@@ -158,7 +158,7 @@ fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
 
     robot.decides("a", "b", true);
 
-    assert_eq!(robot.said, Err(NoSay::TooMany { limit: VOTES_MAX }));
+    assert_eq!(robot.said, Err(VoteRefused::TooMany { limit: VOTES_MAX }));
     assert_eq!(robot.refuse("b"), "");
     robot.decides("a", "n0", false);
     assert_eq!(robot.said, Ok(()), "what it has said once it can take back");
@@ -171,7 +171,7 @@ fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
 
 #[test]
 fn what_others_said_before_does_not_outdo_a_nodes_own_word() {
-    let mut robot = Robot::new(&["a", "b", "c", "d"], &Judges::Majority);
+    let mut robot = Robot::new(&["a", "b", "c", "d"], &IsolationAuthority::Majority);
     for voter in ["b", "c"] {
         robot.decides(voter, "d", false);
     }
@@ -187,7 +187,7 @@ fn what_others_said_before_does_not_outdo_a_nodes_own_word() {
 
 #[test]
 fn known_is_who_is_there_and_whom_somebody_has_voted_on() {
-    let mut robot = Robot::new(&["a", "b", "c"], &Judges::Majority);
+    let mut robot = Robot::new(&["a", "b", "c"], &IsolationAuthority::Majority);
     robot.decides("b", "d", true);
 
     let known = |name| robot.nodes[&node("a")].knows(&node(name));
@@ -219,7 +219,7 @@ fn a_warden_that_was_restarted_can_take_back_what_its_earlier_life_has_said() {
 
 #[test]
 fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
-    let mut victim = Isolation::new(node("a"), Incarnation(1), Judges::Majority);
+    let mut victim = Isolation::new(node("a"), Incarnation(1), IsolationAuthority::Majority);
     for name in ["b", "c", "hostile"] {
         victim.handle_opened(node(name));
     }

@@ -22,9 +22,9 @@
 //! node whose clock was set back while it was off is no worse off than another. Of two that both answer,
 //! the first has the link.
 
-use super::quality::Gauge;
-use super::{Heard, Link, LinkRefusal, Neighbour};
-use crate::net::link::arrival::{Arrival, Arrivals};
+use super::quality::QualityEstimator;
+use super::{Link, Neighbour, NeighbourRecord, PeerRefusal};
+use crate::net::link::arrival::{ArrivalEstimator, HelloArrival};
 use crate::net::wire::frame::Hello;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
@@ -52,21 +52,21 @@ pub(super) struct Claimant {
 }
 
 impl Link {
-    pub(super) fn check_name(&mut self, hello: &Hello) -> Result<(), Option<LinkRefusal>> {
+    pub(super) fn check_name(&mut self, hello: &Hello) -> Result<(), Option<PeerRefusal>> {
         let (ours, theirs) = (&self.config.node, &hello.node);
         if ours == theirs {
             // Our own hello may come back from a medium that echoes: no node, no refusal.
             let echoed = hello.incarnation == self.config.incarnation;
-            return Err((!echoed).then(|| LinkRefusal::NameTaken { node: ours.clone() }));
+            return Err((!echoed).then(|| PeerRefusal::NameTaken { node: ours.clone() }));
         }
         if NodeId::of(ours) == NodeId::of(theirs) {
             let (node, other) = (ours.clone(), theirs.clone());
-            return Err(Some(LinkRefusal::NumberTaken { node, other }));
+            return Err(Some(PeerRefusal::NumberTaken { node, other }));
         }
         let present = self.carries().then_some(self.neighbour.as_ref()).flatten();
         let expected = self.config.expected.as_ref().or(present.map(|heard| &heard.neighbour.node));
         match expected {
-            Some(expected) if expected != theirs => Err(Some(LinkRefusal::WrongNeighbour {
+            Some(expected) if expected != theirs => Err(Some(PeerRefusal::WrongNeighbour {
                 expected: expected.clone(),
                 found: theirs.clone(),
             })),
@@ -76,7 +76,7 @@ impl Link {
 
     /// Counts every refusal. Tells each the second time in a row, and only when it is another than the
     /// last that was told.
-    pub(super) fn refuse(&mut self, refusal: Option<LinkRefusal>) {
+    pub(super) fn refuse(&mut self, refusal: Option<PeerRefusal>) {
         self.refusals.unexpected += 1;
         if refusal.is_none() || refusal == self.refused {
             return;
@@ -90,10 +90,10 @@ impl Link {
     }
 
     /// Is it the neighbour who speaks, and when is the next hello due? What says nothing is counted.
-    pub(super) fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> Arrival {
+    pub(super) fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> HelloArrival {
         let Some(heard) = &mut self.neighbour else {
             self.begin_with(hello, interval, now);
-            return Arrival::New { missed: 0 };
+            return HelloArrival::New { missed: 0 };
         };
         let interval_before = heard.arrivals.interval();
         let same = heard.neighbour.is(hello);
@@ -105,10 +105,10 @@ impl Link {
         {
             let arrival = heard.arrivals.handle(hello.sequence, now);
             match arrival {
-                Arrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
+                HelloArrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
                 // It does not hear us, or is of the past: somebody else may.
-                Arrival::New { .. } => {}
-                Arrival::Old => self.refusals.stale += 1,
+                HelloArrival::New { .. } => {}
+                HelloArrival::Old => self.refusals.stale += 1,
             }
             return arrival;
         }
@@ -119,11 +119,11 @@ impl Link {
                 true => self.refusals.stale += 1,
                 false => self.refusals.unexpected += 1,
             }
-            return Arrival::Old;
+            return HelloArrival::Old;
         }
         self.claimant = None;
         self.begin_with(hello, interval, now);
-        Arrival::New { missed: 0 }
+        HelloArrival::New { missed: 0 }
     }
 
     fn is_older(&self, hello: &Hello) -> bool {
@@ -183,7 +183,7 @@ impl Link {
 
     /// A new neighbour, or a new life of the old one, begins from nothing.
     fn begin_with(&mut self, hello: &Hello, interval: Duration, now: Instant) {
-        let arrivals = Arrivals::new(interval, hello.sequence, now);
+        let arrivals = ArrivalEstimator::new(interval, hello.sequence, now);
         if let Some(heard) = &mut self.neighbour
             && heard.neighbour.is(hello)
         {
@@ -195,11 +195,11 @@ impl Link {
         }
         // That the link went down was the old life's end, and says nothing of the medium.
         self.flaps = 0;
-        let heard = Heard {
+        let heard = NeighbourRecord {
             neighbour: Neighbour::of(hello),
             arrivals,
             last: now,
-            proved: 0,
+            hellos_received: 0,
             stance: hello.stance,
             loss_there: 0,
             turn: 1,
@@ -208,7 +208,7 @@ impl Link {
             excuses: 0,
         };
         self.neighbour = Some(heard);
-        self.gauge = Gauge::default();
+        self.gauge = QualityEstimator::default();
     }
 }
 

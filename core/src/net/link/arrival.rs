@@ -11,7 +11,7 @@ use std::time::Duration;
 /// (Chen, Toueg, Aguilera, IEEE ToC 51(5), 2002, section 5.3). Unlike a timer that every arrival
 /// restarts, it does not carry the delay of the last message into the next deadline.
 #[derive(Clone, Debug)]
-pub(crate) struct Arrivals {
+pub(crate) struct ArrivalEstimator {
     interval: Duration,
     /// `arrival - interval * number`, in nanoseconds.
     offsets: VecDeque<i128>,
@@ -26,7 +26,7 @@ pub(crate) struct Arrivals {
 
 /// What an arrival was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Arrival {
+pub(crate) enum HelloArrival {
     /// The newest so far; so many before it have not come.
     New {
         /// How many.
@@ -36,7 +36,7 @@ pub(crate) enum Arrival {
     Old,
 }
 
-impl Arrivals {
+impl ArrivalEstimator {
     /// Chen et al. find 30 arrivals enough; more only makes it slower to follow a drifting clock.
     const WINDOW: usize = 32;
 
@@ -44,7 +44,7 @@ impl Arrivals {
     const OUTAGE: u32 = 8;
 
     pub(crate) fn new(interval: Duration, number: u32, now: Instant) -> Self {
-        let mut arrivals = Arrivals {
+        let mut arrivals = ArrivalEstimator {
             interval,
             offsets: VecDeque::with_capacity(Self::WINDOW),
             sum: 0,
@@ -65,7 +65,7 @@ impl Arrivals {
         self.highest as u32
     }
 
-    pub(crate) fn handle(&mut self, number: u32, now: Instant) -> Arrival {
+    pub(crate) fn handle(&mut self, number: u32, now: Instant) -> HelloArrival {
         // Serial-number arithmetic (RFC 1982): the nearer way round decides.
         let step = number.wrapping_sub(self.highest()).cast_signed();
         if step <= 0 {
@@ -73,7 +73,7 @@ impl Arrivals {
             if back < 64 {
                 self.seen |= 1 << back;
             }
-            return Arrival::Old;
+            return HelloArrival::Old;
         }
         let step = step.unsigned_abs();
         if step > Self::OUTAGE {
@@ -84,7 +84,7 @@ impl Arrivals {
         }
         self.highest += u64::from(step);
         self.learn(now);
-        Arrival::New { missed: step - 1 }
+        HelloArrival::New { missed: step - 1 }
     }
 
     /// What was missing so far belongs to an outage, and says nothing of what is to come.
@@ -162,7 +162,7 @@ mod tests {
 
     #[test]
     fn the_next_arrival_is_expected_one_interval_after_the_mean() {
-        let mut arrivals = Arrivals::new(INTERVAL, 100, Instant::from_millis(1000));
+        let mut arrivals = ArrivalEstimator::new(INTERVAL, 100, Instant::from_millis(1000));
         assert_eq!(arrivals.expected(), Instant::from_millis(1010));
 
         arrivals.handle(101, Instant::from_millis(1014));
@@ -188,7 +188,7 @@ mod tests {
 
     #[test]
     fn the_longer_the_silence_the_greater_is_phi() {
-        let mut arrivals = Arrivals::new(INTERVAL, 0, Instant::ORIGIN);
+        let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
         for number in 1..=40 {
             arrivals.handle(number, Instant::from_millis(10 * u64::from(number)));
         }
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn an_outage_is_no_loss() {
-        let mut arrivals = Arrivals::new(INTERVAL, 0, Instant::ORIGIN);
+        let mut arrivals = ArrivalEstimator::new(INTERVAL, 0, Instant::ORIGIN);
         for number in (1..=20).chain(60..=80) {
             arrivals.handle(number, Instant::from_millis(10 * u64::from(number)));
         }
@@ -208,14 +208,14 @@ mod tests {
 
     #[test]
     fn a_late_or_doubled_one_changes_no_estimate_but_counts_as_arrived() {
-        let mut arrivals = Arrivals::new(INTERVAL, u32::MAX, Instant::from_millis(1000));
+        let mut arrivals = ArrivalEstimator::new(INTERVAL, u32::MAX, Instant::from_millis(1000));
         for number in 1..40u32 {
             arrivals.handle(number, Instant::from_millis(1010 + 10 * u64::from(number)));
         }
         let expected = arrivals.expected();
         assert_eq!(arrivals.loss_permille(), Some(24), "number 0, after the overflow, is missing");
 
-        assert_eq!(arrivals.handle(0, Instant::from_millis(1500)), Arrival::Old);
+        assert_eq!(arrivals.handle(0, Instant::from_millis(1500)), HelloArrival::Old);
 
         assert_eq!(arrivals.expected(), expected);
         assert_eq!(arrivals.loss_permille(), Some(0));

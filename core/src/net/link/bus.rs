@@ -2,8 +2,8 @@
 
 use super::{Link, LinkConfig, percent};
 use crate::Instant;
-use crate::net::wire::bus_hello::{Greeting, ShortEcho, Word};
-use crate::net::wire::frame::{Echo, Hello, Stance};
+use crate::net::wire::bus_hello::{BusHello, CompactEcho, NeighbourEntry};
+use crate::net::wire::frame::{Echo, Hello, HelloState};
 use crate::net::wire::node_id::NodeId;
 use std::time::Duration;
 
@@ -19,22 +19,27 @@ impl Link {
     }
 
     /// What the next greeting says to the neighbour; `None` while there is nothing to say.
-    pub(in crate::net) fn word(&self, now: Instant) -> Option<Word> {
+    pub(in crate::net) fn word(&self, now: Instant) -> Option<NeighbourEntry> {
         let Hello { stance, loss_permille, echo, .. } = self.hello(now, 0);
-        let echo = echo.map(|Echo { incarnation, sequence, held_us }| ShortEcho {
+        let echo = echo.map(|Echo { incarnation, sequence, held_us }| CompactEcho {
             life: incarnation.0 as u16,
             sequence: sequence as u16,
             held_us,
         });
         let to = NodeId::of(&self.neighbour()?.node);
-        Some(Word { to, stance, loss_permille, echo })
+        Some(NeighbourEntry { to, stance, loss_permille, echo })
     }
 
     /// A greeting in our name.
-    pub(in crate::net) fn greeting(&self, sequence: u32, turn: u8, words: Vec<Word>) -> Greeting {
+    pub(in crate::net) fn greeting(
+        &self,
+        sequence: u32,
+        turn: u8,
+        words: Vec<NeighbourEntry>,
+    ) -> BusHello {
         let LinkConfig { node, incarnation, hello_interval, .. } = &self.config;
         let interval = (*hello_interval).max(Self::INTERVAL_MIN);
-        Greeting {
+        BusHello {
             node: node.clone(),
             incarnation: *incarnation,
             sequence,
@@ -66,15 +71,16 @@ impl Link {
         }
     }
 
-    pub(super) fn handle_greeting(&mut self, greeting: Greeting, now: Instant) {
-        let Greeting { node, incarnation, sequence, interval_us, turn, words } = greeting;
+    pub(super) fn handle_greeting(&mut self, greeting: BusHello, now: Instant) {
+        let BusHello { node, incarnation, sequence, interval_us, turn, words } = greeting;
         let own = NodeId::of(&self.config.node);
         let word = words.into_iter().find(|word| word.to == own);
         let known = self.neighbour.as_ref().filter(|heard| {
             heard.neighbour.node == node && heard.neighbour.incarnation == incarnation
         });
         // Where none is for us, it stands as it was said last.
-        let said = known.map_or((Stance::Unproved, 0), |heard| (heard.stance, heard.loss_there));
+        let said =
+            known.map_or((HelloState::Unproved, 0), |heard| (heard.stance, heard.loss_there));
         let (stance, loss_permille) = word.map_or(said, |word| (word.stance, word.loss_permille));
         let echo = word.and_then(|word| self.echo(word.echo?));
         let hello = Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo };
@@ -85,8 +91,8 @@ impl Link {
     }
 
     /// An echo in full, if it is of this life of ours.
-    fn echo(&self, short: ShortEcho) -> Option<Echo> {
-        let ShortEcho { life, sequence, held_us } = short;
+    fn echo(&self, short: CompactEcho) -> Option<Echo> {
+        let CompactEcho { life, sequence, held_us } = short;
         let incarnation = self.config.incarnation;
         let last = self.sent.back().map(|(number, _)| *number)?;
         let back = (last as u16).wrapping_sub(sequence);

@@ -2,7 +2,7 @@
 
 use super::{Link, LinkState};
 use crate::Instant;
-use crate::net::wire::frame::Stance;
+use crate::net::wire::frame::HelloState;
 
 impl Link {
     /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
@@ -12,7 +12,7 @@ impl Link {
 
     /// Whether it has failed too often lately to be more than the last resort.
     pub fn is_distrusted(&self) -> bool {
-        self.state == LinkState::Suspect && self.distrusted
+        self.state == LinkState::Suspect && self.damped
     }
 
     /// A hello was heard: does it lift the state?
@@ -25,9 +25,9 @@ impl Link {
                 if self.is_given_up() || late.is_some_and(|due| due <= now) {
                     return;
                 }
-                self.distrusted &= !self.is_trusted();
+                self.damped &= !self.is_trusted();
                 // Twice as many for each time: traffic must not come and go with every lost hello.
-                if self.calm >= 1 << self.suspicions.saturating_sub(1) && !self.distrusted {
+                if self.calm >= 1 << self.suspicions.saturating_sub(1) && !self.damped {
                     self.change(LinkState::Up, "the neighbour is heard again");
                 } else if !std::mem::replace(&mut self.proving, true) {
                     self.change(LinkState::Suspect, "heard again, and not yet trusted");
@@ -37,11 +37,11 @@ impl Link {
                 if now - self.last_down > Self::FLAP_MEMORY {
                     self.flaps = 0;
                 }
-                if !self.has_proved() || heard.stance != Stance::Ready {
+                if !self.has_proved() || heard.stance != HelloState::Ready {
                     return;
                 }
-                self.distrusted &= !self.is_trusted();
-                if self.distrusted {
+                self.damped &= !self.is_trusted();
+                if self.damped {
                     self.proving = true;
                     self.change(LinkState::Suspect, "heard again, and not yet trusted");
                 } else {
@@ -53,21 +53,23 @@ impl Link {
 
     /// It carries both ways.
     pub(super) fn has_proved(&self) -> bool {
-        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= self.config.proof)
+        self.neighbour
+            .as_ref()
+            .is_some_and(|heard| heard.hellos_received >= self.config.up_after_hellos)
     }
 
     /// For as long as is asked of one that has failed so often lately.
     fn is_trusted(&self) -> bool {
-        let needed = self.config.proof << self.flaps;
-        self.neighbour.as_ref().is_some_and(|heard| heard.proved >= needed)
+        let needed = self.config.up_after_hellos << self.flaps;
+        self.neighbour.as_ref().is_some_and(|heard| heard.hellos_received >= needed)
     }
 
-    pub(super) fn stance(&self) -> Stance {
+    pub(super) fn stance(&self) -> HelloState {
         match self.state {
-            LinkState::Up | LinkState::Suspect => Stance::Ready,
-            LinkState::Connecting | LinkState::Down if self.has_proved() => Stance::Ready,
-            LinkState::Connecting => Stance::Unproved,
-            LinkState::Down => Stance::Down,
+            LinkState::Up | LinkState::Suspect => HelloState::Ready,
+            LinkState::Connecting | LinkState::Down if self.has_proved() => HelloState::Ready,
+            LinkState::Connecting => HelloState::Unproved,
+            LinkState::Down => HelloState::Down,
         }
     }
 }

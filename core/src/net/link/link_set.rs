@@ -11,45 +11,45 @@
 //! ```
 
 use super::{Link, LinkOutput};
-use crate::machine_set::Crowd;
-use crate::net::routing::LinkNumber;
-use crate::net::wire::bus_hello::{ShortEcho, Word};
-use crate::net::wire::frame::{Frame, Stance};
+use crate::machine_set::MachineSet;
+use crate::net::routing::LinkId;
+use crate::net::wire::bus_hello::{CompactEcho, NeighbourEntry};
+use crate::net::wire::frame::{Frame, HelloState};
 use crate::net::wire::node_id::NodeId;
-use crate::{Instant, Machine, Parcel};
+use crate::{GatherBuffer, Instant, Machine};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// The machine of all links over one transport.
 #[derive(Debug, Default)]
-pub struct Bundle {
-    crowd: Crowd<LinkNumber, Link>,
+pub struct LinkSet {
+    crowd: MachineSet<LinkId, Link>,
     bytes_per_second: Option<u64>,
     /// The largest frame; 0 while that is not known.
     mtu: usize,
     /// Whom each link's word went to last; `None` where there is no bus.
-    bus: Option<BTreeMap<LinkNumber, Told>>,
-    greetings: VecDeque<Parcel>,
+    bus: Option<BTreeMap<LinkId, Told>>,
+    greetings: VecDeque<GatherBuffer>,
 }
 
 /// What was said to a neighbour last.
 #[derive(Clone, Copy, Debug)]
 struct Told {
-    stance: Stance,
+    stance: HelloState,
     /// In which greeting, on this machine's count of its words.
     at: u64,
 }
 
 /// What a bundle wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BundleOutput {
+pub enum LinkSetOutput {
     /// What one of its links wants done.
-    Of(LinkNumber, LinkOutput),
+    Of(LinkId, LinkOutput),
     /// Give this frame to all nodes of the bus.
-    Greet(Parcel),
+    Greet(GatherBuffer),
 }
 
-impl Bundle {
+impl LinkSet {
     /// So many neighbours have a word in one greeting: with a name of ten letters, eight classic frames of
     /// CAN. More makes every greeting longer; with fewer, a neighbour learns later that it is not heard.
     pub const WORDS: usize = 2;
@@ -57,7 +57,7 @@ impl Bundle {
     const SHARE: u64 = 10;
 
     /// Adds a link, or replaces it.
-    pub fn insert(&mut self, number: LinkNumber, mut link: Link) {
+    pub fn insert(&mut self, number: LinkId, mut link: Link) {
         if let Some(bus) = &mut self.bus {
             link.join_bus();
             bus.remove(&number);
@@ -68,7 +68,7 @@ impl Bundle {
     }
 
     /// Takes a link out.
-    pub fn remove(&mut self, number: LinkNumber) {
+    pub fn remove(&mut self, number: LinkId) {
         self.crowd.remove(number);
         if let Some(bus) = &mut self.bus {
             bus.remove(&number);
@@ -76,17 +76,17 @@ impl Bundle {
     }
 
     /// Looks at a link.
-    pub fn get(&self, number: LinkNumber) -> Option<&Link> {
+    pub fn get(&self, number: LinkId) -> Option<&Link> {
         self.crowd.get(number)
     }
 
     /// Speaks to a link; its outputs are polled next.
-    pub fn get_mut(&mut self, number: LinkNumber) -> Option<&mut Link> {
+    pub fn get_mut(&mut self, number: LinkId) -> Option<&mut Link> {
         self.crowd.get_mut(number)
     }
 
     /// All links, in the order of their numbers.
-    pub fn iter(&self) -> impl Iterator<Item = (LinkNumber, &Link)> {
+    pub fn iter(&self) -> impl Iterator<Item = (LinkId, &Link)> {
         self.crowd.iter()
     }
 
@@ -136,11 +136,11 @@ impl Bundle {
             (rate, Some(_)) => {
                 let links = self.crowd.iter().count();
                 let Some((_, link)) = self.crowd.iter().next() else { return };
-                let word = Word {
+                let word = NeighbourEntry {
                     to: NodeId(0),
-                    stance: Stance::Ready,
+                    stance: HelloState::Ready,
                     loss_permille: 0,
-                    echo: Some(ShortEcho { life: 0, sequence: 0, held_us: 0 }),
+                    echo: Some(CompactEcho { life: 0, sequence: 0, held_us: 0 }),
                 };
                 let greeting = link.greeting(0, 1, vec![word; links.min(Self::WORDS)]);
                 let length = Frame::Greeting(greeting).encode().len() as u64 + Link::FRAMING;
@@ -162,7 +162,7 @@ impl Bundle {
             self.each(|link| due = due.max(link.take_greeting()));
         }
         let (Some(sequence), Some(told)) = (due, &mut self.bus) else { return };
-        let mut words: Vec<(LinkNumber, bool, u64, Word)> = Vec::new();
+        let mut words: Vec<(LinkId, bool, u64, NeighbourEntry)> = Vec::new();
         for (number, link) in self.crowd.iter() {
             let Some(word) = link.word(now) else { continue };
             let before = told.get(&number);
@@ -186,15 +186,15 @@ impl Bundle {
     }
 }
 
-impl Machine for Bundle {
-    type Output = BundleOutput;
+impl Machine for LinkSet {
+    type Output = LinkSetOutput;
 
-    fn poll_output(&mut self) -> Option<BundleOutput> {
+    fn poll_output(&mut self) -> Option<LinkSetOutput> {
         if let Some(greeting) = self.greetings.pop_front() {
-            return Some(BundleOutput::Greet(greeting));
+            return Some(LinkSetOutput::Greet(greeting));
         }
         let (number, output) = self.crowd.poll_output()?;
-        Some(BundleOutput::Of(number, output))
+        Some(LinkSetOutput::Of(number, output))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
@@ -211,7 +211,7 @@ impl Machine for Bundle {
 mod tests {
     use super::*;
     use crate::net::link::LinkConfig;
-    use crate::net::wire::bus_hello::Greeting;
+    use crate::net::wire::bus_hello::BusHello;
     use crate::{Incarnation, NodeName};
 
     const INTERVAL: u64 = 50;
@@ -225,11 +225,11 @@ mod tests {
     }
 
     /// A bundle with links to nodes 1 to `links`, on a bus.
-    fn bundle(links: u16) -> Bundle {
-        let mut bundle = Bundle::default();
+    fn bundle(links: u16) -> LinkSet {
+        let mut bundle = LinkSet::default();
         for number in 1..=links {
             let config = LinkConfig::new(name(0), Incarnation(1));
-            bundle.insert(LinkNumber(number), Link::new(config, at(0)));
+            bundle.insert(LinkId(number), Link::new(config, at(0)));
         }
         bundle.handle_bus();
         while bundle.poll_output().is_some() {}
@@ -237,10 +237,10 @@ mod tests {
     }
 
     /// All neighbours greet, and what the bundle says next is read.
-    fn turn(bundle: &mut Bundle, number: u32, speakers: &[u16]) -> Greeting {
+    fn turn(bundle: &mut LinkSet, number: u32, speakers: &[u16]) -> BusHello {
         let now = at(INTERVAL * u64::from(number));
         for speaker in speakers {
-            let greeting = Greeting {
+            let greeting = BusHello {
                 node: name(*speaker),
                 incarnation: Incarnation(7),
                 sequence: number,
@@ -248,13 +248,13 @@ mod tests {
                 turn: 1,
                 words: Vec::new(),
             };
-            let link = bundle.get_mut(LinkNumber(*speaker)).unwrap();
+            let link = bundle.get_mut(LinkId(*speaker)).unwrap();
             link.handle_frame(Frame::Greeting(greeting).encode(), now);
         }
         bundle.handle_timeout(now);
         let mut said = Vec::new();
         while let Some(output) = bundle.poll_output() {
-            if let BundleOutput::Greet(frame) = output {
+            if let LinkSetOutput::Greet(frame) = output {
                 said.push(frame);
             }
         }
@@ -265,7 +265,7 @@ mod tests {
         }
     }
 
-    fn addressed(greeting: &Greeting) -> Vec<NodeId> {
+    fn addressed(greeting: &BusHello) -> Vec<NodeId> {
         greeting.words.iter().map(|word| word.to).collect()
     }
 
@@ -303,10 +303,10 @@ mod tests {
 
     #[test]
     fn without_a_bus_each_link_says_its_own_hello() {
-        let mut bundle = Bundle::default();
+        let mut bundle = LinkSet::default();
         for number in 1..=2 {
             let config = LinkConfig::new(name(0), Incarnation(1));
-            bundle.insert(LinkNumber(number), Link::new(config, at(0)));
+            bundle.insert(LinkId(number), Link::new(config, at(0)));
         }
 
         while bundle.poll_output().is_some() {}
@@ -316,8 +316,8 @@ mod tests {
         assert!(matches!(
             &said[..],
             [
-                BundleOutput::Of(LinkNumber(1), LinkOutput::Transmit(_)),
-                BundleOutput::Of(LinkNumber(2), LinkOutput::Transmit(_)),
+                LinkSetOutput::Of(LinkId(1), LinkOutput::Transmit(_)),
+                LinkSetOutput::Of(LinkId(2), LinkOutput::Transmit(_)),
             ]
         ));
     }

@@ -30,17 +30,17 @@ mod types;
 pub mod link_set;
 
 pub use self::quality::Quality;
-pub use self::types::{LinkConfig, LinkOutput, LinkRefusal, LinkState, Neighbour};
+pub use self::types::{LinkConfig, LinkOutput, LinkState, Neighbour, PeerRefusal};
 
 use self::acquaintance::Claimant;
-use self::quality::{Gauge, Limits};
-use self::reassembly::Parts;
-use self::remote_down::GivenUp;
+use self::quality::{QualityEstimator, QualityLimits};
+use self::reassembly::RoutingReassembly;
+use self::remote_down::RemoteDownNotice;
 
-use super::wire::frame::{Echo, Frame, Hello, Stance};
+use super::wire::frame::{Echo, Frame, Hello, HelloState};
 use super::wire::{Refusals, WireError};
-use crate::{Incarnation, Instant, Machine, Parcel};
-use arrival::{Arrival, Arrivals};
+use crate::{GatherBuffer, Incarnation, Instant, Machine};
+use arrival::{ArrivalEstimator, HelloArrival};
 use bytes::Bytes;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -50,7 +50,7 @@ use std::time::Duration;
 pub struct Link {
     config: LinkConfig,
     state: LinkState,
-    neighbour: Option<Heard>,
+    neighbour: Option<NeighbourRecord>,
     /// Who says what contradicts that, and has not shown yet to hear us.
     claimant: Option<Claimant>,
     next_hello: Instant,
@@ -69,32 +69,32 @@ pub struct Link {
     proving: bool,
     /// It has failed since it was trusted last: it carries what has no other way, until it has proved itself as
     /// often as it has failed lately.
-    distrusted: bool,
-    given_up: GivenUp,
+    damped: bool,
+    given_up: RemoteDownNotice,
     /// It is one of a bus: others say its hellos, of which this one is due.
     on_bus: bool,
     greeting: Option<u32>,
     /// The medium's largest frame; 0 while that is not known.
     mtu: usize,
-    parts: Parts,
-    gauge: Gauge,
+    parts: RoutingReassembly,
+    gauge: QualityEstimator,
     /// Who was refused last, and who was told of last: what was heard once may be an accident.
-    doubted: Option<LinkRefusal>,
-    refused: Option<LinkRefusal>,
+    doubted: Option<PeerRefusal>,
+    refused: Option<PeerRefusal>,
     refusals: Refusals,
     outputs: VecDeque<LinkOutput>,
 }
 
 /// What we know of whoever speaks.
 #[derive(Debug)]
-struct Heard {
+struct NeighbourRecord {
     neighbour: Neighbour,
-    arrivals: Arrivals,
+    arrivals: ArrivalEstimator,
     last: Instant,
     /// Hellos since the last silence, while it hears us, less two for each that was missing.
-    proved: u32,
+    hellos_received: u32,
     /// What it thinks of the link.
-    stance: Stance,
+    stance: HelloState,
     /// How much of what we send is lost on the way there, as it says.
     loss_there: u16,
     /// Only one in so many of its hellos has an echo for us.
@@ -130,7 +130,7 @@ impl Link {
     /// A link that says its first hello at once.
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
-            expected_by: Some(now + config.expected_within),
+            expected_by: Some(now + config.peer_timeout),
             config,
             state: LinkState::Connecting,
             neighbour: None,
@@ -143,13 +143,13 @@ impl Link {
             last_suspicion: Instant::ORIGIN,
             calm: 0,
             proving: false,
-            distrusted: false,
-            given_up: GivenUp::default(),
+            damped: false,
+            given_up: RemoteDownNotice::default(),
             on_bus: false,
             greeting: None,
             mtu: 0,
-            parts: Parts::default(),
-            gauge: Gauge::default(),
+            parts: RoutingReassembly::default(),
+            gauge: QualityEstimator::default(),
             doubted: None,
             refused: None,
             refusals: Refusals::default(),
@@ -185,7 +185,7 @@ impl Link {
     }
 
     /// Sends a packet. Dropped and counted when the link is not up.
-    pub fn handle_packet(&mut self, packet: impl Into<Parcel>) {
+    pub fn handle_packet(&mut self, packet: impl Into<GatherBuffer>) {
         self.carry(Frame::Data(packet.into()));
     }
 
@@ -209,7 +209,7 @@ impl Link {
     }
 
     /// Whether a hello is not late at present.
-    fn relied_on(&self) -> bool {
+    fn is_monitored(&self) -> bool {
         self.state == LinkState::Up || self.is_proving()
     }
 
@@ -282,7 +282,7 @@ impl Link {
     }
 
     /// We ourselves were not scheduled until `now`: every silence up to now is void.
-    pub fn handle_stall(&mut self, now: Instant) {
+    pub fn handle_local_stall(&mut self, now: Instant) {
         let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
         self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
     }
@@ -309,12 +309,12 @@ impl Link {
             return;
         }
         (self.doubted, self.refused) = (None, None);
-        let Arrival::New { missed } = self.meet(&hello, interval, now) else { return };
+        let HelloArrival::New { missed } = self.meet(&hello, interval, now) else { return };
         self.calm = after(self.calm, missed);
         self.listen(&hello, missed, now);
         self.hear_out(hello.stance, now);
         self.judge_quality(now);
-        if self.carries() && hello.stance == Stance::Down {
+        if self.carries() && hello.stance == HelloState::Down {
             self.go_down("the neighbour has given it up", now);
         }
         self.rise(now);
@@ -337,9 +337,9 @@ impl Link {
                 self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
             }
         }
-        heard.proved = match heard.echoed {
+        heard.hellos_received = match heard.echoed {
             // A link that loses a third of what it carries never proves itself.
-            Some(_) => after(heard.proved, missed),
+            Some(_) => after(heard.hellos_received, missed),
             None => 0,
         };
     }
@@ -347,7 +347,7 @@ impl Link {
     fn judge_quality(&mut self, now: Instant) {
         let Some(heard) = &self.neighbour else { return };
         let Some(loss) = heard.arrivals.loss_permille() else { return };
-        let limits = Limits {
+        let limits = QualityLimits {
             loss_permille: self.config.degraded_loss_permille,
             // On a slow medium a round trip takes two frames and two hellos, when it is full.
             round_trip: self.config.degraded_round_trip.max(self.interval()),
@@ -381,7 +381,7 @@ impl Link {
         }
         self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
         self.last_down = now;
-        self.distrusted = true;
+        self.damped = true;
         if let Some(heard) = &mut self.neighbour {
             heard.forget_proof();
         }
@@ -427,7 +427,8 @@ impl Link {
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo = self.claimants_turn().or(self.neighbour.as_ref().map(Heard::last_heard));
+        let echo =
+            self.claimants_turn().or(self.neighbour.as_ref().map(NeighbourRecord::last_heard));
         let echo = echo.map(|(incarnation, sequence, at)| Echo {
             incarnation,
             sequence,
@@ -465,7 +466,7 @@ impl Link {
                 self.go_down("the neighbour is not heard, or does not hear", now);
             }
             LinkState::Up | LinkState::Suspect
-                if self.relied_on() && past(self.due(self.config.suspect_after_percent)) =>
+                if self.is_monitored() && past(self.due(self.config.suspect_after_percent)) =>
             {
                 self.proving = false;
                 let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
@@ -484,14 +485,14 @@ impl Link {
     }
 }
 
-impl Heard {
+impl NeighbourRecord {
     /// In which life, which hello, and when.
     fn last_heard(&self) -> (Incarnation, u32, Instant) {
         (self.neighbour.incarnation, self.arrivals.highest(), self.last)
     }
 
     fn forget_proof(&mut self) {
-        self.proved = 0;
+        self.hellos_received = 0;
         self.echoed = None;
     }
 }
@@ -505,7 +506,7 @@ impl Machine for Link {
 
     fn poll_timeout(&self) -> Option<Instant> {
         let silence = match self.state {
-            LinkState::Up | LinkState::Suspect if self.relied_on() => {
+            LinkState::Up | LinkState::Suspect if self.is_monitored() => {
                 self.due(self.config.suspect_after_percent)
             }
             LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
@@ -520,7 +521,7 @@ impl Machine for Link {
         // Woken so late, we are the one who stood still; the neighbour's hellos wait unread.
         let late = now - due;
         if late > self.config.hello_interval {
-            self.handle_stall(now);
+            self.handle_local_stall(now);
         } else if late > Self::LATE {
             self.excuse(late, now);
         }

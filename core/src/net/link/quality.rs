@@ -21,7 +21,7 @@ pub struct Quality {
 
 /// Measures a link, and judges it with reserve: what depends on the judgement must not swing.
 #[derive(Debug, Default)]
-pub(super) struct Gauge {
+pub(super) struct QualityEstimator {
     quality: Quality,
     /// When the cost was changed last.
     settled: Option<Instant>,
@@ -29,7 +29,7 @@ pub(super) struct Gauge {
 
 /// From which quality on a link is degraded.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Limits {
+pub(super) struct QualityLimits {
     pub(super) loss_permille: u16,
     pub(super) round_trip: Duration,
 }
@@ -52,7 +52,7 @@ const DEGRADED: u32 = 8;
 /// moved by a bad spell moves back once in this time at most.
 const SETTLING: Duration = Duration::from_secs(5);
 
-impl Gauge {
+impl QualityEstimator {
     pub(super) fn quality(&self) -> Quality {
         self.quality
     }
@@ -75,7 +75,12 @@ impl Gauge {
     }
 
     /// Judges anew; the answer is whether somebody must know.
-    pub(super) fn judge(&mut self, loss_permille: u16, limits: Limits, now: Instant) -> bool {
+    pub(super) fn judge(
+        &mut self,
+        loss_permille: u16,
+        limits: QualityLimits,
+        now: Instant,
+    ) -> bool {
         let quality = &mut self.quality;
         quality.loss_permille = loss_permille.min(1000);
         let (loss, round_trip) = (quality.loss_permille, quality.round_trip.unwrap_or_default());
@@ -107,7 +112,8 @@ impl Gauge {
 mod tests {
     use super::*;
 
-    const LIMITS: Limits = Limits { loss_permille: 100, round_trip: Duration::from_millis(250) };
+    const LIMITS: QualityLimits =
+        QualityLimits { loss_permille: 100, round_trip: Duration::from_millis(250) };
 
     fn at(seconds: u64) -> Instant {
         Instant::from_millis(seconds * 1000)
@@ -115,7 +121,7 @@ mod tests {
 
     #[test]
     fn a_link_becomes_dearer_at_once_and_cheaper_only_after_a_while() {
-        let mut gauge = Gauge::default();
+        let mut gauge = QualityEstimator::default();
 
         assert!(!gauge.judge(50, LIMITS, at(10)), "a twentieth is within the reserve");
         assert!(gauge.judge(150, LIMITS, at(11)));
@@ -129,7 +135,7 @@ mod tests {
 
     #[test]
     fn a_link_that_swings_changes_its_cost_twice_in_five_seconds_at_most() {
-        let mut gauge = Gauge::default();
+        let mut gauge = QualityEstimator::default();
         let mut changes = 0;
         for tenth in 0..1000 {
             let before = gauge.quality().cost_percent;
@@ -142,7 +148,7 @@ mod tests {
 
     #[test]
     fn the_first_round_trip_counts_whole_and_the_next_an_eighth() {
-        let mut gauge = Gauge::default();
+        let mut gauge = QualityEstimator::default();
         let millis = Duration::from_millis;
 
         gauge.handle_round_trip(millis(8));

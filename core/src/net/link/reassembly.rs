@@ -1,7 +1,7 @@
 //! What routers say, in parts where the medium's frames cannot carry it whole.
 
 use crate::net::wire::WireError;
-use crate::net::wire::frame::{FRAME_HEADER, Frame, RoutingPart};
+use crate::net::wire::frame::{FRAME_HEADER, Frame, RoutingFragment};
 use bytes::{Bytes, BytesMut};
 
 /// The most bytes that are put together: one advertisement with all neighbours, and what it takes back, are
@@ -20,8 +20,8 @@ pub(super) fn frames_of(bytes: Bytes, mtu: usize) -> Vec<Frame> {
     (0..count)
         .map(|index| {
             let part = bytes.slice(index * room..bytes.len().min((index + 1) * room));
-            let (last, index) = (index + 1 == count, index as u8 & RoutingPart::INDEX_MAX);
-            Frame::RoutingPart(RoutingPart { index, last, bytes: part })
+            let (last, index) = (index + 1 == count, index as u8 & RoutingFragment::INDEX_MAX);
+            Frame::RoutingPart(RoutingFragment { index, last, bytes: part })
         })
         .collect()
 }
@@ -29,24 +29,24 @@ pub(super) fn frames_of(bytes: Bytes, mtu: usize) -> Vec<Frame> {
 /// Puts parts together that come in their order. Where one is missing, the rest is worth nothing: routers
 /// repeat what is not confirmed.
 #[derive(Debug, Default)]
-pub(super) struct Parts {
+pub(super) struct RoutingReassembly {
     held: BytesMut,
     /// Which comes next.
     next: u8,
 }
 
-impl Parts {
+impl RoutingReassembly {
     /// Answers with the whole when it was the last.
-    pub(super) fn handle(&mut self, part: &RoutingPart) -> Result<Option<Bytes>, WireError> {
+    pub(super) fn handle(&mut self, part: &RoutingFragment) -> Result<Option<Bytes>, WireError> {
         if part.index == 0 {
-            *self = Parts::default();
+            *self = RoutingReassembly::default();
         }
         if part.index != self.next {
-            *self = Parts::default();
+            *self = RoutingReassembly::default();
             return Err(WireError::Truncated);
         }
         if self.held.len() + part.bytes.len() > WHOLE_MAX {
-            *self = Parts::default();
+            *self = RoutingReassembly::default();
             return Err(WireError::TooLarge { what: "what a router says" });
         }
         self.held.extend_from_slice(&part.bytes);
@@ -59,10 +59,12 @@ impl Parts {
 mod tests {
     use super::*;
     use crate::net::NodeId;
-    use crate::net::wire::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, Routing, Stamp};
+    use crate::net::wire::advertisement::{
+        Advertisement, AdvertisementId, Edge, NEIGHBOURS_MAX, RoutingMessage,
+    };
     use crate::{Incarnation, NodeName};
 
-    fn parts_of(length: usize, mtu: usize) -> Vec<RoutingPart> {
+    fn parts_of(length: usize, mtu: usize) -> Vec<RoutingFragment> {
         let whole: Bytes = (0..length).map(|n| n as u8).collect();
         let part = |frame| match frame {
             Frame::RoutingPart(part) => part,
@@ -80,7 +82,7 @@ mod tests {
             }
         }
         for length in [127, 250, 251, 677, WHOLE_MAX] {
-            let mut parts = Parts::default();
+            let mut parts = RoutingReassembly::default();
             let all = parts_of(length, 128);
             let (last, others) = all.split_last().unwrap();
             for part in others {
@@ -96,16 +98,16 @@ mod tests {
     fn the_most_that_a_router_says_of_a_node_at_once_is_put_together() {
         let edge = Edge { to: NodeId(1), life: 1, cost: 1, mtu: 96 };
         let told = Advertisement {
-            stamp: Stamp { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
+            stamp: AdvertisementId { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
             node: NodeName::new(&"n".repeat(32)).unwrap(),
             edges: vec![edge; NEIGHBOURS_MAX],
             withdrawn: false,
         };
-        let one = Routing::Announce(vec![told.clone()]).encode();
-        let most = Routing::Announce(vec![told.withdrawal(), told]).encode();
+        let one = RoutingMessage::Announce(vec![told.clone()]).encode();
+        let most = RoutingMessage::Announce(vec![told.withdrawal(), told]).encode();
         assert_eq!((one.len(), most.len()), (627, 677));
 
-        let mut parts = Parts::default();
+        let mut parts = RoutingReassembly::default();
         let mut frames = frames_of(most.clone(), 96).into_iter();
         let whole = frames.find_map(|frame| match frame {
             Frame::RoutingPart(part) => parts.handle(&part).unwrap(),
@@ -117,7 +119,7 @@ mod tests {
     #[test]
     fn a_missing_part_costs_the_whole_and_nothing_of_the_next() {
         let all = parts_of(300, 128);
-        let mut parts = Parts::default();
+        let mut parts = RoutingReassembly::default();
 
         assert_eq!(parts.handle(&all[0]), Ok(None));
         assert_eq!(parts.handle(&all[2]), Err(WireError::Truncated));
@@ -131,9 +133,9 @@ mod tests {
 
     #[test]
     fn what_never_ends_is_refused() {
-        let mut parts = Parts::default();
-        let refused = (0..=RoutingPart::INDEX_MAX).find_map(|index| {
-            parts.handle(&RoutingPart { index, last: false, bytes: vec![0; 100].into() }).err()
+        let mut parts = RoutingReassembly::default();
+        let refused = (0..=RoutingFragment::INDEX_MAX).find_map(|index| {
+            parts.handle(&RoutingFragment { index, last: false, bytes: vec![0; 100].into() }).err()
         });
         assert_eq!(refused, Some(WireError::TooLarge { what: "what a router says" }));
         assert!(parts.held.is_empty());

@@ -6,13 +6,13 @@
 
 use super::{Link, LinkState};
 use crate::Instant;
-use crate::net::wire::frame::Stance;
+use crate::net::wire::frame::HelloState;
 
 /// So many hellos: one may have been on its way.
 const CONTRADICTIONS: u32 = 2;
 
 #[derive(Debug, Default)]
-pub(super) struct GivenUp {
+pub(super) struct RemoteDownNotice {
     /// How many hellos have contradicted it since; `None` where it does not count, or was never said.
     pub(super) since: Option<u32>,
     /// It was contradicted lately: until then it does not count.
@@ -35,9 +35,9 @@ impl Link {
         self.given_up.since.is_some()
     }
 
-    pub(super) fn hear_out(&mut self, stance: Stance, now: Instant) {
+    pub(super) fn hear_out(&mut self, stance: HelloState, now: Instant) {
         let Some(since) = &mut self.given_up.since else { return };
-        *since += u32::from(stance == Stance::Ready);
+        *since += u32::from(stance == HelloState::Ready);
         if *since >= CONTRADICTIONS {
             self.given_up.since = None;
             self.given_up.disbelieved_until = now + Self::FLAP_MEMORY;

@@ -145,7 +145,7 @@ fn a_link_that_was_down_must_prove_itself_longer_each_time() {
 /// A cable that has just failed, and whose left end wants more proof than the right one.
 fn wary_on_the_left() -> Cable {
     let mut cable = running();
-    cable.ends[0].config.proof *= 8;
+    cable.ends[0].config.up_after_hellos *= 8;
     cable.ends[0].handle_loss(at(cable.now));
     cable.run_until(cable.now + 15);
     cable
@@ -301,7 +301,7 @@ fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_aga
         incarnation: Incarnation(1),
         sequence: 1000,
         interval_us: 10_000,
-        stance: Stance::Ready,
+        stance: HelloState::Ready,
         loss_permille: 0,
         echo: None,
     });
@@ -403,7 +403,7 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
             incarnation,
             sequence: 1,
             interval_us: 10_000,
-            stance: Stance::Unproved,
+            stance: HelloState::Unproved,
             loss_permille: 0,
             echo: None,
         })
@@ -419,9 +419,9 @@ fn a_stranger_a_namesake_and_a_foreign_release_are_refused_and_told_once() {
 
     let node = |name| NodeName::new(name).unwrap();
     let (expected, found) = (node("arm"), node("leg"));
-    let wrong = LinkRefusal::WrongNeighbour { expected, found };
+    let wrong = PeerRefusal::WrongNeighbour { expected, found };
     assert_eq!(link.poll_output(), Some(LinkOutput::Refused(wrong)));
-    let namesake = LinkRefusal::NameTaken { node: node("base") };
+    let namesake = PeerRefusal::NameTaken { node: node("base") };
     assert_eq!(link.poll_output(), Some(LinkOutput::Refused(namesake)));
     assert_eq!(link.poll_output(), None);
     assert_eq!((link.refusals().unexpected, link.refusals().version), (5, 1));

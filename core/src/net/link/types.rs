@@ -2,7 +2,7 @@
 
 use super::quality::Quality;
 use crate::net::wire::node_id::NodeId;
-use crate::{Incarnation, NodeName, Parcel};
+use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use std::fmt;
 use std::time::Duration;
@@ -18,7 +18,7 @@ pub struct LinkConfig {
     pub expected: Option<NodeName>,
     /// How long after the start, and five hellos, whoever is at the other end may take to prove that it
     /// is there, before it is told as missing.
-    pub expected_within: Duration,
+    pub peer_timeout: Duration,
     /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link sooner
     /// and costs more.
     pub hello_interval: Duration,
@@ -31,7 +31,7 @@ pub struct LinkConfig {
     pub down_after_percent: u32,
     /// So many hellos bring a new link up, where each that is missing takes back two; a link that was
     /// down needs twice as many for each time that it went down lately.
-    pub proof: u32,
+    pub up_after_hellos: u32,
     /// A link that loses more than this of a thousand hellos is degraded.
     pub degraded_loss_permille: u16,
     /// A link whose round trip takes longer than this, and than a hello interval, is degraded.
@@ -47,7 +47,7 @@ impl LinkConfig {
             expected: None,
             // A process begins within a second, and a computer that is switched on with it takes longer
             // and is found later.
-            expected_within: Duration::from_secs(5),
+            peer_timeout: Duration::from_secs(5),
             // A process that shares its cores stands still for some 100 ms when they are overloaded;
             // with 50 ms, such a link is suspect, and not yet down.
             hello_interval: Duration::from_millis(50),
@@ -55,7 +55,7 @@ impl LinkConfig {
             // row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
             suspect_after_percent: 100,
             down_after_percent: 250,
-            proof: 3,
+            up_after_hellos: 3,
             degraded_loss_permille: 100,
             degraded_round_trip: Duration::from_millis(250),
         }
@@ -97,7 +97,7 @@ pub struct Neighbour {
 
 /// Why a link does not take the one who speaks on it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LinkRefusal {
+pub enum PeerRefusal {
     /// Two nodes have one name. Give one of them another.
     #[error("another node is also called {node}")]
     NameTaken {
@@ -126,7 +126,7 @@ pub enum LinkRefusal {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkOutput {
     /// Give this frame to the transport.
-    Transmit(Parcel),
+    Transmit(GatherBuffer),
     /// The link is now in another state.
     Changed {
         /// Which.
@@ -144,7 +144,7 @@ pub enum LinkOutput {
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),
     /// Whoever is at the other end is not taken.
-    Refused(LinkRefusal),
+    Refused(PeerRefusal),
     /// For the router: what the neighbour's router says.
     Routing(Bytes),
     /// For the router: a packet.

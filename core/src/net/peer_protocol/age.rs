@@ -10,21 +10,21 @@ use std::time::Duration;
 /// way: in a buffer, for a path, for a repetition. The age is therefore short by the fastest passage,
 /// less than a round trip.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Ages {
+pub(crate) struct AgeEstimator {
     /// The least of the present window, and of the one before, in microseconds.
     least: i64,
     before: i64,
     window_from: Instant,
 }
 
-impl Ages {
+impl AgeEstimator {
     /// Two clocks that drift apart by 100 ppm, which is bad, differ by 1 ms after this.
     const WINDOW: Duration = Duration::from_secs(10);
 
     /// Begins with a message that was sent just now.
     pub(crate) fn new(stamp_us: u64, now: Instant) -> Self {
         let offset = offset(stamp_us, now);
-        Ages { least: offset, before: offset, window_from: now }
+        AgeEstimator { least: offset, before: offset, window_from: now }
     }
 
     /// The age of a message that arrives now.
@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn what_waited_on_the_way_is_that_much_older() {
-        let mut ages = Ages::new(0, at(70_005));
+        let mut ages = AgeEstimator::new(0, at(70_005));
         assert_eq!(ages.handle(10 * MS, at(70_015)), Duration::ZERO);
         assert_eq!(ages.handle(20 * MS, at(70_325)), Duration::from_millis(300));
         assert_eq!(ages.handle(400 * MS, at(70_403)), Duration::ZERO, "faster than all before");
@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     fn clocks_that_drift_apart_make_nothing_old() {
-        let mut ages = Ages::new(0, at(1000));
+        let mut ages = AgeEstimator::new(0, at(1000));
         let mut oldest = Duration::ZERO;
         for second in 1..10_000u64 {
             // The receiver's clock is fast by 100 ppm.
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn absurd_stamps_are_no_more_than_wrong() {
-        let mut ages = Ages::new(u64::MAX, at(0));
+        let mut ages = AgeEstimator::new(u64::MAX, at(0));
         ages.handle(0, Instant::from_nanos(u64::MAX));
         ages.handle(u64::MAX, at(0));
     }

@@ -1,6 +1,6 @@
 //! How much waits for bindings that a peer has not agreed to yet.
 
-use crate::net::session::size_class::Load;
+use crate::net::session::size_class::SizeClass;
 
 /// The messages that should wait: one round trip's worth of a fast sender. Beyond, senders are told to stop.
 pub(super) const MESSAGES: usize = 1024;
@@ -14,7 +14,7 @@ pub(super) const TIMES: usize = 6;
 
 /// The count of what waits for all bindings to one peer.
 #[derive(Debug, Default)]
-pub(super) struct Hall {
+pub(super) struct PendingBudget {
     /// Of what is small, and of bulk.
     halves: [Half; 2],
 }
@@ -28,40 +28,40 @@ struct Half {
 
 /// Whether one more may wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Entrance {
+pub(super) enum BudgetVerdict {
     /// It may.
     Open,
     /// It may, and was the last of its load that should: senders are to be told to stop.
-    Closing(Load),
+    Closing(SizeClass),
     /// There is no room.
-    Shut(Load),
+    Shut(SizeClass),
 }
 
-impl Hall {
+impl PendingBudget {
     /// Counts one in, unless there is no room.
-    pub(super) fn enter(&mut self, bytes: usize) -> Entrance {
-        let load = Load::of(bytes);
+    pub(super) fn enter(&mut self, bytes: usize) -> BudgetVerdict {
+        let load = SizeClass::of(bytes);
         let half = &mut self.halves[load as usize];
         let (messages, bytes) = (half.messages + 1, half.bytes + bytes);
         if messages > TIMES * MESSAGES || bytes > TIMES * BYTES {
-            return Entrance::Shut(load);
+            return BudgetVerdict::Shut(load);
         }
         (half.messages, half.bytes) = (messages, bytes);
         if half.is_full || half.has_room(load) {
-            return Entrance::Open;
+            return BudgetVerdict::Open;
         }
         half.is_full = true;
-        Entrance::Closing(load)
+        BudgetVerdict::Closing(load)
     }
 
     /// Counts out messages of so many bytes each. Answers with what senders that were told to stop may go on.
-    pub(super) fn leave(&mut self, all: impl Iterator<Item = usize>) -> Vec<Load> {
+    pub(super) fn leave(&mut self, all: impl Iterator<Item = usize>) -> Vec<SizeClass> {
         for bytes in all {
-            let half = &mut self.halves[Load::of(bytes) as usize];
+            let half = &mut self.halves[SizeClass::of(bytes) as usize];
             half.messages -= 1;
             half.bytes -= bytes;
         }
-        let halves = Load::ALL.into_iter().zip(&mut self.halves);
+        let halves = SizeClass::ALL.into_iter().zip(&mut self.halves);
         let mut again: Vec<_> =
             halves.filter(|(load, half)| half.is_full && half.has_room(*load)).collect();
         again.iter_mut().for_each(|(_, half)| half.is_full = false);
@@ -70,10 +70,10 @@ impl Hall {
 }
 
 impl Half {
-    fn has_room(&self, load: Load) -> bool {
+    fn has_room(&self, load: SizeClass) -> bool {
         let bytes = match load {
-            Load::Small => BYTES,
-            Load::Bulk => BYTES / 2,
+            SizeClass::Small => BYTES,
+            SizeClass::Bulk => BYTES / 2,
         };
         self.messages < MESSAGES && self.bytes < bytes
     }
@@ -85,20 +85,20 @@ mod tests {
 
     #[test]
     fn few_large_messages_close_it_as_many_small_ones_do_and_it_opens_when_they_have_gone() {
-        let (small, bulk) = (Load::Small, Load::Bulk);
+        let (small, bulk) = (SizeClass::Small, SizeClass::Bulk);
         for (load, messages, each) in [
             (small, MESSAGES, 8),
             (small, 64, BYTES / 64),
             (bulk, 4, BYTES / 8),
             (bulk, 2, BYTES / 4),
         ] {
-            let mut hall = Hall::default();
+            let mut hall = PendingBudget::default();
             for _ in 1..messages {
-                assert_eq!(hall.enter(each), Entrance::Open);
+                assert_eq!(hall.enter(each), BudgetVerdict::Open);
             }
-            assert_eq!(hall.enter(each), Entrance::Closing(load));
+            assert_eq!(hall.enter(each), BudgetVerdict::Closing(load));
             for _ in 0..(TIMES - 1) * messages {
-                assert_eq!(hall.enter(each), Entrance::Open, "it was on its way");
+                assert_eq!(hall.enter(each), BudgetVerdict::Open, "it was on its way");
             }
 
             let half = || std::iter::repeat_n(each, TIMES / 2 * messages);
@@ -110,24 +110,26 @@ mod tests {
 
     #[test]
     fn what_is_on_its_way_when_senders_are_told_to_stop_has_room() {
-        let mut hall = Hall::default();
-        assert_eq!(hall.enter(BYTES / 2 - 1), Entrance::Open);
-        assert_eq!(hall.enter(1 << 20), Entrance::Closing(Load::Bulk));
+        let mut hall = PendingBudget::default();
+        assert_eq!(hall.enter(BYTES / 2 - 1), BudgetVerdict::Open);
+        assert_eq!(hall.enter(1 << 20), BudgetVerdict::Closing(SizeClass::Bulk));
         for n in 1..=4 {
-            assert_eq!(hall.enter(1 << 20), Entrance::Open, "{n} MiB were on their way");
+            assert_eq!(hall.enter(1 << 20), BudgetVerdict::Open, "{n} MiB were on their way");
         }
     }
 
     #[test]
     fn what_is_small_enters_however_much_bulk_waits_and_the_other_way_round() {
-        let mut hall = Hall::default();
-        let fill = |hall: &mut Hall, each| while !matches!(hall.enter(each), Entrance::Shut(_)) {};
+        let mut hall = PendingBudget::default();
+        let fill = |hall: &mut PendingBudget, each| {
+            while !matches!(hall.enter(each), BudgetVerdict::Shut(_)) {}
+        };
         fill(&mut hall, BYTES);
-        assert_eq!(hall.enter(20), Entrance::Open);
+        assert_eq!(hall.enter(20), BudgetVerdict::Open);
 
-        fill(&mut hall, Load::SMALL_MAX);
-        assert_eq!(hall.enter(BYTES), Entrance::Shut(Load::Bulk));
-        assert_eq!(hall.leave([BYTES; TIMES].into_iter()), [Load::Bulk]);
-        assert_eq!(hall.enter(BYTES), Entrance::Closing(Load::Bulk));
+        fill(&mut hall, SizeClass::SMALL_MAX);
+        assert_eq!(hall.enter(BYTES), BudgetVerdict::Shut(SizeClass::Bulk));
+        assert_eq!(hall.leave([BYTES; TIMES].into_iter()), [SizeClass::Bulk]);
+        assert_eq!(hall.enter(BYTES), BudgetVerdict::Closing(SizeClass::Bulk));
     }
 }

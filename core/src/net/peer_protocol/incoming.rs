@@ -1,22 +1,22 @@
 //! What an exchange does with what a peer says.
 
-use super::peer::{Binding, Pending, Waiting};
-use super::reply_cache::Admission;
+use super::peer::{Binding, PendingCall, QueuedMessage};
+use super::reply_cache::RequestVerdict;
 use super::{
-    BINDINGS_MAX, CALLS_MAX, Epoch, Exchange, ExchangeOutput, Interest, TopicContract, control,
-    refuse,
+    BINDINGS_MAX, CALLS_MAX, PeerProtocol, PeerProtocolOutput, RemoteTopic, SessionEpoch,
+    TopicContract, control, refuse,
 };
-use crate::net::peer_protocol::naming::Announcement;
-use crate::net::wire::message::{Message, TICK_US};
+use crate::net::peer_protocol::naming::DirectoryUpdate;
+use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
-use crate::{Delivery, Instant, ObjectName, Parcel, PeerIdentity, Why};
+use crate::{Delivery, DeliveryError, GatherBuffer, Instant, ObjectName, PeerIdentity};
 use bytes::Bytes;
 use std::time::Duration;
 
-impl Exchange {
+impl PeerProtocol {
     /// A peer says something.
     pub fn handle_message(&mut self, peer: NodeId, message: Bytes, now: Instant) {
-        let message = match Message::decode(message) {
+        let message = match PeerMessage::decode(message) {
             Ok(message) => message,
             Err(error) => return self.refusals.count(&error),
         };
@@ -26,18 +26,18 @@ impl Exchange {
         };
         let epoch = session.epoch;
         match message {
-            Message::Bind { binding, object, identity } => {
+            PeerMessage::Bind { binding, object, identity } => {
                 self.handle_bind(peer, binding, object, &identity);
             }
-            Message::Bound { binding } => {
+            PeerMessage::Bound { binding } => {
                 let sent = session.bound(peer, binding, &mut self.next_call);
                 self.refusals.unexpected += u64::from(sent.is_none());
                 self.outputs.extend(sent.into_iter().flatten());
             }
-            Message::BindRefused { binding, why, identity } => {
+            PeerMessage::BindRefused { binding, why, identity } => {
                 self.handle_bind_refused(peer, binding, why, &identity);
             }
-            Message::Request { binding, call, stamp, within, id, payload } => {
+            PeerMessage::Request { binding, call, stamp, within, id, payload } => {
                 let age = session.age(stamp.saturating_mul(TICK_US), now);
                 let within = Duration::from_micros(within.saturating_mul(TICK_US));
                 if session.redundant.contains(&binding) && session.redundant_calls.len() < CALLS_MAX
@@ -47,14 +47,14 @@ impl Exchange {
                 let left = within.checked_sub(age).filter(|left| !left.is_zero());
                 let until = left.map(|left| now + left);
                 if !within.is_zero() && left.is_none() {
-                    return self.answer(peer, epoch, call, Err(Why::DeadlinePassed));
+                    return self.answer(peer, epoch, call, Err(DeliveryError::DeadlinePassed));
                 }
                 let key = id.map(|id| (peer, session.incarnation, id));
                 let admitted = key.map(|key| self.requests.admit(key, (peer, epoch, call), now));
                 match admitted {
-                    None | Some(Admission::Serve) => {
+                    None | Some(RequestVerdict::Serve) => {
                         let call = Some(call);
-                        self.outputs.push_back(ExchangeOutput::Serve {
+                        self.outputs.push_back(PeerProtocolOutput::Serve {
                             peer,
                             epoch,
                             binding,
@@ -65,19 +65,19 @@ impl Exchange {
                             payload: payload.into_bytes(),
                         });
                     }
-                    Some(Admission::Wait) => {}
-                    Some(Admission::Answer(reply)) => {
+                    Some(RequestVerdict::Wait) => {}
+                    Some(RequestVerdict::Answer(reply)) => {
                         self.answer(peer, epoch, call, Ok(reply.into()));
                     }
-                    Some(Admission::Refuse) => {
+                    Some(RequestVerdict::Refuse) => {
                         self.refusals.too_large += 1;
-                        self.answer(peer, epoch, call, Err(Why::Full));
+                        self.answer(peer, epoch, call, Err(DeliveryError::Full));
                     }
                 }
             }
-            Message::Tell { binding, stamp_us, id, payload } => {
+            PeerMessage::Tell { binding, stamp_us, id, payload } => {
                 let (call, age, until) = (None, session.age(stamp_us, now), None);
-                self.outputs.push_back(ExchangeOutput::Serve {
+                self.outputs.push_back(PeerProtocolOutput::Serve {
                     peer,
                     epoch,
                     binding,
@@ -88,53 +88,53 @@ impl Exchange {
                     payload: payload.into_bytes(),
                 });
             }
-            Message::Reply { call, result } => match session.calls.remove(&call) {
-                Some(Pending { reply_as, .. }) => {
-                    let result = result.map(Parcel::into_bytes);
-                    self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+            PeerMessage::Reply { call, result } => match session.calls.remove(&call) {
+                Some(PendingCall { reply_as, .. }) => {
+                    let result = result.map(GatherBuffer::into_bytes);
+                    self.outputs.push_back(PeerProtocolOutput::Resolve { reply_as, result });
                 }
                 None => self.refusals.unexpected += 1,
             },
-            Message::Subscribe { subscription, topic, identities } => {
+            PeerMessage::Subscribe { subscription, topic, identities } => {
                 self.handle_subscribe(peer, subscription, topic, &identities);
             }
-            Message::SubscribeRefused { why, .. } => {
+            PeerMessage::SubscribeRefused { why, .. } => {
                 let difference = why.to_string();
-                self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
+                self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
             }
-            Message::Unsubscribe { subscription } => {
+            PeerMessage::Unsubscribe { subscription } => {
                 session.taken = session.taken.saturating_sub(1);
-                self.outputs.push_back(ExchangeOutput::Unsubscribe { peer, subscription });
+                self.outputs.push_back(PeerProtocolOutput::Unsubscribe { peer, subscription });
             }
-            Message::Event { subscription, stamp_us, payload } => {
+            PeerMessage::Event { subscription, stamp_us, payload } => {
                 let age = session.age(stamp_us, now);
                 self.handle_peers_event(subscription, age, payload.into_bytes());
             }
-            Message::Notice { number, payload } => {
+            PeerMessage::Notice { number, payload } => {
                 let payload = payload.into_bytes();
-                self.outputs.push_back(ExchangeOutput::Notice { peer, epoch, number, payload });
+                self.outputs.push_back(PeerProtocolOutput::Notice { peer, epoch, number, payload });
             }
-            Message::Confirmed { number } => {
+            PeerMessage::Confirmed { number } => {
                 if session.notices.remove(&number) {
-                    self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: true });
+                    self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: true });
                 }
             }
-            Message::Names { stamp_us, complete, added, removed } => {
+            PeerMessage::Names { stamp_us, complete, added, removed } => {
                 session.age(stamp_us, now);
-                let announcement = Announcement { complete, added, removed };
-                self.outputs.push_back(ExchangeOutput::Names { peer, announcement });
+                let announcement = DirectoryUpdate { complete, added, removed };
+                self.outputs.push_back(PeerProtocolOutput::Names { peer, announcement });
             }
-            Message::Bye => self.outputs.push_back(ExchangeOutput::Bye { peer }),
-            Message::Full { binding } => match session.no_room(binding) {
+            PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
+            PeerMessage::NotReady { binding } => match session.no_room(binding) {
                 Some((object, true)) => {
-                    self.outputs.push_back(ExchangeOutput::ObjectFull { peer, object });
+                    self.outputs.push_back(PeerProtocolOutput::ObjectFull { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
             },
-            Message::Room { binding } => match session.room_again(binding) {
+            PeerMessage::Ready { binding } => match session.room_again(binding) {
                 Some((object, true)) => {
-                    self.outputs.push_back(ExchangeOutput::ObjectRoom { peer, object });
+                    self.outputs.push_back(PeerProtocolOutput::ObjectRoom { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
@@ -146,8 +146,8 @@ impl Exchange {
         let taken = self.take_in(peer, std::slice::from_ref(identity));
         let taken = taken.and_then(|(epoch, mut all)| Some((epoch, Box::new(all.pop()?))));
         let Some((epoch, identity)) = taken else {
-            let why = Why::Undecodable { reason: "the contract's identity".into() };
-            let refused = Message::BindRefused { binding, why, identity: Bytes::new() };
+            let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
+            let refused = PeerMessage::BindRefused { binding, why, identity: Bytes::new() };
             self.outputs.push_back(control(peer, &refused));
             return;
         };
@@ -156,7 +156,7 @@ impl Exchange {
         {
             session.redundant.insert(binding);
         }
-        self.outputs.push_back(ExchangeOutput::Bind { peer, epoch, binding, object, identity });
+        self.outputs.push_back(PeerProtocolOutput::Bind { peer, epoch, binding, object, identity });
     }
 
     fn handle_subscribe(
@@ -168,12 +168,12 @@ impl Exchange {
     ) {
         let taken = self.take_in(peer, identities).filter(|(_, all)| !all.is_empty());
         let Some((_, identities)) = taken else {
-            let why = Why::Undecodable { reason: "the contract's identity".into() };
+            let why = DeliveryError::Undecodable { reason: "the contract's identity".into() };
             self.handle_subscribe_refused(peer, subscription, why);
             return;
         };
         let topic = TopicContract { topic, contract: identities[0].name.clone() };
-        let output = ExchangeOutput::Subscribe { peer, subscription, topic, identities };
+        let output = PeerProtocolOutput::Subscribe { peer, subscription, topic, identities };
         self.outputs.push_back(output);
     }
 
@@ -182,7 +182,7 @@ impl Exchange {
         &mut self,
         peer: NodeId,
         identities: &[Bytes],
-    ) -> Option<(Epoch, Vec<PeerIdentity>)> {
+    ) -> Option<(SessionEpoch, Vec<PeerIdentity>)> {
         let session = self.peers.get_mut(&peer)?.session.as_mut()?;
         let read = identities.iter().map(|identity| PeerIdentity::decode(identity));
         let identities = read.collect::<Result<_, _>>().ok();
@@ -194,7 +194,13 @@ impl Exchange {
         Some((session.epoch, identities?))
     }
 
-    fn handle_bind_refused(&mut self, peer: NodeId, number: u32, why: Why, identity: &[u8]) {
+    fn handle_bind_refused(
+        &mut self,
+        peer: NodeId,
+        number: u32,
+        why: DeliveryError,
+        identity: &[u8],
+    ) {
         let Some(session) = self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) else {
             return;
         };
@@ -209,26 +215,26 @@ impl Exchange {
         // Seen from our side, where the peer has sent its own.
         let theirs = PeerIdentity::decode(identity).ok();
         let why = match (theirs.map(|theirs| contract.check(&theirs)), why) {
-            (Some(Err(difference)), Why::ContractDiffers { .. }) => {
-                Why::ContractDiffers { difference: difference.to_string() }
+            (Some(Err(difference)), DeliveryError::ContractDiffers { .. }) => {
+                DeliveryError::ContractDiffers { difference: difference.to_string() }
             }
             (_, why) => why,
         };
-        if let Why::ContractDiffers { difference } = &why {
+        if let DeliveryError::ContractDiffers { difference } = &why {
             let difference = difference.clone();
-            self.outputs.push_back(ExchangeOutput::Differs { peer, difference });
+            self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
         let rooms = session.let_out(peer, &waiting);
         self.outputs.extend(rooms);
-        for Waiting { pending, .. } in waiting {
+        for QueuedMessage { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));
         }
     }
 
     fn handle_peers_event(&mut self, subscription: u32, age: Duration, payload: Bytes) {
-        let form = |interest: &Interest| {
+        let form = |interest: &RemoteTopic| {
             let form = usize::try_from(subscription.checked_sub(interest.subscription)?).ok()?;
             (form < interest.identities.len()).then_some(form)
         };
@@ -237,7 +243,7 @@ impl Exchange {
         match interests.find_map(|(topic, interest)| Some((topic, form(interest)?))) {
             Some((topic, form)) => {
                 let topic = topic.clone();
-                self.outputs.push_back(ExchangeOutput::Event { topic, form, age, payload });
+                self.outputs.push_back(PeerProtocolOutput::Event { topic, form, age, payload });
             }
             // It crossed our unsubscribing.
             None => self.refusals.stale += 1,

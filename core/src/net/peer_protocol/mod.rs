@@ -18,21 +18,25 @@ mod types;
 pub mod naming;
 pub mod receive_backlog;
 
-pub use self::types::{Addressee, Call, Epoch, ExchangeOutput, Sent, TopicContract};
+pub use self::types::{
+    Call, MessageTarget, PeerProtocolOutput, SessionEpoch, TopicContract, TransmitState,
+};
 
-use self::budget::Entrance;
-use self::peer::{Binding, Numbers, Pending, Session, Waiting, carry};
-use self::reply_cache::Requests;
+use self::budget::BudgetVerdict;
+use self::peer::{Binding, BindingTable, PeerSession, PendingCall, QueuedMessage, carry};
+use self::reply_cache::ReplyCache;
 
-use super::session::ordering_key::Strand;
-use super::session::size_class::Load;
+use super::session::ordering_key::OrderingKey;
+use super::session::size_class::SizeClass;
 use super::wire::Refusals;
-use super::wire::message::{FORMS_MAX, Message};
+use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
 use super::wire::segment::Stream;
-use crate::{ContractIdentity, Delivery, Incarnation, Instant, ObjectName, Parcel, Why};
+use crate::{
+    ContractIdentity, Delivery, DeliveryError, GatherBuffer, Incarnation, Instant, ObjectName,
+};
 use bytes::Bytes;
-use naming::Announcement;
+use naming::DirectoryUpdate;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -49,22 +53,22 @@ const GRACE: Duration = Duration::from_secs(1);
 /// The machine of one node's dealings with all others. It waits for nothing: silence is the session's
 /// matter, and callers mind their deadlines.
 #[derive(Debug, Default)]
-pub struct Exchange {
-    peers: BTreeMap<NodeId, Peer>,
+pub struct PeerProtocol {
+    peers: BTreeMap<NodeId, PeerRecord>,
     /// What is listened to here.
-    interests: BTreeMap<TopicContract, Interest>,
+    interests: BTreeMap<TopicContract, RemoteTopic>,
     next_subscription: u32,
     next_binding: u32,
     next_call: u64,
     epochs: u64,
     /// Requests of other nodes that are known by an identity.
-    requests: Requests,
+    requests: ReplyCache,
     refusals: Refusals,
-    outputs: VecDeque<ExchangeOutput>,
+    outputs: VecDeque<PeerProtocolOutput>,
 }
 
 #[derive(Debug)]
-struct Interest {
+struct RemoteTopic {
     /// The number of the present version; those before it have the numbers after it.
     subscription: u32,
     identities: Vec<ContractIdentity>,
@@ -72,38 +76,38 @@ struct Interest {
 
 /// What is going on with a peer.
 #[derive(Debug, Default)]
-struct Peer {
+struct PeerRecord {
     reachable: bool,
-    session: Option<Session>,
+    session: Option<PeerSession>,
     /// What the bindings of the session before were, for messages that come back late.
-    past: Numbers,
+    past: BindingTable,
     /// Requests that are sent again in the next session.
     again: Vec<Call>,
 }
 
-impl Exchange {
+impl PeerProtocol {
     /// An exchange in the place of one that failed. No number of the old one's is used again; what waited in it
     /// is lost for this reason, and what comes back of its sessions is known. Callers have been told.
-    pub fn reborn(&self, why: &Why) -> Self {
-        let mut next = Exchange {
+    pub fn reborn(&self, why: &DeliveryError) -> Self {
+        let mut next = PeerProtocol {
             next_subscription: self.next_subscription,
             next_binding: self.next_binding,
             next_call: self.next_call,
             epochs: self.epochs,
             requests: self.requests.clone(),
             refusals: self.refusals,
-            ..Exchange::default()
+            ..PeerProtocol::default()
         };
         for (peer, state) in &self.peers {
             let past = state.session.as_ref().map_or(&state.past, |session| &session.numbers);
-            next.peers.insert(*peer, Peer { past: past.clone(), ..Peer::default() });
+            next.peers.insert(*peer, PeerRecord { past: past.clone(), ..PeerRecord::default() });
             let bindings = state.session.iter().flat_map(|session| &session.bindings);
             for ((object, contract, _), binding) in bindings {
                 let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
                 for _ in told {
                     let (peer, why) = (*peer, why.clone());
-                    let to = Addressee::Object(object.clone(), contract);
-                    next.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+                    let to = MessageTarget::Object(object.clone(), contract);
+                    next.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
                 }
             }
         }
@@ -111,7 +115,7 @@ impl Exchange {
     }
 
     /// The next thing to do, in order.
-    pub fn poll_output(&mut self) -> Option<ExchangeOutput> {
+    pub fn poll_output(&mut self) -> Option<PeerProtocolOutput> {
         self.outputs.pop_front()
     }
 
@@ -138,7 +142,7 @@ impl Exchange {
     /// A session with this peer has begun.
     pub fn handle_opened(&mut self, peer: NodeId, incarnation: Incarnation, now: Instant) {
         self.epochs += 1;
-        let session = Session::new(Epoch(self.epochs), incarnation, now);
+        let session = PeerSession::new(SessionEpoch(self.epochs), incarnation, now);
         let state = self.peers.entry(peer).or_default();
         state.session = Some(session);
         let again = std::mem::take(&mut state.again);
@@ -150,28 +154,34 @@ impl Exchange {
     }
 
     /// The session with this peer is over: everything that is under way with it is resolved.
-    pub fn handle_ended(&mut self, peer: NodeId, why: &Why) {
+    pub fn handle_ended(&mut self, peer: NodeId, why: &DeliveryError) {
         let Some(state) = self.peers.get_mut(&peer) else { return };
         let Some(mut session) = state.session.take() else { return };
         state.past = std::mem::take(&mut session.numbers);
         for pending in session.calls.into_values() {
-            give_up(state, &mut self.outputs, pending, why, Sent::Perhaps);
+            give_up(state, &mut self.outputs, pending, why, TransmitState::Perhaps);
         }
         for ((object, contract, _), binding) in session.bindings {
             for waiting in binding.waiting.into_iter().flatten() {
                 match waiting.pending {
-                    Some(pending) => give_up(state, &mut self.outputs, pending, why, Sent::Nothing),
+                    Some(pending) => {
+                        give_up(state, &mut self.outputs, pending, why, TransmitState::Nothing)
+                    }
                     None => {
-                        let to = Addressee::Object(object.clone(), contract);
-                        self.outputs.push_back(ExchangeOutput::Lost { peer, to, why: why.clone() });
+                        let to = MessageTarget::Object(object.clone(), contract);
+                        self.outputs.push_back(PeerProtocolOutput::Lost {
+                            peer,
+                            to,
+                            why: why.clone(),
+                        });
                     }
                 }
             }
         }
         for number in session.notices {
-            self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false });
+            self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false });
         }
-        self.outputs.push_back(ExchangeOutput::Forget { peer, why: why.clone() });
+        self.outputs.push_back(PeerProtocolOutput::Forget { peer, why: why.clone() });
     }
 
     /// An object here wants to send.
@@ -183,26 +193,29 @@ impl Exchange {
         let known = self.peers.get_mut(&peer);
         let reachable = known.as_ref().is_some_and(|peer| peer.reachable);
         let Some(session) = known.and_then(|peer| peer.session.as_mut()) else {
-            let unreachable = Why::Unreachable { node: node.to_string() };
-            let why = if reachable { Why::Restarting } else { unreachable };
+            let unreachable = DeliveryError::Unreachable { node: node.to_string() };
+            let why = if reachable { DeliveryError::Restarting } else { unreachable };
             self.outputs.push_back(refuse(peer, (object, contract.name), reply_as, why));
             return;
         };
         let key = (object, contract.name, contract.fingerprint);
-        let pending = reply_as.map(|reply_as| Pending { reply_as, until, again });
-        let waiting = Waiting { id, sent, payload, pending };
+        let pending = reply_as.map(|reply_as| PendingCall { reply_as, until, again });
+        let waiting = QueuedMessage { id, sent, payload, pending };
         if let Some(binding @ Binding { waiting: None, .. }) = session.bindings.get(&key) {
             let bound = binding.way();
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
         match session.hall.enter(waiting.payload.len()) {
-            Entrance::Open => {}
-            Entrance::Closing(load) => {
-                self.outputs.push_back(ExchangeOutput::Full { peer, load });
+            BudgetVerdict::Open => {}
+            BudgetVerdict::Closing(load) => {
+                self.outputs.push_back(PeerProtocolOutput::Full { peer, load });
             }
-            Entrance::Shut(load) => {
-                let why = Why::WayFull { node: node.to_string(), bulk: load == Load::Bulk };
+            BudgetVerdict::Shut(load) => {
+                let why = DeliveryError::WayFull {
+                    node: node.to_string(),
+                    bulk: load == SizeClass::Bulk,
+                };
                 let refused = refuse(peer, (key.0, key.1), reply_as, why);
                 return self.outputs.push_back(refused);
             }
@@ -215,33 +228,33 @@ impl Exchange {
                 let identity = contract.full().encode().into();
                 let object = key.0.clone();
                 session.numbers.insert(number, key.clone());
-                let strand = Strand::to(&object);
+                let strand = OrderingKey::to(&object);
                 let binding = Binding { number, strand, contract, waiting: Some(vec![waiting]) };
                 session.bindings.insert(key, binding);
-                let bind = Message::Bind { binding: number, object, identity };
+                let bind = PeerMessage::Bind { binding: number, object, identity };
                 self.outputs.push_back(control(peer, &bind));
             }
         }
     }
 
-    /// The answer to [`ExchangeOutput::Bind`]: this is bound, or why not, and the contract as it is
+    /// The answer to [`PeerProtocolOutput::Bind`]: this is bound, or why not, and the contract as it is
     /// known here.
     pub fn handle_bound(
         &mut self,
         peer: NodeId,
-        epoch: Epoch,
+        epoch: SessionEpoch,
         binding: u32,
-        result: Result<(), (Why, Option<ContractIdentity>)>,
+        result: Result<(), (DeliveryError, Option<ContractIdentity>)>,
     ) {
         let Some(session) = self.session(peer, epoch) else { return };
         if result.is_err() {
             session.taken = session.taken.saturating_sub(1);
         }
         let answer = match result {
-            Ok(()) => Message::Bound { binding },
+            Ok(()) => PeerMessage::Bound { binding },
             Err((why, known)) => {
                 let identity = known.map(|known| known.full().encode().into()).unwrap_or_default();
-                Message::BindRefused { binding, why, identity }
+                PeerMessage::BindRefused { binding, why, identity }
             }
         };
         self.outputs.push_back(control(peer, &answer));
@@ -249,15 +262,15 @@ impl Exchange {
 
     /// An object here has no room for what came through this binding.
     pub fn handle_full(&mut self, peer: NodeId, binding: u32) {
-        self.tell(peer, &Message::Full { binding });
+        self.tell(peer, &PeerMessage::NotReady { binding });
     }
 
     /// It has room again.
     pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
-        self.tell(peer, &Message::Room { binding });
+        self.tell(peer, &PeerMessage::Ready { binding });
     }
 
-    fn tell(&mut self, peer: NodeId, message: &Message) {
+    fn tell(&mut self, peer: NodeId, message: &PeerMessage) {
         if self.is_open(peer) {
             self.outputs.push_back(control(peer, message));
         }
@@ -267,9 +280,9 @@ impl Exchange {
     pub fn handle_answer(
         &mut self,
         peer: NodeId,
-        epoch: Epoch,
+        epoch: SessionEpoch,
         call: u64,
-        result: Result<Parcel, Why>,
+        result: Result<GatherBuffer, DeliveryError>,
         now: Instant,
     ) {
         let mut askers =
@@ -283,14 +296,21 @@ impl Exchange {
         }
     }
 
-    fn answer(&mut self, peer: NodeId, epoch: Epoch, call: u64, result: Result<Parcel, Why>) {
+    fn answer(
+        &mut self,
+        peer: NodeId,
+        epoch: SessionEpoch,
+        call: u64,
+        result: Result<GatherBuffer, DeliveryError>,
+    ) {
         let Some(session) = self.session(peer, epoch) else { return };
         let stream = match session.redundant_calls.remove(&call) {
             true => Stream::Redundant,
             false => Stream::Data,
         };
-        let (strand, message) = (Strand::Call(call), Message::Reply { call, result }.encode());
-        self.outputs.push_back(ExchangeOutput::Send { peer, stream, strand, message });
+        let (strand, message) =
+            (OrderingKey::Call(call), PeerMessage::Reply { call, result }.encode());
+        self.outputs.push_back(PeerProtocolOutput::Send { peer, stream, strand, message });
     }
 
     /// Time passes: what was to be answered by now is given up.
@@ -309,8 +329,8 @@ impl Exchange {
             });
         }
         for reply_as in over {
-            let result = Err(Why::DeadlinePassed);
-            self.outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+            let result = Err(DeliveryError::DeadlinePassed);
+            self.outputs.push_back(PeerProtocolOutput::Resolve { reply_as, result });
         }
     }
 
@@ -318,15 +338,15 @@ impl Exchange {
     /// ones that it understands; or no more, if there is none.
     pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
         let before = self.interests.remove(&topic);
-        if let Some(Interest { subscription, .. }) = before {
-            self.tell_all(&Message::Unsubscribe { subscription });
+        if let Some(RemoteTopic { subscription, .. }) = before {
+            self.tell_all(&PeerMessage::Unsubscribe { subscription });
         }
         if identities.is_empty() {
             return;
         }
         let subscription = self.next_subscription + 1;
         self.next_subscription += FORMS_MAX as u32;
-        let interest = Interest { subscription, identities };
+        let interest = RemoteTopic { subscription, identities };
         let message = subscribe(&topic, &interest);
         self.interests.insert(topic, interest);
         self.tell_all(&message);
@@ -337,21 +357,26 @@ impl Exchange {
         &mut self,
         peer: NodeId,
         (subscription, delivery): (u32, Delivery),
-        payload: Parcel,
+        payload: GatherBuffer,
         sent: Instant,
     ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
             let stamp_us = session.stamp_us(sent);
-            let message = Message::Event { subscription, stamp_us, payload };
-            let way = (subscription << 1, delivery, Strand::Subscription(subscription));
+            let message = PeerMessage::Event { subscription, stamp_us, payload };
+            let way = (subscription << 1, delivery, OrderingKey::Subscription(subscription));
             self.outputs.push_back(carry(peer, way, &message));
         }
     }
 
     /// What a peer wants to listen to has another contract here.
-    pub fn handle_subscribe_refused(&mut self, peer: NodeId, subscription: u32, why: Why) {
+    pub fn handle_subscribe_refused(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        why: DeliveryError,
+    ) {
         if self.is_open(peer) {
-            let message = Message::SubscribeRefused { subscription, why };
+            let message = PeerMessage::SubscribeRefused { subscription, why };
             self.outputs.push_back(control(peer, &message));
         }
     }
@@ -361,17 +386,17 @@ impl Exchange {
         match self.peers.get_mut(&peer).and_then(|peer| peer.session.as_mut()) {
             Some(session) => {
                 session.notices.insert(number);
-                let message = Message::Notice { number, payload: payload.into() };
+                let message = PeerMessage::Notice { number, payload: payload.into() };
                 self.outputs.push_back(control(peer, &message));
             }
-            None => self.outputs.push_back(ExchangeOutput::Noticed { number, arrived: false }),
+            None => self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: false }),
         }
     }
 
     /// A peer's fault has arrived at our recoverer.
-    pub fn handle_noticed(&mut self, peer: NodeId, epoch: Epoch, number: u64) {
+    pub fn handle_noticed(&mut self, peer: NodeId, epoch: SessionEpoch, number: u64) {
         if self.session(peer, epoch).is_some() {
-            self.outputs.push_back(control(peer, &Message::Confirmed { number }));
+            self.outputs.push_back(control(peer, &PeerMessage::Confirmed { number }));
         }
     }
 
@@ -379,16 +404,16 @@ impl Exchange {
     pub fn handle_own_names(
         &mut self,
         to: Option<NodeId>,
-        announcement: &Announcement,
+        announcement: &DirectoryUpdate,
         now: Instant,
     ) {
         for (peer, state) in &self.peers {
             if let Some(session) = &state.session
                 && to.is_none_or(|to| to == *peer)
             {
-                let Announcement { complete, added, removed } = announcement.clone();
+                let DirectoryUpdate { complete, added, removed } = announcement.clone();
                 let stamp_us = session.stamp_us(now);
-                let message = Message::Names { stamp_us, complete, added, removed };
+                let message = PeerMessage::Names { stamp_us, complete, added, removed };
                 self.outputs.push_back(control(*peer, &message));
             }
         }
@@ -396,7 +421,7 @@ impl Exchange {
 
     /// This node ends in order.
     pub fn handle_leave(&mut self) {
-        self.tell_all(&Message::Bye);
+        self.tell_all(&PeerMessage::Leaving);
     }
 
     /// Something waits for a peer to agree to a contract.
@@ -405,7 +430,7 @@ impl Exchange {
         sessions.flat_map(|session| session.bindings.values()).any(|b| b.waiting.is_some())
     }
 
-    fn tell_all(&mut self, message: &Message) {
+    fn tell_all(&mut self, message: &PeerMessage) {
         for (peer, state) in &self.peers {
             if state.session.is_some() {
                 self.outputs.push_back(control(*peer, message));
@@ -417,45 +442,55 @@ impl Exchange {
         self.peers.get(&peer).is_some_and(|peer| peer.session.is_some())
     }
 
-    fn session(&mut self, peer: NodeId, epoch: Epoch) -> Option<&mut Session> {
+    fn session(&mut self, peer: NodeId, epoch: SessionEpoch) -> Option<&mut PeerSession> {
         let session = self.peers.get_mut(&peer)?.session.as_mut()?;
         (session.epoch == epoch).then_some(session)
     }
 
     /// A message that did not arrive, or perhaps not: its session ended first, or was full.
-    pub fn handle_returned(&mut self, peer: NodeId, message: Bytes, why: Why, sent: Sent) {
-        let Ok(message) = Message::decode(message) else { return };
+    pub fn handle_returned(
+        &mut self,
+        peer: NodeId,
+        message: Bytes,
+        why: DeliveryError,
+        sent: TransmitState,
+    ) {
+        let Ok(message) = PeerMessage::decode(message) else { return };
         match message {
-            Message::Request { call, .. } => {
+            PeerMessage::Request { call, .. } => {
                 let Some(state) = self.peers.get_mut(&peer) else { return };
                 let session = state.session.as_mut();
                 if let Some(pending) = session.and_then(|session| session.calls.remove(&call)) {
                     give_up(state, &mut self.outputs, pending, &why, sent);
                 }
             }
-            Message::Tell { binding, .. } => {
+            PeerMessage::Tell { binding, .. } => {
                 let past = self.peers.get(&peer).and_then(|peer| {
                     let present = peer.session.as_ref().map(|session| &session.numbers);
                     present.and_then(|numbers| numbers.get(&binding)).or(peer.past.get(&binding))
                 });
-                let to = past.map_or(Addressee::Forgotten, |(object, contract, _)| {
-                    Addressee::Object(object.clone(), contract)
+                let to = past.map_or(MessageTarget::Forgotten, |(object, contract, _)| {
+                    MessageTarget::Object(object.clone(), contract)
                 });
-                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+                self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
-            Message::Event { subscription, .. } => {
-                let to = Addressee::Subscription(subscription);
-                self.outputs.push_back(ExchangeOutput::Lost { peer, to, why });
+            PeerMessage::Event { subscription, .. } => {
+                let to = MessageTarget::Subscription(subscription);
+                self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
             // It was made, and no session carries it: whoever waits for it is told that much.
-            Message::Reply { call, result: Ok(_) } => {
-                if let (Why::TooLargeForSession { limit }, true) = (why, self.is_open(peer)) {
-                    let message =
-                        Message::Reply { call, result: Err(Why::ReplyTooLarge { limit }) };
-                    self.outputs.push_back(ExchangeOutput::Send {
+            PeerMessage::Reply { call, result: Ok(_) } => {
+                if let (DeliveryError::TooLargeForSession { limit }, true) =
+                    (why, self.is_open(peer))
+                {
+                    let message = PeerMessage::Reply {
+                        call,
+                        result: Err(DeliveryError::ReplyTooLarge { limit }),
+                    };
+                    self.outputs.push_back(PeerProtocolOutput::Send {
                         peer,
                         stream: Stream::Data,
-                        strand: Strand::Call(call),
+                        strand: OrderingKey::Call(call),
                         message: message.encode(),
                     });
                 }
@@ -468,54 +503,58 @@ impl Exchange {
 
 /// A request is not going to be answered in this session: it waits for the next one, or is resolved.
 fn give_up(
-    state: &mut Peer,
-    outputs: &mut VecDeque<ExchangeOutput>,
-    pending: Pending,
-    why: &Why,
-    sent: Sent,
+    state: &mut PeerRecord,
+    outputs: &mut VecDeque<PeerProtocolOutput>,
+    pending: PendingCall,
+    why: &DeliveryError,
+    sent: TransmitState,
 ) {
-    let Pending { reply_as, again, .. } = pending;
+    let PendingCall { reply_as, again, .. } = pending;
     // Whoever has left, or has no room, is not asked again.
-    let helps =
-        !matches!(why, Why::Left { .. } | Why::WayFull { .. } | Why::TooLargeForSession { .. });
+    let helps = !matches!(
+        why,
+        DeliveryError::Left { .. }
+            | DeliveryError::WayFull { .. }
+            | DeliveryError::TooLargeForSession { .. }
+    );
     match again {
         Some(call) if helps && state.again.len() < AGAIN_MAX => state.again.push(*call),
         _ => {
             let result = Err(match why {
-                why if sent == Sent::Nothing => why.clone(),
+                why if sent == TransmitState::Nothing => why.clone(),
                 // Its death is certain, and so is that nobody will answer.
-                Why::PeerDied { .. } => why.clone(),
-                why => Why::OutcomeUnknown { reason: why.to_string() },
+                DeliveryError::PeerDied { .. } => why.clone(),
+                why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
             });
-            outputs.push_back(ExchangeOutput::Resolve { reply_as, result });
+            outputs.push_back(PeerProtocolOutput::Resolve { reply_as, result });
         }
     }
 }
 
-fn control(peer: NodeId, message: &Message) -> ExchangeOutput {
-    let (stream, strand) = (Stream::Control, Strand::default());
-    ExchangeOutput::Send { peer, stream, strand, message: message.encode() }
+fn control(peer: NodeId, message: &PeerMessage) -> PeerProtocolOutput {
+    let (stream, strand) = (Stream::Control, OrderingKey::default());
+    PeerProtocolOutput::Send { peer, stream, strand, message: message.encode() }
 }
 
-fn subscribe(topic: &TopicContract, interest: &Interest) -> Message {
-    let Interest { subscription, identities } = interest;
+fn subscribe(topic: &TopicContract, interest: &RemoteTopic) -> PeerMessage {
+    let RemoteTopic { subscription, identities } = interest;
     // What differs is told of the present version.
     let present = identities.first().map(ContractIdentity::full);
     let former = identities.iter().skip(1).map(ContractIdentity::brief);
     let all = present.into_iter().chain(former).take(FORMS_MAX);
     let identities = all.map(|identity| identity.encode().into()).collect();
-    Message::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
+    PeerMessage::Subscribe { subscription: *subscription, topic: topic.topic.clone(), identities }
 }
 
 fn refuse(
     peer: NodeId,
     to: (ObjectName, &'static str),
     reply_as: Option<u64>,
-    why: Why,
-) -> ExchangeOutput {
+    why: DeliveryError,
+) -> PeerProtocolOutput {
     match reply_as {
-        Some(reply_as) => ExchangeOutput::Resolve { reply_as, result: Err(why) },
-        None => ExchangeOutput::Lost { peer, to: Addressee::Object(to.0, to.1), why },
+        Some(reply_as) => PeerProtocolOutput::Resolve { reply_as, result: Err(why) },
+        None => PeerProtocolOutput::Lost { peer, to: MessageTarget::Object(to.0, to.1), why },
     }
 }
 

@@ -15,7 +15,7 @@ const NAMES_PER_MESSAGE: usize = 256;
 
 /// The names of all nodes, as one node knows them.
 #[derive(Debug, Default)]
-pub struct Naming {
+pub struct NodeDirectory {
     own: BTreeSet<ObjectName>,
     nodes: BTreeMap<NodeId, NodeNames>,
     /// Names that were refused because a node has too many.
@@ -31,7 +31,7 @@ struct NodeNames {
 
 /// What is to be told: every peer, or one.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Announcement {
+pub struct DirectoryUpdate {
     /// Everything said before is void.
     pub complete: bool,
     /// Who came.
@@ -40,18 +40,18 @@ pub struct Announcement {
     pub removed: Vec<ObjectName>,
 }
 
-impl Naming {
+impl NodeDirectory {
     /// This node now has exactly these objects. Answers what every peer has to be told.
-    pub fn handle_own(&mut self, objects: BTreeSet<ObjectName>) -> Vec<Announcement> {
+    pub fn handle_own(&mut self, objects: BTreeSet<ObjectName>) -> Vec<DirectoryUpdate> {
         let added: Vec<_> = objects.difference(&self.own).cloned().collect();
         let removed: Vec<_> = self.own.difference(&objects).cloned().collect();
         self.own = objects;
-        let coming = added.chunks(NAMES_PER_MESSAGE).map(|added| Announcement {
+        let coming = added.chunks(NAMES_PER_MESSAGE).map(|added| DirectoryUpdate {
             complete: false,
             added: added.to_vec(),
             removed: vec![],
         });
-        let going = removed.chunks(NAMES_PER_MESSAGE).map(|removed| Announcement {
+        let going = removed.chunks(NAMES_PER_MESSAGE).map(|removed| DirectoryUpdate {
             complete: false,
             added: vec![],
             removed: removed.to_vec(),
@@ -60,7 +60,11 @@ impl Naming {
     }
 
     /// A session has begun. Answers what this peer has to be told.
-    pub fn handle_opened(&mut self, node: NodeName, incarnation: Incarnation) -> Vec<Announcement> {
+    pub fn handle_opened(
+        &mut self,
+        node: NodeName,
+        incarnation: Incarnation,
+    ) -> Vec<DirectoryUpdate> {
         let names = NodeNames { node, incarnation, objects: BTreeSet::new() };
         self.nodes.insert(NodeId::of(&names.node), names);
         let own: Vec<_> = self.own.iter().cloned().collect();
@@ -69,7 +73,8 @@ impl Naming {
             chunks.push(vec![]);
         }
         let told = chunks.into_iter().enumerate();
-        told.map(|(n, added)| Announcement { complete: n == 0, added, removed: vec![] }).collect()
+        told.map(|(n, added)| DirectoryUpdate { complete: n == 0, added, removed: vec![] })
+            .collect()
     }
 
     /// A session has ended: what its node said is void.
@@ -78,9 +83,9 @@ impl Naming {
     }
 
     /// A peer told which objects it has.
-    pub fn handle_announcement(&mut self, node: NodeId, announcement: Announcement) {
+    pub fn handle_announcement(&mut self, node: NodeId, announcement: DirectoryUpdate) {
         let Some(names) = self.nodes.get_mut(&node) else { return };
-        let Announcement { complete, added, removed } = announcement;
+        let DirectoryUpdate { complete, added, removed } = announcement;
         if complete {
             names.objects.clear();
         }
@@ -126,7 +131,7 @@ mod tests {
     }
 
     /// Two nodes; whatever one says, the other hears.
-    fn tell(to: &mut Naming, from: NodeId, announcements: Vec<Announcement>) {
+    fn tell(to: &mut NodeDirectory, from: NodeId, announcements: Vec<DirectoryUpdate>) {
         announcements.into_iter().for_each(|told| to.handle_announcement(from, told));
     }
 
@@ -134,7 +139,7 @@ mod tests {
     fn names_come_and_go_with_their_objects_and_their_node() {
         let (here, there) = (NodeName::new("here").unwrap(), NodeName::new("there").unwrap());
         let id = NodeId::of(&there);
-        let (mut ours, mut theirs) = (Naming::default(), Naming::default());
+        let (mut ours, mut theirs) = (NodeDirectory::default(), NodeDirectory::default());
         theirs.handle_own(objects(&["arm", "leg"]));
 
         ours.handle_opened(there.clone(), Incarnation(1));
@@ -153,14 +158,14 @@ mod tests {
     #[test]
     fn thousands_of_names_are_told_in_parts_and_too_many_are_refused() {
         let node = NodeName::new("hostile").unwrap();
-        let mut theirs = Naming::default();
+        let mut theirs = NodeDirectory::default();
         let many = (0..NAMES_MAX + 5).map(|n| object(&format!("object{n}"))).collect();
         theirs.handle_own(many);
         let told = theirs.handle_opened(node.clone(), Incarnation(1));
         assert_eq!(told.len(), 40);
         assert_eq!(told.iter().filter(|told| told.complete).count(), 1);
 
-        let mut ours = Naming::default();
+        let mut ours = NodeDirectory::default();
         ours.handle_opened(node.clone(), Incarnation(1));
         tell(&mut ours, NodeId::of(&node), told);
 

@@ -1,34 +1,36 @@
 //! What is going on with one peer, as long as its session lasts.
 
-use super::budget::Hall;
-use super::types::{Call, Epoch, ExchangeOutput};
-use crate::net::peer_protocol::age::Ages;
-use crate::net::session::ordering_key::Strand;
-use crate::net::wire::message::{Message, TICK_US};
+use super::budget::PendingBudget;
+use super::types::{Call, PeerProtocolOutput, SessionEpoch};
+use crate::net::peer_protocol::age::AgeEstimator;
+use crate::net::session::ordering_key::OrderingKey;
+use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::segment::Stream;
-use crate::{ContractIdentity, Delivery, Incarnation, Instant, MessageId, ObjectName, Parcel};
+use crate::{
+    ContractIdentity, Delivery, GatherBuffer, Incarnation, Instant, MessageId, ObjectName,
+};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// A binding: the object, the contract's name and fingerprint.
-pub(super) type Bound = (ObjectName, &'static str, u64);
+pub(super) type BindingKey = (ObjectName, &'static str, u64);
 /// Which binding has which number. Numbers are not used again in the next session.
-pub(super) type Numbers = BTreeMap<u32, Bound>;
+pub(super) type BindingTable = BTreeMap<u32, BindingKey>;
 
 #[derive(Debug)]
-pub(super) struct Session {
-    pub(super) epoch: Epoch,
+pub(super) struct PeerSession {
+    pub(super) epoch: SessionEpoch,
     /// With which life of the peer.
     pub(super) incarnation: Incarnation,
     /// Our stamps count from here.
     pub(super) began: Instant,
     /// Known from the peer's first stamp on.
-    pub(super) ages: Option<Ages>,
-    pub(super) bindings: BTreeMap<Bound, Binding>,
-    pub(super) numbers: Numbers,
+    pub(super) ages: Option<AgeEstimator>,
+    pub(super) bindings: BTreeMap<BindingKey, Binding>,
+    pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
-    pub(super) calls: BTreeMap<u64, Pending>,
+    pub(super) calls: BTreeMap<u64, PendingCall>,
     pub(super) notices: BTreeSet<u64>,
     /// How many bindings and subscriptions the peer has here.
     pub(super) taken: usize,
@@ -39,39 +41,39 @@ pub(super) struct Session {
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
     /// How much waits for bindings.
-    pub(super) hall: Hall,
+    pub(super) hall: PendingBudget,
 }
 
 /// Its number, how it travels, and with what it stays in order.
-pub(super) type Way = (u32, Delivery, Strand);
+pub(super) type BindingRoute = (u32, Delivery, OrderingKey);
 
 #[derive(Debug)]
 pub(super) struct Binding {
     pub(super) number: u32,
     /// That of its object.
-    pub(super) strand: Strand,
+    pub(super) strand: OrderingKey,
     pub(super) contract: ContractIdentity,
     /// Messages that wait until the peer has agreed; `None` once it has.
-    pub(super) waiting: Option<Vec<Waiting>>,
+    pub(super) waiting: Option<Vec<QueuedMessage>>,
 }
 
 impl Binding {
-    pub(super) fn way(&self) -> Way {
+    pub(super) fn way(&self) -> BindingRoute {
         (self.number, self.contract.delivery, self.strand)
     }
 }
 
 #[derive(Debug)]
-pub(super) struct Waiting {
+pub(super) struct QueuedMessage {
     pub(super) id: Option<MessageId>,
     pub(super) sent: Instant,
-    pub(super) payload: Parcel,
-    pub(super) pending: Option<Pending>,
+    pub(super) payload: GatherBuffer,
+    pub(super) pending: Option<PendingCall>,
 }
 
 /// A request of ours.
 #[derive(Debug)]
-pub(super) struct Pending {
+pub(super) struct PendingCall {
     /// The caller's number.
     pub(super) reply_as: u64,
     pub(super) until: Option<Instant>,
@@ -79,9 +81,9 @@ pub(super) struct Pending {
     pub(super) again: Option<Box<Call>>,
 }
 
-impl Session {
-    pub(super) fn new(epoch: Epoch, incarnation: Incarnation, began: Instant) -> Self {
-        Session {
+impl PeerSession {
+    pub(super) fn new(epoch: SessionEpoch, incarnation: Incarnation, began: Instant) -> Self {
+        PeerSession {
             epoch,
             incarnation,
             began,
@@ -94,7 +96,7 @@ impl Session {
             redundant: BTreeSet::new(),
             redundant_calls: BTreeSet::new(),
             full: BTreeMap::new(),
-            hall: Hall::default(),
+            hall: PendingBudget::default(),
         }
     }
 
@@ -127,20 +129,20 @@ impl Session {
     }
 
     pub(super) fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
-        self.ages.get_or_insert_with(|| Ages::new(stamp_us, now)).handle(stamp_us, now)
+        self.ages.get_or_insert_with(|| AgeEstimator::new(stamp_us, now)).handle(stamp_us, now)
     }
 
     pub(super) fn send(
         &mut self,
         peer: NodeId,
-        (binding, delivery, strand): Way,
-        waiting: Waiting,
+        (binding, delivery, strand): BindingRoute,
+        waiting: QueuedMessage,
         next_call: &mut u64,
-    ) -> ExchangeOutput {
-        let Waiting { id, sent, payload, pending } = waiting;
+    ) -> PeerProtocolOutput {
+        let QueuedMessage { id, sent, payload, pending } = waiting;
         let stamp_us = self.stamp_us(sent);
         let message = match pending {
-            None => Message::Tell { binding, stamp_us, id, payload },
+            None => PeerMessage::Tell { binding, stamp_us, id, payload },
             Some(pending) => {
                 *next_call += 1;
                 let call = *next_call;
@@ -148,7 +150,7 @@ impl Session {
                 let within = pending.until.map_or(0, |until| ticks(until - sent).max(1));
                 self.calls.insert(call, pending);
                 let stamp = stamp_us / TICK_US;
-                Message::Request { binding, call, stamp, within, id, payload }
+                PeerMessage::Request { binding, call, stamp, within, id, payload }
             }
         };
         carry(peer, ((binding << 1) | 1, delivery, strand), &message)
@@ -158,10 +160,10 @@ impl Session {
     pub(super) fn let_out(
         &mut self,
         peer: NodeId,
-        waiting: &[Waiting],
-    ) -> impl Iterator<Item = ExchangeOutput> + use<> {
+        waiting: &[QueuedMessage],
+    ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
         let again = self.hall.leave(waiting.iter().map(|waiting| waiting.payload.len()));
-        again.into_iter().map(move |load| ExchangeOutput::Room { peer, load })
+        again.into_iter().map(move |load| PeerProtocolOutput::Room { peer, load })
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -170,7 +172,7 @@ impl Session {
         peer: NodeId,
         number: u32,
         next_call: &mut u64,
-    ) -> Option<Vec<ExchangeOutput>> {
+    ) -> Option<Vec<PeerProtocolOutput>> {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, way) = (binding.waiting.take()?, binding.way());
@@ -189,15 +191,17 @@ fn ticks(span: Duration) -> u64 {
 /// bindings odd.
 pub(super) fn carry(
     peer: NodeId,
-    (channel, delivery, strand): Way,
-    message: &Message,
-) -> ExchangeOutput {
+    (channel, delivery, strand): BindingRoute,
+    message: &PeerMessage,
+) -> PeerProtocolOutput {
     let message = message.encode();
     match delivery {
-        Delivery::Reliable => ExchangeOutput::Send { peer, stream: Stream::Data, strand, message },
-        Delivery::Redundant => {
-            ExchangeOutput::Send { peer, stream: Stream::Redundant, strand, message }
+        Delivery::Reliable => {
+            PeerProtocolOutput::Send { peer, stream: Stream::Data, strand, message }
         }
-        Delivery::Newest => ExchangeOutput::SendNewest { peer, channel, message },
+        Delivery::Redundant => {
+            PeerProtocolOutput::Send { peer, stream: Stream::Redundant, strand, message }
+        }
+        Delivery::Newest => PeerProtocolOutput::SendNewest { peer, channel, message },
     }
 }

@@ -26,7 +26,7 @@ pub const BYTES_MAX: usize = 20 << 20;
 
 /// Messages of all peers that wait for room, in order.
 #[derive(Debug)]
-pub struct WaitingRoom<T> {
+pub struct ReceiveBacklog<T> {
     /// Peers of which something waits, or did not fit.
     peers: BTreeMap<NodeId, Guest<T>>,
 }
@@ -49,7 +49,7 @@ struct Line<T> {
 
 /// What became of a message that was to wait.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Admission<T> {
+pub enum BacklogVerdict<T> {
     /// It is the first for this object: the peer is to be told to stop.
     First,
     /// It waits behind others.
@@ -58,13 +58,13 @@ pub enum Admission<T> {
     Refused(T),
 }
 
-impl<T> Default for WaitingRoom<T> {
+impl<T> Default for ReceiveBacklog<T> {
     fn default() -> Self {
-        WaitingRoom { peers: BTreeMap::new() }
+        ReceiveBacklog { peers: BTreeMap::new() }
     }
 }
 
-impl<T> WaitingRoom<T> {
+impl<T> ReceiveBacklog<T> {
     /// Something of this peer waits for this object: what comes later waits behind it.
     pub fn is_waiting(&self, peer: NodeId, object: &ObjectName) -> bool {
         self.line(peer, object).is_some()
@@ -81,21 +81,21 @@ impl<T> WaitingRoom<T> {
         object: &ObjectName,
         binding: u32,
         (message, bytes): (T, usize),
-    ) -> Admission<T> {
+    ) -> BacklogVerdict<T> {
         let guest = self.peers.entry(peer).or_default();
         if guest.messages >= MESSAGES_MAX || guest.bytes + bytes > BYTES_MAX {
             guest.refusals.too_large += 1;
-            return Admission::Refused(message);
+            return BacklogVerdict::Refused(message);
         }
         guest.messages += 1;
         guest.bytes += bytes;
         if let Some(line) = guest.lines.get_mut(object) {
             line.waiting.push_back((message, bytes));
-            return Admission::Behind;
+            return BacklogVerdict::Behind;
         }
         let line = Line { binding, waiting: VecDeque::from([(message, bytes)]) };
         guest.lines.insert(object.clone(), line);
-        Admission::First
+        BacklogVerdict::First
     }
 
     /// The message that is next for this object.
@@ -152,20 +152,20 @@ mod tests {
         ObjectName::new(name).unwrap()
     }
 
-    fn fill(room: &mut WaitingRoom<usize>, bytes: usize) -> usize {
+    fn fill(room: &mut ReceiveBacklog<usize>, bytes: usize) -> usize {
         let arm = object("arm");
         let mut admit = |n: &usize| room.handle_full(PEER, &arm, 7, (*n, bytes));
-        (0..100_000).take_while(|n| !matches!(admit(n), Admission::Refused(_))).count()
+        (0..100_000).take_while(|n| !matches!(admit(n), BacklogVerdict::Refused(_))).count()
     }
 
     #[test]
     fn each_object_has_its_line_and_the_peer_is_told_once_at_either_end() {
-        let mut room = WaitingRoom::default();
+        let mut room = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
 
-        assert_eq!(room.handle_full(PEER, &arm, 7, (1, 10)), Admission::First);
-        assert_eq!(room.handle_full(PEER, &arm, 8, (2, 10)), Admission::Behind);
-        assert_eq!(room.handle_full(OTHER, &arm, 7, (3, 10)), Admission::First);
+        assert_eq!(room.handle_full(PEER, &arm, 7, (1, 10)), BacklogVerdict::First);
+        assert_eq!(room.handle_full(PEER, &arm, 8, (2, 10)), BacklogVerdict::Behind);
+        assert_eq!(room.handle_full(OTHER, &arm, 7, (3, 10)), BacklogVerdict::First);
         assert!(room.is_waiting(PEER, &arm) && !room.is_waiting(PEER, &leg));
 
         assert_eq!(room.first(PEER, &arm), Some(&1));
@@ -175,20 +175,23 @@ mod tests {
         assert!(!room.is_waiting(PEER, &arm) && room.is_waiting(OTHER, &arm));
         assert_eq!(room.first(PEER, &arm), None);
         assert_eq!(room.handle_taken(PEER, &arm), None);
-        assert_eq!(room.handle_full(PEER, &arm, 8, (4, 10)), Admission::First);
+        assert_eq!(room.handle_full(PEER, &arm, 8, (4, 10)), BacklogVerdict::First);
     }
 
     #[test]
     fn a_peer_that_does_not_stop_is_refused_and_counted_and_others_are_not() {
         for (bytes, fits) in [(0, MESSAGES_MAX), (1 << 20, BYTES_MAX >> 20)] {
-            let mut room = WaitingRoom::default();
+            let mut room = ReceiveBacklog::default();
 
             assert_eq!(fill(&mut room, bytes), fits);
             assert_eq!(fill(&mut room, bytes), 0);
 
             let too_large = |(peer, refusals): (NodeId, Refusals)| (peer, refusals.too_large);
             assert_eq!(room.refusals().map(too_large).collect::<Vec<_>>(), [(PEER, 2)]);
-            assert_eq!(room.handle_full(OTHER, &object("arm"), 7, (0, bytes)), Admission::First);
+            assert_eq!(
+                room.handle_full(OTHER, &object("arm"), 7, (0, bytes)),
+                BacklogVerdict::First
+            );
             room.handle_taken(PEER, &object("arm"));
             assert_eq!(fill(&mut room, bytes), 1, "what was taken makes room");
         }
@@ -196,7 +199,7 @@ mod tests {
 
     #[test]
     fn the_end_of_a_session_hands_out_what_waited_and_leaves_nothing() {
-        let mut room = WaitingRoom::default();
+        let mut room = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
         for (n, object) in [(1, &leg), (2, &arm), (3, &leg)] {
             room.handle_full(PEER, object, 7, (n, 10));
@@ -206,6 +209,6 @@ mod tests {
 
         assert_eq!(left, [(arm, 2), (leg.clone(), 1), (leg.clone(), 3)]);
         assert_eq!(room.refusals().count(), 0);
-        assert_eq!(room.handle_full(PEER, &leg, 7, (4, 10)), Admission::First);
+        assert_eq!(room.handle_full(PEER, &leg, 7, (4, 10)), BacklogVerdict::First);
     }
 }

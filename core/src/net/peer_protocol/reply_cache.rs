@@ -6,9 +6,9 @@
 //! begun again, and what was answered is answered with the same reply. A request that failed is forgotten:
 //! its caller was told, and sending it again is the caller's decision.
 
-use super::types::Epoch;
+use super::types::SessionEpoch;
 use crate::net::wire::node_id::NodeId;
-use crate::{Incarnation, Instant, MessageId, Parcel};
+use crate::{GatherBuffer, Incarnation, Instant, MessageId};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -23,30 +23,30 @@ const BYTES_MAX: usize = 4 << 20;
 const ASKERS_MAX: usize = 8;
 
 /// By what a request is known.
-pub(super) type Key = (NodeId, Incarnation, MessageId);
+pub(super) type RequestKey = (NodeId, Incarnation, MessageId);
 /// One sending of it.
-pub(super) type Asker = (NodeId, Epoch, u64);
+pub(super) type RequestOrigin = (NodeId, SessionEpoch, u64);
 
 /// The table of one callee.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Requests {
-    known: BTreeMap<Key, Stage>,
+pub(super) struct ReplyCache {
+    known: BTreeMap<RequestKey, Stage>,
     /// Those being served, by the sending that began it.
-    serving: BTreeMap<Asker, Key>,
+    serving: BTreeMap<RequestOrigin, RequestKey>,
     /// Those that were answered, the oldest first.
-    answered: BTreeSet<(Instant, Key)>,
+    answered: BTreeSet<(Instant, RequestKey)>,
     bytes: usize,
 }
 
 #[derive(Clone, Debug)]
 enum Stage {
-    Serving { askers: Vec<Asker> },
+    Serving { askers: Vec<RequestOrigin> },
     Answered { reply: Bytes },
 }
 
 /// What is to be done with a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Admission {
+pub(super) enum RequestVerdict {
     /// It is new: serve it.
     Serve,
     /// It is being served; the answer goes to this sending as well.
@@ -57,33 +57,38 @@ pub(super) enum Admission {
     Refuse,
 }
 
-impl Requests {
-    pub(super) fn admit(&mut self, key: Key, asker: Asker, now: Instant) -> Admission {
+impl ReplyCache {
+    pub(super) fn admit(
+        &mut self,
+        key: RequestKey,
+        asker: RequestOrigin,
+        now: Instant,
+    ) -> RequestVerdict {
         self.expire(now);
         match self.known.get_mut(&key) {
-            Some(Stage::Answered { reply }) => return Admission::Answer(reply.clone()),
+            Some(Stage::Answered { reply }) => return RequestVerdict::Answer(reply.clone()),
             Some(Stage::Serving { askers }) if askers.len() < ASKERS_MAX => {
                 askers.push(asker);
-                return Admission::Wait;
+                return RequestVerdict::Wait;
             }
-            Some(Stage::Serving { .. }) => return Admission::Refuse,
+            Some(Stage::Serving { .. }) => return RequestVerdict::Refuse,
             None => {}
         }
         if self.known.len() >= REQUESTS_MAX && !self.forget_oldest() {
-            return Admission::Refuse;
+            return RequestVerdict::Refuse;
         }
         self.known.insert(key, Stage::Serving { askers: vec![asker] });
         self.serving.insert(asker, key);
-        Admission::Serve
+        RequestVerdict::Serve
     }
 
     /// The sending that was served is answered, with a reply or with an error. Answers who is to be told.
     pub(super) fn resolve(
         &mut self,
-        asker: Asker,
-        reply: Option<&Parcel>,
+        asker: RequestOrigin,
+        reply: Option<&GatherBuffer>,
         now: Instant,
-    ) -> Vec<Asker> {
+    ) -> Vec<RequestOrigin> {
         let Some(key) = self.serving.remove(&asker) else { return vec![asker] };
         let askers = match self.known.remove(&key) {
             Some(Stage::Serving { askers }) => askers,
@@ -123,12 +128,12 @@ mod tests {
 
     const CALLER: NodeId = NodeId(7);
 
-    fn key(sequence: u64) -> Key {
+    fn key(sequence: u64) -> RequestKey {
         (CALLER, Incarnation(1), MessageId { sender: 3, sequence })
     }
 
-    fn asker(epoch: u64, call: u64) -> Asker {
-        (CALLER, Epoch(epoch), call)
+    fn asker(epoch: u64, call: u64) -> RequestOrigin {
+        (CALLER, SessionEpoch(epoch), call)
     }
 
     fn at(secs: u64) -> Instant {
@@ -137,46 +142,46 @@ mod tests {
 
     #[test]
     fn a_request_is_served_once_and_every_sending_of_it_answered() {
-        let mut requests = Requests::default();
-        assert_eq!(requests.admit(key(1), asker(1, 10), at(0)), Admission::Serve);
-        assert_eq!(requests.admit(key(1), asker(2, 20), at(1)), Admission::Wait);
+        let mut requests = ReplyCache::default();
+        assert_eq!(requests.admit(key(1), asker(1, 10), at(0)), RequestVerdict::Serve);
+        assert_eq!(requests.admit(key(1), asker(2, 20), at(1)), RequestVerdict::Wait);
 
         let reply = Bytes::from_static(b"reply");
         let told = requests.resolve(asker(1, 10), Some(&reply.clone().into()), at(2));
 
         assert_eq!(told, [asker(1, 10), asker(2, 20)]);
-        assert_eq!(requests.admit(key(1), asker(3, 30), at(3)), Admission::Answer(reply));
+        assert_eq!(requests.admit(key(1), asker(3, 30), at(3)), RequestVerdict::Answer(reply));
         let reborn = (CALLER, Incarnation(2), key(1).2);
-        assert_eq!(requests.admit(reborn, asker(4, 1), at(3)), Admission::Serve);
+        assert_eq!(requests.admit(reborn, asker(4, 1), at(3)), RequestVerdict::Serve);
     }
 
     #[test]
     fn a_request_that_failed_may_be_tried_again() {
-        let mut requests = Requests::default();
+        let mut requests = ReplyCache::default();
         requests.admit(key(1), asker(1, 10), at(0));
         assert_eq!(requests.resolve(asker(1, 10), None, at(1)), [asker(1, 10)]);
-        assert_eq!(requests.admit(key(1), asker(1, 11), at(2)), Admission::Serve);
+        assert_eq!(requests.admit(key(1), asker(1, 11), at(2)), RequestVerdict::Serve);
     }
 
     #[test]
     fn replies_are_forgotten_by_age_number_and_size_and_requests_in_service_never() {
-        let mut requests = Requests::default();
+        let mut requests = ReplyCache::default();
         requests.admit(key(0), asker(1, 0), at(0));
-        let large = Parcel::from(vec![0; BYTES_MAX / 4]);
+        let large = GatherBuffer::from(vec![0; BYTES_MAX / 4]);
         for n in 1..=6 {
             requests.admit(key(n), asker(1, n), at(n));
             requests.resolve(asker(1, n), Some(&large), at(n));
             assert!(requests.bytes <= BYTES_MAX);
         }
-        assert_eq!(requests.admit(key(1), asker(2, 1), at(7)), Admission::Serve, "too much");
-        assert!(matches!(requests.admit(key(6), asker(2, 6), at(7)), Admission::Answer(_)));
-        assert_eq!(requests.admit(key(6), asker(2, 7), at(66)), Admission::Serve, "too old");
-        assert_eq!(requests.admit(key(0), asker(2, 0), at(70)), Admission::Wait);
+        assert_eq!(requests.admit(key(1), asker(2, 1), at(7)), RequestVerdict::Serve, "too much");
+        assert!(matches!(requests.admit(key(6), asker(2, 6), at(7)), RequestVerdict::Answer(_)));
+        assert_eq!(requests.admit(key(6), asker(2, 7), at(66)), RequestVerdict::Serve, "too old");
+        assert_eq!(requests.admit(key(0), asker(2, 0), at(70)), RequestVerdict::Wait);
 
         for n in 100..100 + REQUESTS_MAX as u64 {
             requests.admit(key(n), asker(1, n), at(70));
         }
         assert_eq!(requests.known.len(), REQUESTS_MAX);
-        assert_eq!(requests.admit(key(9999), asker(1, 9999), at(70)), Admission::Refuse);
+        assert_eq!(requests.admit(key(9999), asker(1, 9999), at(70)), RequestVerdict::Refuse);
     }
 }

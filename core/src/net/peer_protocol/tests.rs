@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::contract::layout::{Described, Layout};
-use crate::net::peer_protocol::naming::Announcement;
+use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::{Delivery, Incarnation, NodeName};
 
 fn layout_of_number() -> &'static Layout {
@@ -53,9 +53,9 @@ fn at(millis: u64) -> Instant {
 
 /// Two exchanges; what one sends, the other gets.
 struct Pair {
-    ends: [Exchange; 2],
+    ends: [PeerProtocol; 2],
     ids: [NodeId; 2],
-    told: [Vec<ExchangeOutput>; 2],
+    told: [Vec<PeerProtocolOutput>; 2],
     now: u64,
 }
 
@@ -63,7 +63,7 @@ impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
         let told = [vec![], vec![]];
-        Pair { ends: [Exchange::default(), Exchange::default()], ids, told, now: 0 }
+        Pair { ends: [PeerProtocol::default(), PeerProtocol::default()], ids, told, now: 0 }
     }
 
     fn open() -> Self {
@@ -85,7 +85,7 @@ impl Pair {
                 while let Some(output) = self.ends[end].poll_output() {
                     busy = true;
                     match output {
-                        ExchangeOutput::Send { message, .. } => {
+                        PeerProtocolOutput::Send { message, .. } => {
                             self.ends[1 - end].handle_message(
                                 self.ids[end],
                                 message.into_bytes(),
@@ -102,7 +102,7 @@ impl Pair {
         }
     }
 
-    fn take(&mut self, end: usize) -> Vec<ExchangeOutput> {
+    fn take(&mut self, end: usize) -> Vec<PeerProtocolOutput> {
         std::mem::take(&mut self.told[end])
     }
 
@@ -123,9 +123,9 @@ impl Pair {
     }
 
     /// The right end agrees to the binding that it was just asked for.
-    fn agree(&mut self) -> Epoch {
+    fn agree(&mut self) -> SessionEpoch {
         let told = self.take(1);
-        let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+        let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
             panic!("{told:?}");
         };
         assert_eq!(count().check(identity), Ok(()));
@@ -149,17 +149,20 @@ fn the_first_message_binds_and_all_are_served_in_order() {
         .take(1)
         .into_iter()
         .map(|output| match output {
-            ExchangeOutput::Serve { call, .. } => call,
+            PeerProtocolOutput::Serve { call, .. } => call,
             other => panic!("{other:?}"),
         })
         .collect();
     assert_eq!(calls, [Some(1), None, Some(2)]);
     let left = pair.ids[0];
     pair.ends[1].handle_answer(left, epoch, 2, Ok(payload().into()), at(0));
-    pair.ends[1].handle_answer(left, epoch, 1, Err(Why::Stopped), at(0));
+    pair.ends[1].handle_answer(left, epoch, 1, Err(DeliveryError::Stopped), at(0));
     pair.run();
-    let resolved = |reply_as, result| ExchangeOutput::Resolve { reply_as, result };
-    assert_eq!(pair.take(0), [resolved(11, Ok(payload())), resolved(10, Err(Why::Stopped))]);
+    let resolved = |reply_as, result| PeerProtocolOutput::Resolve { reply_as, result };
+    assert_eq!(
+        pair.take(0),
+        [resolved(11, Ok(payload())), resolved(10, Err(DeliveryError::Stopped))]
+    );
 }
 
 #[test]
@@ -167,18 +170,21 @@ fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() 
     let mut pair = Pair::open();
     pair.call(contract(layout_of_text), Some(10));
     let told = pair.take(1);
-    let [ExchangeOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
+    let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
         panic!("{told:?}");
     };
     let theirs = count().check(identity).unwrap_err().to_string();
-    let why = Why::ContractDiffers { difference: theirs.clone() };
+    let why = DeliveryError::ContractDiffers { difference: theirs.clone() };
     pair.ends[1].handle_bound(*peer, *epoch, *binding, Err((why, Some(count()))));
     pair.run();
 
     let told = pair.take(0);
     let [
-        ExchangeOutput::Differs { difference, .. },
-        ExchangeOutput::Resolve { reply_as: 10, result: Err(Why::ContractDiffers { .. }) },
+        PeerProtocolOutput::Differs { difference, .. },
+        PeerProtocolOutput::Resolve {
+            reply_as: 10,
+            result: Err(DeliveryError::ContractDiffers { .. }),
+        },
     ] = &told[..]
     else {
         panic!("{told:?}");
@@ -186,7 +192,7 @@ fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() 
     assert_ne!(*difference, theirs, "here and there have changed places");
     pair.call(count(), Some(11));
     pair.agree();
-    assert!(matches!(pair.take(1)[..], [ExchangeOutput::Serve { .. }]));
+    assert!(matches!(pair.take(1)[..], [PeerProtocolOutput::Serve { .. }]));
 }
 
 #[test]
@@ -198,17 +204,17 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
     pair.ends[0].handle_notice(right, 77, payload());
     pair.run();
 
-    pair.ends[0].handle_ended(right, &Why::Stopped);
+    pair.ends[0].handle_ended(right, &DeliveryError::Stopped);
     pair.run();
 
-    let unknown = Why::OutcomeUnknown { reason: Why::Stopped.to_string() };
-    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(unknown) };
-    let noticed = ExchangeOutput::Noticed { number: 77, arrived: false };
-    let why = Why::Stopped;
-    assert_eq!(pair.take(0), [resolved, noticed, ExchangeOutput::Forget { peer: right, why }]);
+    let unknown = DeliveryError::OutcomeUnknown { reason: DeliveryError::Stopped.to_string() };
+    let resolved = PeerProtocolOutput::Resolve { reply_as: 10, result: Err(unknown) };
+    let noticed = PeerProtocolOutput::Noticed { number: 77, arrived: false };
+    let why = DeliveryError::Stopped;
+    assert_eq!(pair.take(0), [resolved, noticed, PeerProtocolOutput::Forget { peer: right, why }]);
 
     let left = pair.ids[0];
-    pair.ends[1].handle_ended(left, &Why::Stopped);
+    pair.ends[1].handle_ended(left, &DeliveryError::Stopped);
     for end in 0..2 {
         pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
@@ -222,16 +228,19 @@ fn everything_is_resolved_when_the_session_ends_and_late_answers_go_nowhere() {
 fn without_a_session_a_call_is_refused_with_the_reason() {
     let mut pair = Pair::new();
     pair.call(count(), Some(10));
-    let why = Why::Unreachable { node: "right".into() };
-    let resolved = |why| ExchangeOutput::Resolve { reply_as: 10, result: Err(why) };
+    let why = DeliveryError::Unreachable { node: "right".into() };
+    let resolved = |why| PeerProtocolOutput::Resolve { reply_as: 10, result: Err(why) };
     assert_eq!(pair.take(0), [resolved(why)]);
 
     pair.ends[0].handle_reachable(pair.ids[1]);
     pair.call(count(), Some(10));
-    assert_eq!(pair.take(0), [resolved(Why::Restarting)]);
+    assert_eq!(pair.take(0), [resolved(DeliveryError::Restarting)]);
     pair.call(count(), None);
-    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
-    assert_eq!(pair.take(0), [ExchangeOutput::Lost { peer, to, why: Why::Restarting }]);
+    let (peer, to) = (pair.ids[1], MessageTarget::Object(arm(), "count"));
+    assert_eq!(
+        pair.take(0),
+        [PeerProtocolOutput::Lost { peer, to, why: DeliveryError::Restarting }]
+    );
 }
 
 #[test]
@@ -247,13 +256,14 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
     }
     pair.run();
     let peer = pair.ids[1];
-    let (load, why) = (Load::Small, Why::WayFull { node: "right".into(), bulk: false });
-    let lost = ExchangeOutput::Lost { peer, to: Addressee::Object(arm(), "count"), why };
-    assert_eq!(pair.take(0), [ExchangeOutput::Full { peer, load }, lost]);
+    let (load, why) =
+        (SizeClass::Small, DeliveryError::WayFull { node: "right".into(), bulk: false });
+    let lost = PeerProtocolOutput::Lost { peer, to: MessageTarget::Object(arm(), "count"), why };
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Full { peer, load }, lost]);
 
     pair.agree();
 
-    assert_eq!(pair.take(0), [ExchangeOutput::Room { peer, load }]);
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Room { peer, load }]);
     assert_eq!(pair.take(1).len(), budget::TIMES * budget::MESSAGES);
 }
 
@@ -266,21 +276,26 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     }
     pair.run();
     let told = pair.take(1);
-    let [ExchangeOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &told[..] else {
+    let [PeerProtocolOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &told[..]
+    else {
         panic!("{told:?}");
     };
     assert_eq!(*wanted, topic());
 
     pair.ends[1].handle_event(*peer, (*subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
-    let event =
-        ExchangeOutput::Event { topic: topic(), form: 0, age: Duration::ZERO, payload: payload() };
+    let event = PeerProtocolOutput::Event {
+        topic: topic(),
+        form: 0,
+        age: Duration::ZERO,
+        payload: payload(),
+    };
     assert_eq!(pair.take(0), [event]);
 
     pair.ends[0].handle_interest(topic(), vec![]);
     pair.run();
     let (peer, subscription) = (*peer, *subscription);
-    assert_eq!(pair.take(1), [ExchangeOutput::Unsubscribe { peer, subscription }]);
+    assert_eq!(pair.take(1), [PeerProtocolOutput::Unsubscribe { peer, subscription }]);
     pair.ends[1].handle_event(peer, (subscription, Delivery::Reliable), payload().into(), at(0));
     pair.run();
     assert_eq!(pair.take(0), []);
@@ -293,7 +308,7 @@ fn a_notice_is_confirmed_only_when_it_was_taken() {
     pair.ends[0].handle_notice(pair.ids[1], 77, payload());
     pair.run();
     let told = pair.take(1);
-    let [ExchangeOutput::Notice { peer, epoch, number, .. }] = told[..] else {
+    let [PeerProtocolOutput::Notice { peer, epoch, number, .. }] = told[..] else {
         panic!("{told:?}");
     };
     assert_eq!(pair.take(0), []);
@@ -301,7 +316,7 @@ fn a_notice_is_confirmed_only_when_it_was_taken() {
     pair.ends[1].handle_noticed(peer, epoch, number);
     pair.run();
 
-    assert_eq!(pair.take(0), [ExchangeOutput::Noticed { number: 77, arrived: true }]);
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Noticed { number: 77, arrived: true }]);
 }
 
 #[test]
@@ -320,20 +335,26 @@ fn a_returned_message_resolves_its_request() {
         payload: payload().into(),
         reply_as,
     };
-    let full = Why::WayFull { node: "right".into(), bulk: false };
+    let full = DeliveryError::WayFull { node: "right".into(), bulk: false };
     let mut told = vec![];
     for reply_as in [Some(10), None] {
         pair.ends[0].handle_call(call(reply_as));
-        let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+        let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output()
+        else {
             panic!("it is sent");
         };
-        pair.ends[0].handle_returned(peer, message.into_bytes(), full.clone(), Sent::Nothing);
+        pair.ends[0].handle_returned(
+            peer,
+            message.into_bytes(),
+            full.clone(),
+            TransmitState::Nothing,
+        );
         told.extend(pair.ends[0].poll_output());
     }
 
-    let (peer, to) = (pair.ids[1], Addressee::Object(arm(), "count"));
-    let resolved = ExchangeOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
-    let lost = ExchangeOutput::Lost { peer, to, why: full };
+    let (peer, to) = (pair.ids[1], MessageTarget::Object(arm(), "count"));
+    let resolved = PeerProtocolOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
+    let lost = PeerProtocolOutput::Lost { peer, to, why: full };
     assert_eq!(told, [resolved, lost]);
 }
 
@@ -342,7 +363,7 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
     let mut pair = Pair::open();
     let identity: Bytes = count().brief().encode().into();
     for binding in 0..BINDINGS_MAX as u32 + 3 {
-        let bind = Message::Bind { binding, object: arm(), identity: identity.clone() };
+        let bind = PeerMessage::Bind { binding, object: arm(), identity: identity.clone() };
         pair.ends[0].handle_message(pair.ids[1], bind.encode().into_bytes(), at(0));
     }
     assert_eq!(pair.ends[0].refusals().too_large, 3);
@@ -351,7 +372,7 @@ fn a_peer_that_binds_without_end_is_refused_beyond_the_limit() {
 #[test]
 fn what_waited_on_the_way_arrives_with_its_age() {
     let mut pair = Pair::open();
-    let nothing = Announcement { complete: true, added: vec![], removed: vec![] };
+    let nothing = DirectoryUpdate { complete: true, added: vec![], removed: vec![] };
     pair.ends[0].handle_own_names(None, &nothing, at(0));
     pair.run();
     pair.call(count(), None);
@@ -361,13 +382,13 @@ fn what_waited_on_the_way_arrives_with_its_age() {
     let right = pair.ids[1];
     pair.ends[0].handle_message(
         right,
-        Message::Bound { binding: 1 }.encode().into_bytes(),
+        PeerMessage::Bound { binding: 1 }.encode().into_bytes(),
         at(300),
     );
     pair.run();
 
     let told = pair.take(1);
-    let [ExchangeOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
+    let [PeerProtocolOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
     assert_eq!(*age, Duration::from_millis(300));
 }
 
@@ -380,7 +401,7 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     for contract in [count(), contract(layout_of_text)] {
         pair.call(contract, None);
         let told = pair.take(1);
-        let [.., ExchangeOutput::Bind { epoch, binding, .. }] = &told[..] else {
+        let [.., PeerProtocolOutput::Bind { epoch, binding, .. }] = &told[..] else {
             panic!("{told:?}")
         };
         pair.ends[1].handle_bound(left, *epoch, *binding, Ok(()));
@@ -388,26 +409,26 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
         numbers.push(*binding);
     }
     pair.take(0);
-    let mut says = |binding: u32, word: fn(&mut Exchange, NodeId, u32)| {
+    let mut says = |binding: u32, word: fn(&mut PeerProtocol, NodeId, u32)| {
         word(&mut pair.ends[1], left, binding);
         pair.run();
         pair.take(0)
     };
     let (peer, object) = (right, arm());
-    let full = ExchangeOutput::ObjectFull { peer, object: object.clone() };
-    let room = ExchangeOutput::ObjectRoom { peer, object };
+    let full = PeerProtocolOutput::ObjectFull { peer, object: object.clone() };
+    let room = PeerProtocolOutput::ObjectRoom { peer, object };
 
-    assert_eq!(says(numbers[0], Exchange::handle_full), std::slice::from_ref(&full));
-    assert_eq!(says(numbers[1], Exchange::handle_full), []);
-    assert_eq!(says(numbers[0], Exchange::handle_room), []);
-    assert_eq!(says(numbers[1], Exchange::handle_room), [room]);
-    assert_eq!(says(numbers[1], Exchange::handle_full), [full]);
+    assert_eq!(says(numbers[0], PeerProtocol::handle_full), std::slice::from_ref(&full));
+    assert_eq!(says(numbers[1], PeerProtocol::handle_full), []);
+    assert_eq!(says(numbers[0], PeerProtocol::handle_room), []);
+    assert_eq!(says(numbers[1], PeerProtocol::handle_room), [room]);
+    assert_eq!(says(numbers[1], PeerProtocol::handle_full), [full]);
 
     // What makes no sense changes nothing, and is counted.
-    assert_eq!(says(numbers[1], Exchange::handle_full), []);
-    assert_eq!(says(numbers[0], Exchange::handle_room), []);
-    assert_eq!(says(99, Exchange::handle_full), []);
-    assert_eq!(says(99, Exchange::handle_room), []);
+    assert_eq!(says(numbers[1], PeerProtocol::handle_full), []);
+    assert_eq!(says(numbers[0], PeerProtocol::handle_room), []);
+    assert_eq!(says(99, PeerProtocol::handle_full), []);
+    assert_eq!(says(99, PeerProtocol::handle_room), []);
     assert_eq!(pair.ends[0].refusals().unexpected, 4);
 }
 
@@ -418,14 +439,14 @@ fn a_reply_that_no_session_carries_is_told_to_have_been_made() {
     pair.agree();
     pair.take(1);
     let left = pair.ids[0];
-    let reply = Message::Reply { call: 1, result: Ok(payload().into()) }.encode().into_bytes();
+    let reply = PeerMessage::Reply { call: 1, result: Ok(payload().into()) }.encode().into_bytes();
 
-    let why = Why::TooLargeForSession { limit: 5 };
-    pair.ends[1].handle_returned(left, reply, why, Sent::Nothing);
+    let why = DeliveryError::TooLargeForSession { limit: 5 };
+    pair.ends[1].handle_returned(left, reply, why, TransmitState::Nothing);
     pair.run();
 
-    let result = Err(Why::ReplyTooLarge { limit: 5 });
-    assert_eq!(pair.take(0), [ExchangeOutput::Resolve { reply_as: 10, result }]);
+    let result = Err(DeliveryError::ReplyTooLarge { limit: 5 });
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Resolve { reply_as: 10, result }]);
 }
 
 #[test]
@@ -446,23 +467,23 @@ fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_i
         reply_as: None,
     };
     pair.ends[0].handle_call(call(count()));
-    let Some(ExchangeOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
+    let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output() else {
         panic!("it is sent");
     };
     let other = ContractIdentity { name: "other", ..count() };
     pair.ends[0].handle_call(call(other));
     while pair.ends[0].poll_output().is_some() {}
 
-    let why = Why::OutcomeUnknown { reason: "it failed".into() };
+    let why = DeliveryError::OutcomeUnknown { reason: "it failed".into() };
     let mut reborn = pair.ends[0].reborn(&why);
     let lost = |contract, why| {
-        let to = Addressee::Object(arm(), contract);
-        Some(ExchangeOutput::Lost { peer, to, why })
+        let to = MessageTarget::Object(arm(), contract);
+        Some(PeerProtocolOutput::Lost { peer, to, why })
     };
     assert_eq!(reborn.poll_output(), lost("other", why));
     assert_eq!(reborn.poll_output(), None);
 
-    let died = Why::PeerDied { incarnation: Incarnation(1) };
-    reborn.handle_returned(peer, message.into_bytes(), died.clone(), Sent::Perhaps);
+    let died = DeliveryError::PeerDied { incarnation: Incarnation(1) };
+    reborn.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
     assert_eq!(reborn.poll_output(), lost("count", died));
 }

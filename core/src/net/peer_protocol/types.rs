@@ -1,12 +1,13 @@
 //! What an exchange is told, and wants done.
 
-use crate::net::peer_protocol::naming::Announcement;
-use crate::net::session::ordering_key::Strand;
-use crate::net::session::size_class::Load;
+use crate::net::peer_protocol::naming::DirectoryUpdate;
+use crate::net::session::ordering_key::OrderingKey;
+use crate::net::session::size_class::SizeClass;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::segment::Stream;
 use crate::{
-    ContractIdentity, Instant, MessageId, NodeName, ObjectName, Parcel, PeerIdentity, Why,
+    ContractIdentity, DeliveryError, GatherBuffer, Instant, MessageId, NodeName, ObjectName,
+    PeerIdentity,
 };
 use bytes::Bytes;
 use std::time::Duration;
@@ -22,7 +23,7 @@ pub struct TopicContract {
 
 /// One session's number on this node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Epoch(pub u64);
+pub struct SessionEpoch(pub u64);
 
 /// What an object wants sent to one of another node.
 #[derive(Clone, Debug)]
@@ -40,14 +41,14 @@ pub struct Call {
     /// When the answer is no use any more.
     pub until: Option<Instant>,
     /// The message.
-    pub payload: Parcel,
+    pub payload: GatherBuffer,
     /// The number by which the caller knows the request; `None` if it wants no reply.
     pub reply_as: Option<u64>,
 }
 
 /// How much of a message that came back was on its way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sent {
+pub enum TransmitState {
     /// Nothing: it has certainly not arrived.
     Nothing,
     /// Some of it, or all: it may have arrived.
@@ -56,7 +57,7 @@ pub enum Sent {
 
 /// Whom a message was for that was lost.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Addressee {
+pub enum MessageTarget {
     /// This object, by the contract of this name.
     Object(ObjectName, &'static str),
     /// Those who listen by the subscription of this number.
@@ -67,7 +68,7 @@ pub enum Addressee {
 
 /// What an exchange wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ExchangeOutput {
+pub enum PeerProtocolOutput {
     /// Give this to the session with the peer.
     Send {
         /// Whom.
@@ -75,9 +76,9 @@ pub enum ExchangeOutput {
         /// In which stream.
         stream: Stream,
         /// With what it stays in order there.
-        strand: Strand,
+        strand: OrderingKey,
         /// What.
-        message: Parcel,
+        message: GatherBuffer,
     },
     /// Give this to the session with the peer, to be sent once: of the channel the newest counts.
     SendNewest {
@@ -86,14 +87,14 @@ pub enum ExchangeOutput {
         /// On which channel.
         channel: u32,
         /// What.
-        message: Parcel,
+        message: GatherBuffer,
     },
     /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::Exchange::handle_bound).
     Bind {
         /// Who asks.
         peer: NodeId,
         /// In which session.
-        epoch: Epoch,
+        epoch: SessionEpoch,
         /// Under which number.
         binding: u32,
         /// Which object.
@@ -107,7 +108,7 @@ pub enum ExchangeOutput {
         /// From whom.
         peer: NodeId,
         /// In which session.
-        epoch: Epoch,
+        epoch: SessionEpoch,
         /// Through which binding.
         binding: u32,
         /// By which number to answer; `None` if no reply is wanted.
@@ -126,30 +127,30 @@ pub enum ExchangeOutput {
         /// The caller's number for it.
         reply_as: u64,
         /// With what.
-        result: Result<Bytes, Why>,
+        result: Result<Bytes, DeliveryError>,
     },
     /// A message that wanted no reply did not arrive, or perhaps not.
     Lost {
         /// For which node.
         peer: NodeId,
         /// For whom there.
-        to: Addressee,
+        to: MessageTarget,
         /// Why.
-        why: Why,
+        why: DeliveryError,
     },
     /// Too much waits for the peer to agree to a contract: senders should stop.
     Full {
         /// Whom.
         peer: NodeId,
         /// What there is no room for: bulk alone, or what is small, and then nothing goes.
-        load: Load,
+        load: SizeClass,
     },
     /// They may go on.
     Room {
         /// Whom.
         peer: NodeId,
         /// With what.
-        load: Load,
+        load: SizeClass,
     },
     /// The peer's object has no room: senders should stop, for this object.
     ObjectFull {
@@ -208,7 +209,7 @@ pub enum ExchangeOutput {
         /// Whose.
         peer: NodeId,
         /// In which session.
-        epoch: Epoch,
+        epoch: SessionEpoch,
         /// Under which number.
         number: u64,
         /// The fault.
@@ -226,7 +227,7 @@ pub enum ExchangeOutput {
         /// Whose.
         peer: NodeId,
         /// Which.
-        announcement: Announcement,
+        announcement: DirectoryUpdate,
     },
     /// The peer ends in order.
     Bye {
@@ -239,6 +240,6 @@ pub enum ExchangeOutput {
         /// Whose.
         peer: NodeId,
         /// Why it is over.
-        why: Why,
+        why: DeliveryError,
     },
 }

@@ -3,24 +3,24 @@
 //! Somebody says again and again whatever goes on: announcements are repeated every ten seconds, and the
 //! holder of a name is asked as often. What nobody says any more for a minute has ended.
 
-use super::{Router, RouterOutput, Trouble};
+use super::{Router, RouterAlarm, RouterOutput};
 use crate::net::active_alarms::QUIET;
 
 impl Router {
     /// It is told of now.
-    pub(super) fn begin_trouble(&mut self, trouble: Trouble) {
-        self.troubles.begin(trouble, self.now);
+    pub(super) fn begin_trouble(&mut self, trouble: RouterAlarm) {
+        self.troubles.raise(trouble, self.now);
         self.wake_at = self.wake_at.min(self.now + QUIET);
     }
 
     /// It goes on, if it was told of.
-    pub(super) fn go_on(&mut self, trouble: Trouble) {
+    pub(super) fn go_on(&mut self, trouble: RouterAlarm) {
         self.troubles.go_on(&trouble, self.now);
     }
 
     pub(super) fn end_troubles(&mut self) {
         for trouble in self.troubles.take_over(self.now) {
-            if trouble == Trouble::NameTaken {
+            if trouble == RouterAlarm::NameTaken {
                 // When it begins again, it is told of again.
                 (self.told, self.usurper) = (None, None);
             }

@@ -11,10 +11,10 @@
 //! without anybody's knowing, it does not defend itself. Where two halves of a network meet that have each
 //! a node of this name, the older life stays, everywhere.
 
-use super::{Health, LinkNumber, LinkStatus, Router, RouterOutput, Trouble};
+use super::{LinkHealth, LinkId, LinkStatus, Router, RouterAlarm, RouterOutput};
 use crate::net::link::Neighbour;
-use crate::net::routing::topology::Adjacent;
-use crate::net::wire::advertisement::{Advertisement, Routing, Stamp};
+use crate::net::routing::topology::Adjacency;
+use crate::net::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant, NodeName};
 use std::time::Duration;
@@ -55,15 +55,15 @@ impl Router {
             let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
             self.disputes.insert(id, dispute);
             self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
-            let contender = Stamp { origin: id, incarnation, sequence: 0 };
-            self.tell_all(&Routing::Dispute { contender, node: node.clone() }, None);
+            let contender = AdvertisementId { origin: id, incarnation, sequence: 0 };
+            self.tell_all(&RoutingMessage::Dispute { contender, node: node.clone() }, None);
         }
         self.refusals.unexpected += 1;
         true
     }
 
     /// A link to a life that is kept out.
-    pub(super) fn contest(&mut self, link: LinkNumber, status: LinkStatus) {
+    pub(super) fn contest(&mut self, link: LinkId, status: LinkStatus) {
         if self.links.remove(&link).is_some() {
             self.announce_links();
         }
@@ -71,8 +71,13 @@ impl Router {
     }
 
     /// Somebody asks whether the holder of a name is still there.
-    pub(super) fn handle_dispute(&mut self, from: LinkNumber, contender: Stamp, node: NodeName) {
-        let Stamp { origin, incarnation, .. } = contender;
+    pub(super) fn handle_dispute(
+        &mut self,
+        from: LinkId,
+        contender: AdvertisementId,
+        node: NodeName,
+    ) {
+        let AdvertisementId { origin, incarnation, .. } = contender;
         if origin == self.id {
             if incarnation > self.own.stamp.incarnation {
                 self.defend(incarnation);
@@ -90,24 +95,24 @@ impl Router {
         let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
         self.disputes.insert(origin, dispute);
         self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
-        self.tell_all(&Routing::Dispute { contender, node }, Some(from));
+        self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(from));
     }
 
     /// Whether somebody who has our name, and a greater life, says something new. What an earlier life of
     /// ours has said, before the clock that numbers lives was set back, others can only repeat.
-    pub(super) fn is_more_than_a_rumour(&mut self, theirs: Stamp) -> bool {
-        match self.rumour {
+    pub(super) fn is_more_than_a_rumour(&mut self, theirs: AdvertisementId) -> bool {
+        match self.unconfirmed_incarnation {
             Some((known, since)) if known.incarnation == theirs.incarnation => {
                 // Until then, others may have known different words of it.
                 let settled = self.now >= since + Self::DEFEND_WITHIN;
                 let newer = known.sequence < theirs.sequence;
                 if newer {
-                    self.rumour = Some((theirs, since));
+                    self.unconfirmed_incarnation = Some((theirs, since));
                 }
                 newer && settled
             }
             _ => {
-                self.rumour = Some((theirs, self.now));
+                self.unconfirmed_incarnation = Some((theirs, self.now));
                 false
             }
         }
@@ -116,13 +121,13 @@ impl Router {
     /// Another node of our name, of a later life, is there: it is for us to say that we are.
     pub(super) fn defend(&mut self, against: Incarnation) {
         if self.usurper == Some(against) {
-            self.go_on(Trouble::NameTaken);
+            self.go_on(RouterAlarm::NameTaken);
             return self.defend_against_rumour(against);
         }
         self.usurper = Some(against);
         let (incarnation, first) = (against, true);
         self.outputs.push_back(RouterOutput::NameTaken { incarnation, first });
-        self.begin_trouble(Trouble::NameTaken);
+        self.begin_trouble(RouterAlarm::NameTaken);
         self.say_that_we_are(against);
     }
 
@@ -137,26 +142,26 @@ impl Router {
         self.defended_at = self.now;
         self.renew();
         let advertisement = self.own.clone();
-        self.tell_all(&Routing::Defend { against, advertisement }, None);
+        self.tell_all(&RoutingMessage::Defend { against, advertisement }, None);
     }
 
     /// The holder of a name is there.
     pub(super) fn handle_defence(
         &mut self,
-        from: LinkNumber,
+        from: LinkId,
         against: Incarnation,
         advertisement: Advertisement,
     ) {
-        let Stamp { origin, incarnation, .. } = advertisement.stamp;
+        let AdvertisementId { origin, incarnation, .. } = advertisement.stamp;
         if incarnation >= against {
             self.refusals.malformed += 1;
             return;
         }
         if origin == self.id {
             let own = self.own.stamp.incarnation;
-            self.go_on(Trouble::NameTaken);
+            self.go_on(RouterAlarm::NameTaken);
             if incarnation < own && own <= against && self.usurper != Some(incarnation) {
-                self.begin_trouble(Trouble::NameTaken);
+                self.begin_trouble(RouterAlarm::NameTaken);
                 self.usurper = Some(incarnation);
                 self.outputs.push_back(RouterOutput::NameTaken { incarnation, first: false });
             }
@@ -200,11 +205,11 @@ impl Router {
         let links = self.links.iter().filter(|(_, adjacent)| out(&adjacent.neighbour));
         let links: Vec<_> = links.map(|(link, adjacent)| (*link, status_of(adjacent))).collect();
         links.into_iter().for_each(|(link, status)| self.contest(link, status));
-        self.tell_all(&Routing::Defend { against, advertisement }, Some(from));
+        self.tell_all(&RoutingMessage::Defend { against, advertisement }, Some(from));
     }
 
     /// Tells all neighbours, and those that are kept out.
-    fn tell_all(&mut self, routing: &Routing, except: Option<LinkNumber>) {
+    fn tell_all(&mut self, routing: &RoutingMessage, except: Option<LinkId>) {
         let bytes = routing.encode();
         let links = self.links.keys().chain(self.contested.keys());
         for link in links.copied().filter(|link| Some(*link) != except) {
@@ -213,7 +218,7 @@ impl Router {
     }
 
     /// The contender, which is kept out, announces itself over and over: it is told why.
-    pub(super) fn tell_contender(&mut self, link: LinkNumber) {
+    pub(super) fn tell_contender(&mut self, link: LinkId) {
         let Some(LinkStatus { neighbour, .. }) = self.contested.get(&link) else { return };
         let (node, now) = (neighbour.node.clone(), self.now);
         let (origin, incarnation) = (NodeId::of(&node), neighbour.incarnation);
@@ -223,13 +228,13 @@ impl Router {
         };
         if let Some(dispute) = self.disputes.get_mut(&origin).filter(due) {
             dispute.asked_at = now;
-            let contender = Stamp { origin, incarnation, sequence: 0 };
-            self.tell_all(&Routing::Dispute { contender, node }, Some(link));
+            let contender = AdvertisementId { origin, incarnation, sequence: 0 };
+            self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(link));
         }
     }
 
     /// Repeats to one neighbour how the dispute about a name has ended.
-    pub(super) fn tell_why(&mut self, link: LinkNumber, id: NodeId) {
+    pub(super) fn tell_why(&mut self, link: LinkId, id: NodeId) {
         let now = self.now;
         let Some(dispute) = self.disputes.get_mut(&id).filter(|dispute| dispute.until.is_none())
         else {
@@ -238,7 +243,7 @@ impl Router {
         let known = self.known.get(&id).map(|known| known.advertisement.clone());
         if let (true, Some(advertisement)) = (dispute.told_at + Self::TELL_AGAIN <= now, known) {
             dispute.told_at = now;
-            let defence = Routing::Defend { against: dispute.contender, advertisement };
+            let defence = RoutingMessage::Defend { against: dispute.contender, advertisement };
             let bytes = defence.encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
@@ -265,7 +270,7 @@ impl Router {
             return;
         }
         for (link, status) in std::mem::take(&mut self.contested) {
-            if status.health != Health::Down {
+            if status.health != LinkHealth::Down {
                 self.handle_link(link, status, now);
             }
         }
@@ -277,8 +282,8 @@ impl Router {
     }
 }
 
-fn status_of(adjacent: &Adjacent) -> LinkStatus {
-    let Adjacent { neighbour, cost, mtu, health, .. } = adjacent;
+fn status_of(adjacent: &Adjacency) -> LinkStatus {
+    let Adjacency { neighbour, cost, mtu, health, .. } = adjacent;
     let (neighbour, mtu) = (neighbour.clone(), usize::from(*mtu));
     LinkStatus { neighbour, health: *health, cost: *cost, mtu }
 }

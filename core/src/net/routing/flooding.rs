@@ -1,8 +1,8 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
-use super::{Known, LinkNumber, Router, RouterOutput, Trouble};
+use super::{DatabaseEntry, LinkId, Router, RouterAlarm, RouterOutput};
 use crate::net::wire::advertisement::{
-    Advertisement, Edge, HAVE_HEADER, NEIGHBOURS_MAX, Routing, STAMP, Stamp,
+    Advertisement, AdvertisementId, Edge, HAVE_HEADER, NEIGHBOURS_MAX, RoutingMessage, STAMP,
 };
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::node_id::NodeId;
@@ -71,7 +71,7 @@ impl Router {
     }
 
     /// Gives an origin's newest advertisement to every neighbour but the one that it came from.
-    pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkNumber>) {
+    pub(super) fn flood(&mut self, origin: NodeId, except: Option<LinkId>) {
         let links: Vec<_> = self.links.keys().copied().filter(|l| Some(*l) != except).collect();
         for link in links {
             self.announce(link, &[origin]);
@@ -79,7 +79,7 @@ impl Router {
     }
 
     /// Gives these origins' advertisements to a neighbour until it confirms them.
-    pub(super) fn announce(&mut self, link: LinkNumber, origins: &[NodeId]) {
+    pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
         let again = self.now + adjacent.patience(self.config.resend);
         let room = usize::from(adjacent.mtu) - FRAME_HEADER;
@@ -99,15 +99,15 @@ impl Router {
         }
         frames.push(frame);
         for frame in frames.into_iter().filter(|frame| !frame.is_empty()) {
-            let bytes = Routing::Announce(frame).encode();
+            let bytes = RoutingMessage::Announce(frame).encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
     }
 
     /// Tells a neighbour all that we know of, so that it can send what we lack.
-    pub(super) fn compare(&mut self, link: LinkNumber) {
+    pub(super) fn compare(&mut self, link: LinkId) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
-        let bytes = Routing::Numbered(link).encode();
+        let bytes = RoutingMessage::Numbered(link).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
@@ -121,22 +121,22 @@ impl Router {
         for (n, chunk) in stamps.chunks(room).enumerate() {
             let end = chunk.last().map_or(NodeId(u32::MAX), |stamp| stamp.origin);
             let last = if n + 1 == count { NodeId(u32::MAX) } else { end };
-            let have = Routing::Have { range: Some((first, last)), stamps: chunk.to_vec() };
+            let have = RoutingMessage::Have { range: Some((first, last)), stamps: chunk.to_vec() };
             self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
             first = NodeId(last.0.saturating_add(1));
         }
     }
 
-    pub(super) fn say_have(&mut self, link: LinkNumber, stamps: Vec<Stamp>) {
+    pub(super) fn say_have(&mut self, link: LinkId, stamps: Vec<AdvertisementId>) {
         let Some(adjacent) = self.links.get(&link) else { return };
         let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
         for chunk in stamps.chunks(room) {
-            let have = Routing::Have { range: None, stamps: chunk.to_vec() };
+            let have = RoutingMessage::Have { range: None, stamps: chunk.to_vec() };
             self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
         }
     }
 
-    pub(super) fn handle_announce(&mut self, link: LinkNumber, advertisements: Vec<Advertisement>) {
+    pub(super) fn handle_announce(&mut self, link: LinkId, advertisements: Vec<Advertisement>) {
         let mut confirmed = Vec::new();
         let mut better = BTreeSet::new();
         for advertisement in advertisements {
@@ -221,17 +221,17 @@ impl Router {
         }
     }
 
-    fn say(&mut self, link: LinkNumber, told: Vec<Advertisement>) {
-        let bytes = Routing::Announce(told).encode();
+    fn say(&mut self, link: LinkId, told: Vec<Advertisement>) {
+        let bytes = RoutingMessage::Announce(told).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
     }
 
-    pub(super) fn learn(&mut self, advertisement: Advertisement, from: LinkNumber) {
+    pub(super) fn learn(&mut self, advertisement: Advertisement, from: LinkId) {
         let origin = advertisement.stamp.origin;
         let expires = self.now + self.config.lifetime;
         self.wake_at = self.wake_at.min(expires);
         let before = self.known.remove(&origin);
-        let effective = before.as_ref().and_then(Known::effective).cloned();
+        let effective = before.as_ref().and_then(DatabaseEntry::effective).cloned();
         let mut withdrawn = before.map(|before| before.withdrawn).unwrap_or_default();
         let mut believed = None;
         if advertisement.withdrawn {
@@ -243,7 +243,7 @@ impl Router {
         }
         self.hear_given_up(effective.as_ref(), &advertisement);
         let (reached, ended) = (false, false);
-        let known = Known { advertisement, expires, reached, ended, believed, withdrawn };
+        let known = DatabaseEntry { advertisement, expires, reached, ended, believed, withdrawn };
         let same = match (&effective, known.effective()) {
             (Some(before), Some(now)) => {
                 before.edges == now.edges && before.stamp.incarnation == now.stamp.incarnation
@@ -266,7 +266,7 @@ impl Router {
     pub(super) fn hear_of_ourselves(
         &mut self,
         advertisement: &Advertisement,
-        link: LinkNumber,
+        link: LinkId,
     ) -> bool {
         let (theirs, ours) = (advertisement.stamp, self.own.stamp);
         if advertisement.node != self.own.node {
@@ -315,14 +315,14 @@ impl Router {
             let fits = length <= usize::from(adjacent.mtu);
             let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };
             self.outputs.extend(frames.into_iter().map(|told| {
-                let bytes = Routing::Announce(told.clone()).encode();
+                let bytes = RoutingMessage::Announce(told.clone()).encode();
                 RouterOutput::Routing { link, bytes }
             }));
         }
     }
 
     /// Its echo is no news.
-    fn remember_withdrawn(&mut self, stamp: Stamp) {
+    fn remember_withdrawn(&mut self, stamp: AdvertisementId) {
         if self.withdrew.len() == WITHDRAWN_MAX {
             self.withdrew.pop_front();
         }
@@ -330,33 +330,33 @@ impl Router {
     }
 
     /// Counts what is said in our name, and tells when it does not cease.
-    fn count_forged(&mut self, link: LinkNumber) {
+    fn count_forged(&mut self, link: LinkId) {
         self.refusals.forged += 1;
         let (since, times) = self.forged;
         let fresh = self.now - since > FORGED_PERIOD;
         self.forged = if fresh { (self.now, 1) } else { (since, times.saturating_add(1)) };
         let times = self.forged.1;
-        self.go_on(Trouble::Forged);
+        self.go_on(RouterAlarm::Forged);
         if times == FORGED_MANY
             && let Some(adjacent) = self.links.get(&link)
         {
             let neighbour = adjacent.neighbour.node.clone();
             self.outputs.push_back(RouterOutput::Forged { neighbour, times });
-            self.begin_trouble(Trouble::Forged);
+            self.begin_trouble(RouterAlarm::Forged);
         }
     }
 
     pub(super) fn handle_have(
         &mut self,
-        link: LinkNumber,
+        link: LinkId,
         range: Option<(NodeId, NodeId)>,
-        stamps: &[Stamp],
+        stamps: &[AdvertisementId],
     ) {
         let mut better = Vec::new();
         let mut wanted = Vec::new();
         for &stamp in stamps {
-            let Stamp { origin, .. } = stamp;
-            let nothing = Stamp { origin, incarnation: Incarnation(0), sequence: 0 };
+            let AdvertisementId { origin, .. } = stamp;
+            let nothing = AdvertisementId { origin, incarnation: Incarnation(0), sequence: 0 };
             let held = self.advertisement(origin).map_or(nothing, |held| held.stamp);
             let known = self.known.get(&origin);
             if let Some(known) = known.filter(|known| known.withdrawn.contains(&stamp))
@@ -390,10 +390,10 @@ impl Router {
         self.refusals.unexpected += 1;
         let Some(node) = node else { return };
         let pair = Some((node.clone(), refused.clone()));
-        self.go_on(Trouble::NameTaken);
+        self.go_on(RouterAlarm::NameTaken);
         if self.told != pair {
             self.told = pair;
-            self.begin_trouble(Trouble::NameTaken);
+            self.begin_trouble(RouterAlarm::NameTaken);
             self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
         }
     }

@@ -1,28 +1,28 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
-use super::{Health, LinkNumber, Router, RouterOutput};
-use crate::net::routing::topology::Way;
+use super::{LinkHealth, LinkId, Router, RouterOutput};
+use crate::net::routing::topology::DisjointPath;
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::packet::{Class, HOPS_MAX, Packet, Payload, Undelivered};
-use crate::{Instant, Parcel};
+use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload, UndeliveredReason};
+use crate::{GatherBuffer, Instant};
 use bytes::Bytes;
 
 impl Router {
     /// A packet came over a link.
-    pub fn handle_packet(&mut self, link: LinkNumber, packet: Bytes, now: Instant) {
+    pub fn handle_packet(&mut self, link: LinkId, packet: Bytes, now: Instant) {
         self.now = now;
         let packet = match Packet::decode(packet) {
             Ok(packet) => packet,
             Err(error) => return self.refusals.count(&error),
         };
-        if self.barred.contains_key(&link) || self.kept_out.contains(&packet.source) {
+        if self.barred.contains_key(&link) || self.isolated.contains(&packet.source) {
             self.refusals.isolated += 1;
         } else if packet.source == self.id {
             // It went in a circle, as packets may while nodes hear of a change one after the other, and is
             // repeated. Or somebody uses our name; then the session asks no more often than it would.
             self.refusals.unexpected += 1;
-            self.give_back(&packet, Undelivered::TooManyHops);
+            self.give_back(&packet, UndeliveredReason::TooManyHops);
         } else if packet.destination != self.id {
             match packet.payload {
                 Payload::Copy { .. } => self.follow(packet),
@@ -47,26 +47,36 @@ impl Router {
     }
 
     /// Our session with `destination` wants this sent.
-    pub fn handle_segment(&mut self, destination: NodeId, class: Class, segment: Parcel) {
+    pub fn handle_segment(
+        &mut self,
+        destination: NodeId,
+        class: PacketPriority,
+        segment: GatherBuffer,
+    ) {
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
         let payload = Payload::Segment(segment);
         let packet = Packet { class, hops, destination, source, passed: Vec::new(), payload };
         match self.choose(destination, &[]) {
             Some(link) => self.pass(link, &packet),
-            None => self.give_back(&packet, Undelivered::NoRoute),
+            None => self.give_back(&packet, UndeliveredReason::NoRoute),
         }
     }
 
     /// The same over ways that have as little in common as can be, each written into its copy: the first
     /// one that arrives counts. A way that is too small for it is left out.
-    pub fn handle_copies(&mut self, destination: NodeId, class: Class, segment: &Parcel) {
+    pub fn handle_copies(
+        &mut self,
+        destination: NodeId,
+        class: PacketPriority,
+        segment: &GatherBuffer,
+    ) {
         if self.routes.contains_key(&destination) && !self.ways.contains_key(&destination) {
             let ways = self.topology().ways(destination);
             self.ways.insert(destination, ways);
         }
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
         let ways = self.ways.get(&destination).map_or(&[][..], Vec::as_slice);
-        let copy = |(copy, way): (u8, &Way)| {
+        let copy = |(copy, way): (u8, &DisjointPath)| {
             let adjacent = self.links.get(&way.link)?;
             let segment = segment.clone();
             let payload = match way.relays.split_first() {
@@ -109,26 +119,27 @@ impl Router {
     }
 
     /// Of several links to a neighbour, copies that both must pass it take different ones.
-    fn parallel(&self, next: NodeId, copy: u8, length: usize) -> Option<LinkNumber> {
+    fn parallel(&self, next: NodeId, copy: u8, length: usize) -> Option<LinkId> {
         let fitting = self
             .links
             .iter()
             .filter(|(_, adjacent)| adjacent.id == next && length <= usize::from(adjacent.mtu));
-        let best = |usable: fn(Health) -> bool| -> Vec<LinkNumber> {
+        let best = |usable: fn(LinkHealth) -> bool| -> Vec<LinkId> {
             let usable = fitting.clone().filter(|(_, adjacent)| usable(adjacent.health));
             usable.map(|(number, _)| *number).collect()
         };
-        let links = Some(best(|health| health < Health::Suspect)).filter(|links| !links.is_empty());
+        let links =
+            Some(best(|health| health < LinkHealth::Suspect)).filter(|links| !links.is_empty());
         let links = links.unwrap_or_else(|| best(|_| true));
         links.get(usize::from(copy) % links.len().max(1)).copied()
     }
 
     /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a change one
     /// after the other may each believe that another is nearer.
-    pub(super) fn forward(&mut self, mut packet: Packet, from: LinkNumber) {
+    pub(super) fn forward(&mut self, mut packet: Packet, from: LinkId) {
         let here_before = packet.passed.contains(&self.id);
         let (false, Some(hops)) = (here_before, packet.hops.checked_sub(1)) else {
-            return self.give_back(&packet, Undelivered::TooManyHops);
+            return self.give_back(&packet, UndeliveredReason::TooManyHops);
         };
         let from = self.links.get(&from).map(|adjacent| adjacent.id);
         let had: Vec<_> =
@@ -136,27 +147,27 @@ impl Router {
         packet.hops = hops;
         match self.choose(packet.destination, &had) {
             Some(_) if packet.passed.len() >= HOPS_MAX.into() => {
-                self.give_back(&packet, Undelivered::TooManyHops);
+                self.give_back(&packet, UndeliveredReason::TooManyHops);
             }
             Some(link) => {
                 packet.passed.push(self.id);
                 self.pass(link, &packet);
             }
-            None => self.give_back(&packet, Undelivered::NoRoute),
+            None => self.give_back(&packet, UndeliveredReason::NoRoute),
         }
     }
 
-    pub(super) fn pass(&mut self, link: LinkNumber, packet: &Packet) {
+    pub(super) fn pass(&mut self, link: LinkId, packet: &Packet) {
         let encoded = packet.parcel();
         let mtu = self.links.get(&link).map_or(0, |adjacent| usize::from(adjacent.mtu));
         if encoded.len() + FRAME_HEADER > mtu {
-            return self.give_back(packet, Undelivered::TooLarge);
+            return self.give_back(packet, UndeliveredReason::TooLarge);
         }
         self.outputs.push_back(RouterOutput::Packet { link, packet: encoded });
     }
 
     /// Tells a packet's source that it went no further. Nothing is said about a return.
-    pub(super) fn give_back(&mut self, packet: &Packet, reason: Undelivered) {
+    pub(super) fn give_back(&mut self, packet: &Packet, reason: UndeliveredReason) {
         let Payload::Segment(_) = packet.payload else { return };
         let destination = packet.destination;
         if packet.source == self.id {
@@ -165,7 +176,7 @@ impl Router {
         }
         let payload = Payload::Return { destination, reason };
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let (class, passed) = (Class::Control, Vec::new());
+        let (class, passed) = (PacketPriority::Control, Vec::new());
         let answer = Packet { class, hops, destination: packet.source, source, passed, payload };
         if let Some(link) = self.choose(answer.destination, &[]) {
             self.pass(link, &answer);
@@ -174,7 +185,7 @@ impl Router {
 
     /// The look-up: the next hop if it is well, else the alternate, else whichever is better off; none
     /// that has had the packet.
-    pub(super) fn choose(&self, destination: NodeId, had: &[NodeId]) -> Option<LinkNumber> {
+    pub(super) fn choose(&self, destination: NodeId, had: &[NodeId]) -> Option<LinkId> {
         self.routes.get(&destination)?.choose(&self.links, had)
     }
 

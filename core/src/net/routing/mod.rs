@@ -17,38 +17,38 @@ mod types;
 
 pub mod topology;
 
-pub use self::types::{Health, LinkStatus, RouterConfig, RouterOutput, Trouble};
+pub use self::types::{LinkHealth, LinkStatus, RouterAlarm, RouterConfig, RouterOutput};
 
 use self::contest::Dispute;
-use super::active_alarms::Latch;
+use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
-use super::wire::advertisement::{Advertisement, Routing, Stamp};
+use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use super::wire::node_id::NodeId;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
-use topology::{Adjacent, Route, Topology, Way};
+use topology::{Adjacency, DisjointPath, Route, Topology};
 
 /// A link of this node, by its place in the node's configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct LinkNumber(pub u16);
+pub struct LinkId(pub u16);
 
 /// The machine of a node's router.
 #[derive(Debug)]
 pub struct Router {
     config: RouterConfig,
     id: NodeId,
-    links: BTreeMap<LinkNumber, Adjacent>,
+    links: BTreeMap<LinkId, Adjacency>,
     /// Nodes that are isolated, as many as there are verdicts.
-    kept_out: BTreeSet<NodeId>,
+    isolated: BTreeSet<NodeId>,
     /// Links to them. They carry, and are not used.
-    barred: BTreeMap<LinkNumber, LinkStatus>,
-    known: BTreeMap<NodeId, Known>,
+    barred: BTreeMap<LinkId, LinkStatus>,
+    known: BTreeMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
     /// The ways of copies, computed when the first goes to a node after a change: as many as routes.
-    ways: BTreeMap<NodeId, Vec<Way>>,
+    ways: BTreeMap<NodeId, Vec<DisjointPath>>,
     /// The paths must be computed anew, then.
     compute_at: Option<Instant>,
     computed_at: Instant,
@@ -56,7 +56,7 @@ pub struct Router {
     /// The last pair told of, so that a collision is told once and not with every flood.
     told: Option<(NodeName, NodeName)>,
     /// What was withdrawn in our name, the last last.
-    withdrew: VecDeque<Stamp>,
+    withdrew: VecDeque<AdvertisementId>,
     /// How often within the last seconds somebody spoke in our name, and since when.
     forged: (Instant, u32),
     /// The other node of our name that was told of last, and when we last said that we are here.
@@ -64,13 +64,13 @@ pub struct Router {
     defended_at: Instant,
     /// A greater life of our name that others know of, its last word, and since when we have known:
     /// perhaps an earlier one of ours, before the clock was set back.
-    rumour: Option<(Stamp, Instant)>,
+    unconfirmed_incarnation: Option<(AdvertisementId, Instant)>,
     /// Names of which a later life is kept out; at most as many as nodes are remembered.
     disputes: BTreeMap<NodeId, Dispute>,
     /// Links to those lives. They carry, and are not used.
-    contested: BTreeMap<LinkNumber, LinkStatus>,
+    contested: BTreeMap<LinkId, LinkStatus>,
     /// What was told of as a fault and is not over.
-    troubles: Latch<Trouble>,
+    troubles: ActiveAlarms<RouterAlarm>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
@@ -82,7 +82,7 @@ pub struct Router {
 }
 
 #[derive(Debug)]
-struct Known {
+struct DatabaseEntry {
     advertisement: Advertisement,
     expires: Instant,
     /// A path has led to this life since, and does no more.
@@ -91,10 +91,10 @@ struct Known {
     /// What counts until then, after a withdrawal: what is true follows it.
     believed: Option<(Advertisement, Instant)>,
     /// What the origin has withdrawn, the last first.
-    withdrawn: VecDeque<Stamp>,
+    withdrawn: VecDeque<AdvertisementId>,
 }
 
-impl Known {
+impl DatabaseEntry {
     /// What the ways are computed from.
     fn effective(&self) -> Option<&Advertisement> {
         let newest = Some(&self.advertisement).filter(|newest| !newest.withdrawn);
@@ -110,7 +110,7 @@ impl Router {
     /// A router without links.
     pub fn new(config: RouterConfig, now: Instant) -> Self {
         let id = NodeId::of(&config.node);
-        let stamp = Stamp { origin: id, incarnation: config.incarnation, sequence: 1 };
+        let stamp = AdvertisementId { origin: id, incarnation: config.incarnation, sequence: 1 };
         let (node, edges) = (config.node.clone(), Vec::new());
         let own = Advertisement { stamp, node, edges, withdrawn: false };
         let refresh_at = now + config.refresh;
@@ -118,7 +118,7 @@ impl Router {
             config,
             id,
             links: BTreeMap::new(),
-            kept_out: BTreeSet::new(),
+            isolated: BTreeSet::new(),
             barred: BTreeMap::new(),
             known: BTreeMap::new(),
             own,
@@ -132,10 +132,10 @@ impl Router {
             forged: (now, 0),
             usurper: None,
             defended_at: Instant::ORIGIN,
-            rumour: None,
+            unconfirmed_incarnation: None,
             disputes: BTreeMap::new(),
             contested: BTreeMap::new(),
-            troubles: Latch::default(),
+            troubles: ActiveAlarms::default(),
             remembered: None,
             wake_at: refresh_at,
             now,
@@ -146,7 +146,7 @@ impl Router {
 
     /// A router in the place of one that failed. It finds its links and its place in the network
     /// again; what the old one could reach and this one cannot find is told as lost.
-    pub fn reborn(
+    pub fn restarted(
         config: RouterConfig,
         reached: impl IntoIterator<Item = (NodeName, Incarnation)>,
         now: Instant,
@@ -160,7 +160,7 @@ impl Router {
     }
 
     /// What was told of and is not over.
-    pub fn troubles(&self) -> impl Iterator<Item = Trouble> {
+    pub fn troubles(&self) -> impl Iterator<Item = RouterAlarm> {
         self.troubles.iter().copied()
     }
 
@@ -190,8 +190,8 @@ impl Router {
         let Some(chosen) = self.routes.get(&node).and_then(|route| route.chosen) else {
             return Some(false);
         };
-        let health = self.links.get(&chosen).map_or(Health::Down, |link| link.health);
-        (health < Health::Suspect).then_some(true)
+        let health = self.links.get(&chosen).map_or(LinkHealth::Down, |link| link.health);
+        (health < LinkHealth::Suspect).then_some(true)
     }
 
     /// Every node that can be reached, with the route to it.
@@ -200,7 +200,7 @@ impl Router {
     }
 
     /// A link's state, cost or size has changed.
-    pub fn handle_link(&mut self, link: LinkNumber, status: LinkStatus, now: Instant) {
+    pub fn handle_link(&mut self, link: LinkId, status: LinkStatus, now: Instant) {
         self.now = now;
         let LinkStatus { neighbour, health, cost, mtu } = status;
         let id = NodeId::of(&neighbour.node);
@@ -211,21 +211,21 @@ impl Router {
             return;
         }
         self.barred.remove(&link);
-        if self.kept_out.contains(&id) {
+        if self.isolated.contains(&id) {
             if self.links.remove(&link).is_some() {
                 self.announce_links();
             }
-            if health != Health::Down {
+            if health != LinkHealth::Down {
                 self.barred.insert(link, LinkStatus { neighbour, health, cost, mtu });
             }
             return;
         }
         self.contested.remove(&link);
-        if health != Health::Down && self.is_contested(&neighbour.node, neighbour.incarnation) {
+        if health != LinkHealth::Down && self.is_contested(&neighbour.node, neighbour.incarnation) {
             self.contest(link, LinkStatus { neighbour, health, cost, mtu });
             return;
         }
-        if health == Health::Down || mtu < MTU_MIN {
+        if health == LinkHealth::Down || mtu < MTU_MIN {
             if let Some(lost) = self.links.remove(&link) {
                 self.choose_anew();
                 self.say_given_up(&lost);
@@ -247,7 +247,7 @@ impl Router {
                 let pending = BTreeMap::new();
                 self.links.insert(
                     link,
-                    Adjacent {
+                    Adjacency {
                         neighbour,
                         id,
                         cost,
@@ -269,7 +269,7 @@ impl Router {
     pub fn handle_isolation(&mut self, node: &NodeName, isolated: bool, now: Instant) {
         self.now = now;
         let id = NodeId::of(node);
-        let changed = if isolated { self.kept_out.insert(id) } else { self.kept_out.remove(&id) };
+        let changed = if isolated { self.isolated.insert(id) } else { self.isolated.remove(&id) };
         if !changed || id == self.id {
             return;
         }
@@ -284,23 +284,23 @@ impl Router {
             .into_iter()
             .partition(|(_, adjacent)| adjacent.id == id);
         self.links = links;
-        let barred: BTreeMap<LinkNumber, Adjacent> = barred;
+        let barred: BTreeMap<LinkId, Adjacency> = barred;
         if barred.is_empty() {
             return;
         }
         self.choose_anew();
         self.announce_links();
-        for (link, Adjacent { neighbour, cost, mtu, health, .. }) in barred {
+        for (link, Adjacency { neighbour, cost, mtu, health, .. }) in barred {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
             self.barred.insert(link, status);
             // The last that it is told: it learns at once that nobody is behind its links.
-            let bytes = Routing::Announce(vec![self.own.clone()]).encode();
+            let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
     }
 
     /// A neighbour's router said something.
-    pub fn handle_routing(&mut self, link: LinkNumber, bytes: Bytes, now: Instant) {
+    pub fn handle_routing(&mut self, link: LinkId, bytes: Bytes, now: Instant) {
         self.now = now;
         if self.barred.contains_key(&link) {
             self.refusals.isolated += 1;
@@ -311,15 +311,19 @@ impl Router {
             self.tell_contender(link);
             return;
         }
-        match Routing::decode(bytes) {
-            Ok(Routing::Announce(advertisements)) => self.handle_announce(link, advertisements),
-            Ok(Routing::Have { range, stamps }) => self.handle_have(link, range, &stamps),
-            Ok(Routing::Dispute { contender, node }) => self.handle_dispute(link, contender, node),
-            Ok(Routing::Defend { against, advertisement }) => {
+        match RoutingMessage::decode(bytes) {
+            Ok(RoutingMessage::Announce(advertisements)) => {
+                self.handle_announce(link, advertisements)
+            }
+            Ok(RoutingMessage::Have { range, stamps }) => self.handle_have(link, range, &stamps),
+            Ok(RoutingMessage::Dispute { contender, node }) => {
+                self.handle_dispute(link, contender, node)
+            }
+            Ok(RoutingMessage::Defend { against, advertisement }) => {
                 self.handle_defence(link, against, advertisement);
             }
-            Ok(Routing::Numbered(number)) => self.handle_numbered(link, number),
-            Ok(Routing::GaveUp(lost)) => self.handle_given_up(link, lost),
+            Ok(RoutingMessage::Numbered(number)) => self.handle_numbered(link, number),
+            Ok(RoutingMessage::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
         }
     }
@@ -332,7 +336,7 @@ impl Router {
 
     /// The network as far as it is used.
     fn topology(&self) -> Topology<'_> {
-        let known = self.known.iter().filter(|(id, _)| !self.kept_out.contains(id));
+        let known = self.known.iter().filter(|(id, _)| !self.isolated.contains(id));
         let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
         Topology::new(self.id, &self.links, known)
     }

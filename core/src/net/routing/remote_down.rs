@@ -11,28 +11,28 @@
 //! danger: the link becomes suspect, and dear, which diverts traffic where there is another way; it goes
 //! on as soon as the neighbour's hellos say the contrary, and then such words do not count for a while.
 
-use super::{LinkNumber, Router, RouterOutput};
-use crate::net::routing::topology::Adjacent;
-use crate::net::wire::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, Routing};
+use super::{LinkId, Router, RouterOutput};
+use crate::net::routing::topology::Adjacency;
+use crate::net::wire::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, RoutingMessage};
 
 impl Router {
     /// A link is down: its neighbour learns which by every other one.
-    pub(super) fn say_given_up(&mut self, lost: &Adjacent) {
+    pub(super) fn say_given_up(&mut self, lost: &Adjacency) {
         let Some(number) = lost.number_there else { return };
-        let bytes = Routing::GaveUp(number).encode();
+        let bytes = RoutingMessage::GaveUp(number).encode();
         for (&link, _) in self.links.iter().filter(|(_, adjacent)| adjacent.id == lost.id) {
             self.outputs.push_back(RouterOutput::Routing { link, bytes: bytes.clone() });
         }
     }
 
-    pub(super) fn handle_numbered(&mut self, link: LinkNumber, number: LinkNumber) {
+    pub(super) fn handle_numbered(&mut self, link: LinkId, number: LinkId) {
         if let Some(adjacent) = self.links.get_mut(&link) {
             adjacent.number_there = Some(number);
         }
     }
 
     /// The neighbour at the other end of `from` has given up a link; nobody else's word counts.
-    pub(super) fn handle_given_up(&mut self, from: LinkNumber, link: LinkNumber) {
+    pub(super) fn handle_given_up(&mut self, from: LinkId, link: LinkId) {
         let neighbour = |link| self.links.get(link).map(|adjacent| &adjacent.neighbour);
         // Often both ends know of it.
         let Some(lost) = neighbour(&link) else { return };

@@ -6,10 +6,10 @@ mod given_up;
 use super::*;
 use crate::net::link::Neighbour;
 use crate::net::wire::advertisement::Edge;
-use crate::net::wire::packet::{Class, Packet, Payload, Undelivered};
+use crate::net::wire::packet::{Packet, PacketPriority, Payload, UndeliveredReason};
 
-const FIRST: LinkNumber = LinkNumber(0);
-const SECOND: LinkNumber = LinkNumber(1);
+const FIRST: LinkId = LinkId(0);
+const SECOND: LinkId = LinkId(1);
 
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
@@ -30,11 +30,11 @@ fn router() -> Router {
 
 fn up(neighbour: &str, cost: u16) -> LinkStatus {
     let neighbour = Neighbour { node: named(neighbour), incarnation: Incarnation(1) };
-    LinkStatus { neighbour, health: Health::Up, cost, mtu: 1400 }
+    LinkStatus { neighbour, health: LinkHealth::Up, cost, mtu: 1400 }
 }
 
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
-    let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence };
+    let stamp = AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
     let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), life: 1, cost: *cost, mtu: 1400 };
     let edges = edges.iter().map(edge).collect();
     Advertisement { stamp, node: named(node), edges, withdrawn: false }
@@ -47,8 +47,8 @@ fn linked_to(life: u8, to: &str, advertisement: Advertisement) -> Advertisement 
     linked
 }
 
-fn tell(router: &mut Router, link: LinkNumber, told: Advertisement, now: u64) {
-    router.handle_routing(link, Routing::Announce(vec![told]).encode(), at(now));
+fn tell(router: &mut Router, link: LinkId, told: Advertisement, now: u64) {
+    router.handle_routing(link, RoutingMessage::Announce(vec![told]).encode(), at(now));
 }
 
 fn outputs(router: &mut Router, now: u64) -> Vec<RouterOutput> {
@@ -60,14 +60,14 @@ fn without_routing(outputs: Vec<RouterOutput>) -> Vec<RouterOutput> {
     outputs.into_iter().filter(|o| !matches!(o, RouterOutput::Routing { .. })).collect()
 }
 
-fn announced(outputs: &[RouterOutput], link: LinkNumber) -> Vec<Advertisement> {
+fn announced(outputs: &[RouterOutput], link: LinkId) -> Vec<Advertisement> {
     let bytes = outputs.iter().filter_map(|output| match output {
         RouterOutput::Routing { link: on, bytes } if *on == link => Some(bytes.clone()),
         _ => None,
     });
     bytes
-        .filter_map(|bytes| match Routing::decode(bytes) {
-            Ok(Routing::Announce(told)) => Some(told),
+        .filter_map(|bytes| match RoutingMessage::decode(bytes) {
+            Ok(RoutingMessage::Announce(told)) => Some(told),
             _ => None,
         })
         .flatten()
@@ -90,10 +90,10 @@ fn between_two() -> Router {
 fn packet_to(destination: &str, hops: u8) -> Packet {
     let payload = Payload::Segment(Bytes::from_static(b"segment").into());
     let (destination, source) = (id(destination), id("source"));
-    Packet { class: Class::Data, hops, destination, source, passed: Vec::new(), payload }
+    Packet { class: PacketPriority::Data, hops, destination, source, passed: Vec::new(), payload }
 }
 
-fn over(output: Option<RouterOutput>) -> Option<LinkNumber> {
+fn over(output: Option<RouterOutput>) -> Option<LinkId> {
     match output {
         Some(RouterOutput::Packet { link, .. }) => Some(link),
         _ => None,
@@ -106,16 +106,16 @@ fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
     let route = router.route(id("far")).unwrap();
     assert_eq!((route.next, route.alternate, route.cost), (FIRST, Some(SECOND), 2));
     let segment = || Bytes::from_static(b"segment");
-    router.handle_segment(id("far"), Class::Data, segment().into());
+    router.handle_segment(id("far"), PacketPriority::Data, segment().into());
     assert_eq!(over(router.poll_output()), Some(FIRST));
 
-    let suspect = LinkStatus { health: Health::Suspect, ..up("left", 1) };
+    let suspect = LinkStatus { health: LinkHealth::Suspect, ..up("left", 1) };
     router.handle_link(FIRST, suspect, at(1020));
 
     let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
     let told: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
     assert!(told.contains(&changed), "{told:?}");
-    router.handle_segment(id("far"), Class::Data, segment().into());
+    router.handle_segment(id("far"), PacketPriority::Data, segment().into());
     assert_eq!(over(router.poll_output()), Some(SECOND));
 }
 
@@ -128,10 +128,10 @@ fn of_two_ways_that_are_not_well_the_better_one_is_taken() {
         router.route(id("far")).unwrap().chosen
     };
 
-    assert_eq!(chosen(Health::Suspect, Health::Proving), Some(SECOND));
-    assert_eq!(chosen(Health::Proving, Health::Suspect), Some(FIRST));
-    assert_eq!(chosen(Health::Proving, Health::Up), Some(SECOND));
-    assert_eq!(chosen(Health::Suspect, Health::Suspect), Some(FIRST));
+    assert_eq!(chosen(LinkHealth::Suspect, LinkHealth::Proving), Some(SECOND));
+    assert_eq!(chosen(LinkHealth::Proving, LinkHealth::Suspect), Some(FIRST));
+    assert_eq!(chosen(LinkHealth::Proving, LinkHealth::Up), Some(SECOND));
+    assert_eq!(chosen(LinkHealth::Suspect, LinkHealth::Suspect), Some(FIRST));
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn what_somebody_says_in_our_name_is_outdone() {
 #[test]
 fn a_way_that_became_dearer_further_on_is_told_so_that_what_was_lost_there_is_repeated() {
     let mut router = between_two();
-    router.handle_link(SECOND, LinkStatus { health: Health::Down, ..up("right", 5) }, at(1020));
+    router.handle_link(SECOND, LinkStatus { health: LinkHealth::Down, ..up("right", 5) }, at(1020));
     without_routing(outputs(&mut router, 1020));
 
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1), ("far", 9)]), 1040);
@@ -274,19 +274,19 @@ fn what_cannot_be_delivered_comes_back_with_the_reason() {
     };
 
     router.handle_packet(SECOND, from_right("nowhere", 5), at(1020));
-    check(&mut router, Undelivered::NoRoute);
+    check(&mut router, UndeliveredReason::NoRoute);
     router.handle_packet(SECOND, from_right("far", 0), at(1020));
-    check(&mut router, Undelivered::TooManyHops);
-    router.handle_segment(id("nowhere"), Class::Data, Bytes::new().into());
-    let (destination, reason) = (id("nowhere"), Undelivered::NoRoute);
+    check(&mut router, UndeliveredReason::TooManyHops);
+    router.handle_segment(id("nowhere"), PacketPriority::Data, Bytes::new().into());
+    let (destination, reason) = (id("nowhere"), UndeliveredReason::NoRoute);
     let undelivered = RouterOutput::Undelivered { destination, reason };
     assert_eq!(router.poll_output(), Some(undelivered));
-    router.handle_segment(id("far"), Class::Data, Bytes::from(vec![0; 1400]).into());
-    let (destination, reason) = (id("far"), Undelivered::TooLarge);
+    router.handle_segment(id("far"), PacketPriority::Data, Bytes::from(vec![0; 1400]).into());
+    let (destination, reason) = (id("far"), UndeliveredReason::TooLarge);
     let undelivered = RouterOutput::Undelivered { destination, reason };
     assert_eq!(router.poll_output(), Some(undelivered));
     // A return that cannot be delivered is not returned again.
-    let payload = Payload::Return { destination: id("far"), reason: Undelivered::NoRoute };
+    let payload = Payload::Return { destination: id("far"), reason: UndeliveredReason::NoRoute };
     let returned = Packet { payload, ..packet_to("nowhere", 3) };
     router.handle_packet(SECOND, returned.encode(), at(1020));
     assert_eq!(router.poll_output(), None);
@@ -303,7 +303,7 @@ fn news_is_passed_on_at_once_and_repeated_until_confirmed() {
     assert!(announced(&again, SECOND).contains(&news));
 
     let stamps = vec![news.stamp];
-    let confirm = Routing::Have { range: None, stamps };
+    let confirm = RoutingMessage::Have { range: None, stamps };
     router.handle_routing(SECOND, confirm.encode(), at(1070));
     let later = outputs(&mut router, 1200);
     assert!(!announced(&later, SECOND).contains(&news));
@@ -331,7 +331,7 @@ fn what_a_neighbour_lacks_is_seen_in_its_list_and_sent() {
     outputs(&mut router, 1030);
 
     let range = Some((NodeId(0), NodeId(u32::MAX)));
-    let nothing = Routing::Have { range, stamps: vec![] };
+    let nothing = RoutingMessage::Have { range, stamps: vec![] };
     router.handle_routing(SECOND, nothing.encode(), at(1031));
 
     let sent = announced(&outputs(&mut router, 1031), SECOND);
@@ -400,7 +400,7 @@ fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answe
 fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
     let config = RouterConfig::new(named("own"), Incarnation(1));
     let reached = ["left", "gone"].map(|node| (named(node), Incarnation(1)));
-    let mut router = Router::reborn(config, reached, at(1000));
+    let mut router = Router::restarted(config, reached, at(1000));
     router.handle_link(FIRST, up("left", 1), at(1000));
 
     // The neighbour still holds what the old router said.
@@ -471,7 +471,7 @@ fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_a
     assert!(told.contains(&RouterOutput::Lost { node, incarnation }));
     // The ways go around it.
     assert_eq!(router.route(id("far")).unwrap().next, SECOND);
-    router.handle_segment(id("left"), Class::Data, segment().into());
+    router.handle_segment(id("left"), PacketPriority::Data, segment().into());
     assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
     // Whatever comes by its link is refused, and what it has sent by others' links too.
     let refused = router.refusals().isolated;
@@ -482,7 +482,7 @@ fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_a
     assert_eq!(router.refusals().isolated - refused, 4);
     assert_eq!(without_routing(outputs(&mut router, 1045)), []);
     // That its link is still well, or comes back, changes nothing.
-    router.handle_link(FIRST, LinkStatus { health: Health::Down, ..up("left", 1) }, at(1050));
+    router.handle_link(FIRST, LinkStatus { health: LinkHealth::Down, ..up("left", 1) }, at(1050));
     router.handle_link(FIRST, up("left", 1), at(1060));
     assert_eq!(without_routing(outputs(&mut router, 1070)), []);
 
@@ -534,13 +534,13 @@ fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_
 #[test]
 fn lies_in_our_name_are_over_when_a_minute_has_passed_without_one() {
     let mut router = between_two();
-    let over = RouterOutput::Over(Trouble::Forged);
+    let over = RouterOutput::Over(RouterAlarm::Forged);
     for second in 0..100 {
         let lie = advertisement("own", 1000 + 10 * second, &[("nowhere", 1)]);
         tell(&mut router, FIRST, lie, 2000 + 1000 * u64::from(second));
         assert!(!outputs(&mut router, 2000 + 1000 * u64::from(second)).contains(&over));
     }
-    assert!(router.troubles().eq([Trouble::Forged]));
+    assert!(router.troubles().eq([RouterAlarm::Forged]));
 
     assert!(!outputs(&mut router, 160_900).contains(&over));
     assert!(router.poll_timeout().is_some_and(|due| due <= at(161_000)));

@@ -2,9 +2,9 @@
 
 mod disjoint;
 
-pub(crate) use self::disjoint::Way;
+pub(crate) use self::disjoint::DisjointPath;
 
-use super::{Health, LinkNumber, MTU_MIN};
+use super::{LinkHealth, LinkId, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
 use crate::net::wire::advertisement::{Advertisement, Edge};
@@ -26,11 +26,11 @@ pub struct Route {
     /// The sum of the costs of the links on the shortest path.
     pub cost: u32,
     /// The link that the shortest path begins with.
-    pub next: LinkNumber,
+    pub next: LinkId,
     /// The link to take when that one fails: its path does not lead back through this node.
-    pub alternate: Option<LinkNumber>,
+    pub alternate: Option<LinkId>,
     /// The link that is taken now; `None` when none carries.
-    pub chosen: Option<LinkNumber>,
+    pub chosen: Option<LinkId>,
     /// The largest frame that both paths carry, in bytes.
     pub mtu: u16,
     /// How many nodes pass a packet on along the longer of both.
@@ -39,20 +39,20 @@ pub struct Route {
 
 /// A link that carries, and what its neighbour still has to be told.
 #[derive(Debug)]
-pub(crate) struct Adjacent {
+pub(crate) struct Adjacency {
     pub(crate) neighbour: Neighbour,
     pub(crate) id: NodeId,
     pub(crate) cost: u16,
     pub(crate) mtu: u16,
-    pub(crate) health: Health,
+    pub(crate) health: LinkHealth,
     /// What the neighbour calls it, as far as it has said.
-    pub(crate) number_there: Option<LinkNumber>,
+    pub(crate) number_there: Option<LinkId>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: BTreeMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
 }
 
-impl Adjacent {
+impl Adjacency {
     /// How long an answer of the neighbour's may take, where it takes so long on a fast medium.
     pub(crate) fn patience(&self, fast: Duration) -> Duration {
         fast * if is_narrow(segment_limit(self.mtu)) { 10 } else { 1 }
@@ -90,9 +90,9 @@ impl Route {
     /// to one of `had`.
     pub(crate) fn choose(
         &self,
-        links: &BTreeMap<LinkNumber, Adjacent>,
+        links: &BTreeMap<LinkId, Adjacency>,
         had: &[NodeId],
-    ) -> Option<LinkNumber> {
+    ) -> Option<LinkId> {
         let ways = [Some(self.next), self.alternate];
         let usable = ways.into_iter().flatten().filter_map(|link| {
             let adjacent = links.get(&link).filter(|adjacent| !had.contains(&adjacent.id))?;
@@ -106,7 +106,7 @@ impl Route {
 /// The network as one node knows it.
 pub(crate) struct Topology<'a> {
     here: NodeId,
-    links: &'a BTreeMap<LinkNumber, Adjacent>,
+    links: &'a BTreeMap<LinkId, Adjacency>,
     known: BTreeMap<NodeId, &'a Advertisement>,
 }
 
@@ -122,7 +122,7 @@ struct Distance {
 impl<'a> Topology<'a> {
     pub(crate) fn new(
         here: NodeId,
-        links: &'a BTreeMap<LinkNumber, Adjacent>,
+        links: &'a BTreeMap<LinkId, Adjacency>,
         known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
     ) -> Self {
         Topology { here, links, known: known.collect() }
@@ -165,7 +165,7 @@ impl<'a> Topology<'a> {
         ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
         let (cost, next, first, mtu, (relays, _)) = *ways.first()?;
         let free =
-            |(_, _, link, _, (_, free)): &&(_, _, &Adjacent, _, _)| link.id == first.id || *free;
+            |(_, _, link, _, (_, free)): &&(_, _, &Adjacency, _, _)| link.id == first.id || *free;
         let alternate = ways[1..].iter().find(free);
         let (mtu, relays) = alternate
             .map_or((mtu, relays), |(.., other, (more, _))| (mtu.min(*other), relays.max(*more)));

@@ -1,10 +1,10 @@
 //! What a router is configured with, is told, and wants done.
 
-use super::LinkNumber;
+use super::LinkId;
 use crate::net::link::Neighbour;
 use crate::net::wire::node_id::NodeId;
-use crate::net::wire::packet::Undelivered;
-use crate::{Incarnation, NodeName, Parcel};
+use crate::net::wire::packet::UndeliveredReason;
+use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ pub struct LinkStatus {
     /// Who is at its other end.
     pub neighbour: Neighbour,
     /// It carries, or it does not.
-    pub health: Health,
+    pub health: LinkHealth,
     /// How dear it is to use; the cheaper of two paths is taken. 0 counts as 1.
     pub cost: u16,
     /// The largest frame that it carries, in bytes.
@@ -63,7 +63,7 @@ pub struct LinkStatus {
 
 /// Whether a link can be used, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Health {
+pub enum LinkHealth {
     /// It carries.
     Up,
     /// It carries again, and has failed too often lately to be taken where there is another way.
@@ -76,7 +76,7 @@ pub enum Health {
 
 /// What a router tells of that goes on until somebody acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Trouble {
+pub enum RouterAlarm {
     /// Somebody announces links in this node's name.
     Forged,
     /// Two nodes have one name, or one number.
@@ -89,16 +89,16 @@ pub enum RouterOutput {
     /// Give this to the link as the router's own.
     Routing {
         /// Which link.
-        link: LinkNumber,
+        link: LinkId,
         /// What.
         bytes: Bytes,
     },
     /// Give this packet to the link.
     Packet {
         /// Which link.
-        link: LinkNumber,
+        link: LinkId,
         /// The packet.
-        packet: Parcel,
+        packet: GatherBuffer,
     },
     /// A segment arrived for our session with the source.
     Segment {
@@ -114,12 +114,12 @@ pub enum RouterOutput {
         /// Where it should have gone.
         destination: NodeId,
         /// Why it did not.
-        reason: Undelivered,
+        reason: UndeliveredReason,
     },
     /// The neighbour says by another way that it has given this link up: tell the link.
     GivenUp {
         /// Which.
-        link: LinkNumber,
+        link: LinkId,
     },
     /// A node can be reached, or has a new incarnation.
     Reachable {
@@ -152,7 +152,7 @@ pub enum RouterOutput {
         times: u32,
     },
     /// Of this nothing was heard for a minute.
-    Over(Trouble),
+    Over(RouterAlarm),
     /// Two names give one node number. The second is ignored; give it another name.
     NumberTaken {
         /// Who has it.

@@ -1,8 +1,8 @@
 //! Messages that are sent once, if at all: of one channel, the newest that arrives counts.
 
-use super::reassembly::{Assembly, pieces_of};
+use super::reassembly::{Reassembly, pieces_of};
 use crate::net::wire::segment::{Datagram, PIECES_MAX};
-use crate::{Instant, Parcel};
+use crate::{GatherBuffer, Instant};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 
@@ -22,12 +22,12 @@ pub(crate) struct BestEffort {
     /// The newest that was delivered, by channel.
     delivered: BTreeMap<u32, u64>,
     channels_max: usize,
-    pieces: Assembly<(u32, u64)>,
+    pieces: Reassembly<(u32, u64)>,
 }
 
 /// What became of a datagram.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Came {
+pub(crate) enum DatagramStatus {
     /// It completes the newest message of its channel.
     Newest(Bytes),
     /// More pieces are to come.
@@ -41,7 +41,7 @@ pub(crate) enum Came {
 }
 
 impl BestEffort {
-    pub(crate) fn new(channels_max: usize, pieces: Assembly<(u32, u64)>) -> Self {
+    pub(crate) fn new(channels_max: usize, pieces: Reassembly<(u32, u64)>) -> Self {
         BestEffort { sent: BTreeMap::new(), delivered: BTreeMap::new(), channels_max, pieces }
     }
 
@@ -55,7 +55,7 @@ impl BestEffort {
         &mut self,
         tag: u32,
         channel: u32,
-        message: &Parcel,
+        message: &GatherBuffer,
         room: usize,
     ) -> impl Iterator<Item = Datagram> + use<> {
         let sequence = self.sent.entry(channel).or_insert(0);
@@ -65,14 +65,14 @@ impl BestEffort {
         pieces.map(move |(piece, payload)| Datagram { tag, channel, sequence, piece, payload })
     }
 
-    pub(crate) fn handle(&mut self, datagram: Datagram, now: Instant) -> Came {
+    pub(crate) fn handle(&mut self, datagram: Datagram, now: Instant) -> DatagramStatus {
         let Datagram { channel, sequence, piece, payload, .. } = datagram;
         let payload = payload.into_bytes();
         let full = self.delivered.len() >= self.channels_max;
         match self.delivered.get(&channel) {
-            Some(newest) if sequence == *newest => return Came::Again,
-            Some(newest) if sequence < *newest => return Came::Overtaken,
-            None if full => return Came::TooMany,
+            Some(newest) if sequence == *newest => return DatagramStatus::Again,
+            Some(newest) if sequence < *newest => return DatagramStatus::Overtaken,
+            None if full => return DatagramStatus::TooMany,
             _ => {}
         }
         let message = match piece {
@@ -82,9 +82,9 @@ impl BestEffort {
         match message {
             Some(message) => {
                 self.delivered.insert(channel, sequence);
-                Came::Newest(message)
+                DatagramStatus::Newest(message)
             }
-            None => Came::InPart,
+            None => DatagramStatus::InPart,
         }
     }
 

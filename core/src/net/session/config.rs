@@ -26,7 +26,7 @@ pub struct SessionConfig {
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
     /// rides out longer outages; shorter gives messages back sooner. While there is a path whose answers
     /// take long, it is three of the present timeouts instead, if these are longer.
-    pub patience: Duration,
+    pub idle_timeout: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
     /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of bulk half
@@ -41,7 +41,7 @@ pub struct SessionConfig {
     pub window_bytes: usize,
     /// The largest part in bytes, however large the path's frames are. Larger costs less per byte;
     /// smaller lets control through sooner.
-    pub part_max: usize,
+    pub chunk_max: usize,
     /// How long an acknowledgement may wait for something to travel with.
     pub ack_delay: Duration,
     /// The shortest time after which silence is taken for loss.
@@ -60,14 +60,14 @@ impl SessionConfig {
             incarnation,
             peer,
             number: 0,
-            patience: Duration::from_secs(2),
+            idle_timeout: Duration::from_secs(2),
             message_max: MESSAGE_MAX,
             // Four of the largest messages, or a second of 1 kB at 4 kHz.
             buffer_bytes: 4 << 20,
             buffer_messages: 4096,
             window: 256,
             window_bytes: 1024 * 1024,
-            part_max: 64 * 1024,
+            chunk_max: 64 * 1024,
             ack_delay: Duration::from_millis(2),
             // Ten times the delay of acknowledgements.
             retransmit_min: Duration::from_millis(20),

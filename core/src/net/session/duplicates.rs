@@ -11,7 +11,7 @@ const HISTORY: usize = 512;
 
 /// The history of one stream.
 #[derive(Debug, Default)]
-pub(crate) struct Replicas {
+pub(crate) struct DuplicateDiscard {
     /// How many copies have come of the numbers before `next`, oldest first.
     seen: VecDeque<u8>,
     /// One above the greatest number that has come.
@@ -30,36 +30,36 @@ pub(crate) struct Replicas {
 
 /// What a copy is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Came {
+pub(crate) enum CopyStatus {
     First,
     Replica,
     /// Older than the history: whether it came before is not known here.
     Rogue,
 }
 
-impl Replicas {
-    pub(crate) fn handle(&mut self, number: u64) -> Came {
+impl DuplicateDiscard {
+    pub(crate) fn handle(&mut self, number: u64) -> CopyStatus {
         if number >= self.next {
             // More than the window ahead is not believed; the stream refuses it as well.
             let ahead = usize::try_from(number - self.next).unwrap_or(usize::MAX);
             if ahead >= HISTORY {
-                return Came::Rogue;
+                return CopyStatus::Rogue;
             }
             for _ in 0..ahead {
                 self.advance(0);
             }
             self.advance(1);
-            return Came::First;
+            return CopyStatus::First;
         }
         let back = usize::try_from(self.next - number).unwrap_or(usize::MAX);
-        let Some(place) = self.seen.len().checked_sub(back) else { return Came::Rogue };
+        let Some(place) = self.seen.len().checked_sub(back) else { return CopyStatus::Rogue };
         let count = &mut self.seen[place];
         *count = count.saturating_add(1);
         if *count == 1 {
-            return Came::First;
+            return CopyStatus::First;
         }
         self.dropped += 1;
-        Came::Replica
+        CopyStatus::Replica
     }
 
     /// One number more is remembered, and the oldest is judged.
@@ -94,10 +94,10 @@ mod tests {
 
     #[test]
     fn the_first_copy_is_taken_from_whichever_way_and_every_other_dropped() {
-        let mut replicas = Replicas::default();
+        let mut replicas = DuplicateDiscard::default();
         let came: Vec<_> = [0, 1, 0, 3, 1, 2, 3, 2, 3].map(|n| replicas.handle(n)).to_vec();
 
-        use Came::{First, Replica};
+        use CopyStatus::{First, Replica};
         let wanted = [First, First, Replica, First, Replica, First, Replica, Replica, Replica];
         assert_eq!(came, wanted);
         assert_eq!(replicas.dropped, 5);
@@ -105,19 +105,19 @@ mod tests {
 
     #[test]
     fn what_is_older_than_the_history_or_far_ahead_of_it_is_not_judged() {
-        let mut replicas = Replicas::default();
+        let mut replicas = DuplicateDiscard::default();
         for n in 0..2 * HISTORY as u64 {
-            assert_eq!(replicas.handle(n), Came::First);
+            assert_eq!(replicas.handle(n), CopyStatus::First);
         }
-        assert_eq!(replicas.handle(0), Came::Rogue);
-        assert_eq!(replicas.handle(u64::MAX), Came::Rogue);
-        assert_eq!(replicas.handle(HISTORY as u64), Came::Replica);
+        assert_eq!(replicas.handle(0), CopyStatus::Rogue);
+        assert_eq!(replicas.handle(u64::MAX), CopyStatus::Rogue);
+        assert_eq!(replicas.handle(HISTORY as u64), CopyStatus::Replica);
         assert_eq!(replicas.seen.len(), HISTORY);
     }
 
     #[test]
     fn a_way_that_has_failed_is_counted_although_nothing_is_missing() {
-        let mut replicas = Replicas::default();
+        let mut replicas = DuplicateDiscard::default();
         for n in 0..4 * HISTORY as u64 {
             replicas.handle(n);
             // The second way fails after a while.
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn what_no_way_brought_is_counted_as_missed() {
-        let mut replicas = Replicas::default();
+        let mut replicas = DuplicateDiscard::default();
         for n in (0..3 * HISTORY as u64).filter(|n| n % 10 != 5) {
             replicas.handle(n);
         }

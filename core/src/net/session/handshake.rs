@@ -1,13 +1,13 @@
 //! How a session begins and ends.
 
-use super::{Peer, Session, SessionOutput, State, VERSION, tag};
+use super::{RemoteEnd, Session, SessionOutput, State, VERSION, tag};
 use crate::net::wire::WireError;
-use crate::net::wire::packet::Class;
-use crate::net::wire::segment::{Open, Segment};
-use crate::{Incarnation, Why};
+use crate::net::wire::packet::PacketPriority;
+use crate::net::wire::segment::{OpenSegment, Segment};
+use crate::{DeliveryError, Incarnation};
 
 impl Session {
-    pub(super) fn open(&mut self, peer: Option<Peer>) {
+    pub(super) fn open(&mut self, peer: Option<RemoteEnd>) {
         self.number = self.number.saturating_add(1);
         self.tag = tag::tag(&self.config, self.number);
         let pause = self.config.retransmit_min * if self.is_narrow() { 10 } else { 1 };
@@ -26,11 +26,11 @@ impl Session {
     pub(super) fn tell_open(&mut self, echo: u32) {
         let (tag, number) = (self.tag, self.number);
         let incarnation = self.config.incarnation;
-        let open = Open { version: VERSION, tag, echo, incarnation, number };
-        self.transmit(Class::Control, Segment::Open(open));
+        let open = OpenSegment { version: VERSION, tag, echo, incarnation, number };
+        self.transmit(PacketPriority::Control, Segment::Open(open));
     }
 
-    pub(super) fn handle_open(&mut self, open: Open) {
+    pub(super) fn handle_open(&mut self, open: OpenSegment) {
         if open.version != VERSION {
             let theirs = open.version;
             if self.refusals.version == 0 {
@@ -53,7 +53,8 @@ impl Session {
             self.refusals.stale += 1;
             return;
         }
-        let theirs = Peer { incarnation: open.incarnation, number: open.number, tag: open.tag };
+        let theirs =
+            RemoteEnd { incarnation: open.incarnation, number: open.number, tag: open.tag };
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => {
                 if open.incarnation > peer.incarnation {
@@ -104,7 +105,7 @@ impl Session {
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => {
                 let why = if peer.incarnation != incarnation {
-                    Why::PeerDied { incarnation: peer.incarnation }
+                    DeliveryError::PeerDied { incarnation: peer.incarnation }
                 } else {
                     self.unreachable()
                 };
@@ -116,7 +117,7 @@ impl Session {
         }
     }
 
-    pub(super) fn begin(&mut self, peer: Peer) {
+    pub(super) fn begin(&mut self, peer: RemoteEnd) {
         self.state = State::Open { peer };
         self.newest = self.newest.max((peer.incarnation, peer.number));
         self.heard();
@@ -136,28 +137,28 @@ impl Session {
         if let State::Closing { peer, again_at: None, tries: 0 } = self.state
             && self.streams.iter().all(|stream| stream.outbound.is_empty())
         {
-            let again_at = Some(self.now + self.trips[0].timeout());
+            let again_at = Some(self.now + self.rtt[0].timeout());
             self.state = State::Closing { peer, again_at, tries: 1 };
-            self.transmit(Class::Control, Segment::Close { tag: peer.tag });
+            self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });
         }
     }
 
-    pub(super) fn repeat_close(&mut self, peer: Peer, tries: u32) {
+    pub(super) fn repeat_close(&mut self, peer: RemoteEnd, tries: u32) {
         if tries > Self::CLOSE_TRIES {
-            return self.end(Why::Stopped);
+            return self.end(DeliveryError::Stopped);
         }
-        self.trips[0].back_off();
-        let again_at = Some(self.now + self.trips[0].timeout());
+        self.rtt[0].back_off();
+        let again_at = Some(self.now + self.rtt[0].timeout());
         self.state = State::Closing { peer, again_at, tries: tries + 1 };
-        self.transmit(Class::Control, Segment::Close { tag: peer.tag });
+        self.transmit(PacketPriority::Control, Segment::Close { tag: peer.tag });
     }
 
     pub(super) fn handle_peers_close(&mut self) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
-        self.transmit(Class::Control, Segment::Closed { tag: peer.tag });
+        self.transmit(PacketPriority::Control, Segment::Closed { tag: peer.tag });
         // The peer's next session, if there is one, has a greater number.
         self.newest = self.newest.max((peer.incarnation, peer.number.saturating_add(1)));
-        self.end(Why::Stopped);
+        self.end(DeliveryError::Stopped);
         if let State::Opening { .. } = self.state {
             // It will not answer until it lives again: the router, or its own open, will tell.
             self.state = State::Idle;
@@ -166,7 +167,7 @@ impl Session {
 
     pub(super) fn handle_closed(&mut self) {
         if let State::Closing { tries: 1.., .. } = self.state {
-            self.end(Why::Stopped);
+            self.end(DeliveryError::Stopped);
         }
     }
 }

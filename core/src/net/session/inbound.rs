@@ -48,7 +48,7 @@ struct Partial {
 
 /// What became of a part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Arrived {
+pub(crate) enum ChunkStatus {
     /// It is the first of its number.
     New,
     /// It had arrived before.
@@ -87,12 +87,12 @@ impl Inbound {
         (first, last, payload): (bool, bool, Bytes),
         (now, delay): (Instant, Duration),
         deliver: &mut Vec<Bytes>,
-    ) -> Result<Arrived, WireError> {
+    ) -> Result<ChunkStatus, WireError> {
         if !self.expects(sequence) {
             // The peer does not know what we have: tell it now.
             self.owed = Some(now);
             let beyond = sequence >= self.limit();
-            return Ok(if beyond { Arrived::Beyond } else { Arrived::Again });
+            return Ok(if beyond { ChunkStatus::Beyond } else { ChunkStatus::Again });
         }
         let in_order = sequence == self.next && self.ahead.is_empty();
         // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement costs a
@@ -107,7 +107,7 @@ impl Inbound {
         // A gap at once, so that it is soon filled.
         let due = if in_order && self.unacknowledged < many { now + delay } else { now };
         self.owed = Some(self.owed.map_or(due, |owed| owed.min(due)));
-        Ok(Arrived::New)
+        Ok(ChunkStatus::New)
     }
 
     fn put_together(&mut self, part: Part, deliver: &mut Vec<Bytes>) -> Result<(), WireError> {

@@ -43,21 +43,21 @@ pub mod size_class;
 
 pub use self::config::{PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
-pub use self::status::{SessionStanding, SessionState};
+pub use self::status::{SessionState, SessionStatus};
 
 use self::best_effort::BestEffort;
-use self::duplicates::Replicas;
+use self::duplicates::DuplicateDiscard;
 use self::inbound::Inbound;
 use self::outbound::{Outbound, load_of};
-use self::reassembly::Assembly;
-use self::round_trip::RoundTrip;
+use self::reassembly::Reassembly;
+use self::round_trip::RttEstimator;
 use super::wire::Refusals;
-use super::wire::packet::{Class, Undelivered};
+use super::wire::packet::{PacketPriority, UndeliveredReason};
 use super::wire::segment::{Data, Datagram, Segment, Stream};
-use crate::{Incarnation, Instant, Machine, Parcel, Why};
+use crate::{DeliveryError, GatherBuffer, Incarnation, Instant, Machine};
 use bytes::Bytes;
-use ordering_key::Strand;
-use size_class::Load;
+use ordering_key::OrderingKey;
+use size_class::SizeClass;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -80,7 +80,7 @@ pub struct Session {
     path: Option<usize>,
     streams: [StreamState; 3],
     /// What takes one way, and what takes all: each has its own round trip and its own silence.
-    trips: [RoundTrip; 2],
+    rtt: [RttEstimator; 2],
     retransmit_at: [Option<Instant>; 2],
     /// How many parts may be on their way at once.
     congestion: usize,
@@ -89,12 +89,12 @@ pub struct Session {
     /// How many transmissions there were.
     orders: [u64; 2],
     /// Since when the peer owes us a sign of life.
-    owed_since: Option<Instant>,
-    pieces: Assembly<(Stream, u64)>,
+    waiting_since: Option<Instant>,
+    pieces: Reassembly<(Stream, u64)>,
     best_effort: BestEffort,
-    replicas: Replicas,
+    replicas: DuplicateDiscard,
     /// Why something of ours last came back, since the peer last spoke.
-    returned: Option<Undelivered>,
+    returned: Option<UndeliveredReason>,
     now: Instant,
     counters: SessionCounters,
     refusals: Refusals,
@@ -106,18 +106,18 @@ enum State {
     /// There is no session, and no path to open one.
     Idle,
     /// We say who we are until the peer shows that it knows.
-    Opening { peer: Option<Peer>, again_at: Instant, pause: Duration },
+    Opening { peer: Option<RemoteEnd>, again_at: Instant, pause: Duration },
     /// Both know each other.
-    Open { peer: Peer },
+    Open { peer: RemoteEnd },
     /// Everything is to be acknowledged, then the peer is told that this is the end.
-    Closing { peer: Peer, again_at: Option<Instant>, tries: u32 },
+    Closing { peer: RemoteEnd, again_at: Option<Instant>, tries: u32 },
     /// We ended in order and open no more.
     Closed,
 }
 
 /// The other end of the present session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Peer {
+struct RemoteEnd {
     incarnation: Incarnation,
     number: u32,
     tag: u32,
@@ -160,8 +160,8 @@ impl Session {
     /// A machine without a session; it opens one when there is a path.
     pub fn new(config: SessionConfig, now: Instant) -> Self {
         let streams = [(); 3].map(|()| StreamState::new(&config));
-        let trip = || RoundTrip::new(config.retransmit_min, config.retransmit_max);
-        let trips = [trip(), trip()];
+        let trip = || RttEstimator::new(config.retransmit_min, config.retransmit_max);
+        let rtt = [trip(), trip()];
         // Pieces of two of the largest messages.
         let assembly = config.message_max.saturating_mul(2);
         Session {
@@ -172,18 +172,18 @@ impl Session {
             known: None,
             path: None,
             streams,
-            trips,
+            rtt,
             retransmit_at: [None; 2],
             congestion: Self::CONGESTION_INITIAL,
             reduced_until: 0,
             orders: [0; 2],
-            owed_since: None,
-            pieces: Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
+            waiting_since: None,
+            pieces: Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE),
             best_effort: BestEffort::new(
                 config.channels_max,
-                Assembly::new(assembly, Self::ASSEMBLY_PATIENCE),
+                Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE),
             ),
-            replicas: Replicas::default(),
+            replicas: DuplicateDiscard::default(),
             returned: None,
             now,
             counters: SessionCounters::default(),
@@ -205,22 +205,22 @@ impl Session {
     pub fn handle_send(
         &mut self,
         stream: Stream,
-        message: impl Into<Parcel>,
+        message: impl Into<GatherBuffer>,
         now: Instant,
     ) -> Result<(), Refused> {
-        self.handle_send_along((stream, Strand::default()), message, now)
+        self.handle_send_along((stream, OrderingKey::default()), message, now)
     }
 
     /// Sends a message, exactly once and in the order of its strand.
     ///
     /// # Errors
-    /// [`Why::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`Why::TooLargeForSession`], [`Why::Unreachable`], [`Why::Stopped`] after
+    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
+    /// stream takes more. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send_along(
         &mut self,
-        (stream, strand): (Stream, Strand),
-        message: impl Into<Parcel>,
+        (stream, strand): (Stream, OrderingKey),
+        message: impl Into<GatherBuffer>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
@@ -238,48 +238,48 @@ impl Session {
         // What is on its way here when senders are told to stop, or waits for bindings, has room all the same.
         if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
             let node = self.config.peer.to_string();
-            let why = Why::WayFull { node, bulk: load == Load::Bulk };
+            let why = DeliveryError::WayFull { node, bulk: load == SizeClass::Bulk };
             return Err((why, message.into_bytes()));
         }
         state.outbound.push(strand, message);
-        self.owed_since.get_or_insert(now);
+        self.waiting_since.get_or_insert(now);
         Ok(())
     }
 
     /// Sends a message once, if at all: of one channel, the newest that arrives counts.
     ///
     /// # Errors
-    /// [`Why::Restarting`] while there is no session yet, [`Why::TooLargeForSession`] also for what the
+    /// [`DeliveryError::Restarting`] while there is no session yet, [`DeliveryError::TooLargeForSession`] also for what the
     /// path's segments would carry in more than [`PIECES_MAX`](crate::net::wire::segment::PIECES_MAX) pieces,
     /// otherwise as [`handle_send`](Session::handle_send). The message comes back.
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
-        message: impl Into<Parcel>,
+        message: impl Into<GatherBuffer>,
         now: Instant,
     ) -> Result<(), Refused> {
         self.now = now;
         let message = self.check(message.into())?;
         let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
-            return Err((Why::Restarting, message.into_bytes()));
+            return Err((DeliveryError::Restarting, message.into_bytes()));
         };
         let limit = BestEffort::most(room);
         if message.len() > limit {
-            return Err((Why::TooLargeForSession { limit }, message.into_bytes()));
+            return Err((DeliveryError::TooLargeForSession { limit }, message.into_bytes()));
         }
         for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
-            self.transmit(Class::Data, Segment::Datagram(datagram));
+            self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
         }
         Ok(())
     }
 
-    fn check(&self, message: Parcel) -> Result<Parcel, Refused> {
+    fn check(&self, message: GatherBuffer) -> Result<GatherBuffer, Refused> {
         let refuse = |why| Err((why, message.clone().into_bytes()));
         match self.state {
-            State::Closing { .. } | State::Closed => refuse(Why::Stopped),
+            State::Closing { .. } | State::Closed => refuse(DeliveryError::Stopped),
             State::Idle => refuse(self.unreachable()),
             _ if message.len() > self.config.message_max => {
-                refuse(Why::TooLargeForSession { limit: self.config.message_max })
+                refuse(DeliveryError::TooLargeForSession { limit: self.config.message_max })
             }
             _ => Ok(message),
         }
@@ -291,8 +291,8 @@ impl Session {
         self.now = now;
         self.path = Some(mtu);
         let narrow = self.is_narrow();
-        let enter = if narrow { RoundTrip::enter_narrow_path } else { RoundTrip::enter_path };
-        self.trips.iter_mut().for_each(enter);
+        let enter = if narrow { RttEstimator::enter_narrow_path } else { RttEstimator::enter_path };
+        self.rtt.iter_mut().for_each(enter);
         if narrow {
             self.congestion = self.congestion.min(Self::CONGESTION_NARROW);
         }
@@ -303,11 +303,11 @@ impl Session {
             }
             State::Open { .. } | State::Closing { .. } => {
                 let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
-                self.owed_since = waits.then_some(now);
+                self.waiting_since = waits.then_some(now);
                 for stream in STREAMS {
                     if self.streams[stream as usize].outbound.lose_all() {
                         let lane = lane(stream);
-                        self.retransmit_at[lane] = Some(now + self.trips[lane].timeout());
+                        self.retransmit_at[lane] = Some(now + self.rtt[lane].timeout());
                     }
                 }
             }
@@ -320,7 +320,7 @@ impl Session {
         self.now = now;
         self.path = None;
         self.retransmit_at = [None; 2];
-        self.owed_since.get_or_insert(now);
+        self.waiting_since.get_or_insert(now);
     }
 
     /// The router says that this is the peer's present life: sessions with any other are over, whichever
@@ -343,7 +343,7 @@ impl Session {
                 self.close_when_done();
             }
             State::Idle | State::Opening { .. } => {
-                self.give_back(&Why::Stopped);
+                self.return_unacknowledged(&DeliveryError::Stopped);
                 self.state = State::Closed;
             }
             State::Closing { .. } | State::Closed => {}
@@ -351,18 +351,18 @@ impl Session {
     }
 
     /// This end has lost its memory of the session: both ends begin a new one.
-    pub fn handle_begin_anew(&mut self, now: Instant) {
+    pub fn handle_restart(&mut self, now: Instant) {
         self.now = now;
         if matches!(self.state, State::Open { .. }) {
             // The peer's own tag is what it knows this session by.
-            self.transmit(Class::Control, Segment::Reset { tag: self.tag });
+            self.transmit(PacketPriority::Control, Segment::Reset { tag: self.tag });
             self.end(self.unreachable());
         }
     }
 
     /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is about to be
     /// replaced.
-    pub fn surrender(&mut self) -> Vec<(Stream, Bytes, bool)> {
+    pub fn take_unacknowledged(&mut self) -> Vec<(Stream, Bytes, bool)> {
         STREAMS
             .into_iter()
             .flat_map(|stream| {
@@ -398,7 +398,7 @@ impl Session {
             Ok(Segment::Close { tag } | Segment::Closed { tag }) => {
                 // Repeated after we had forgotten the session: no answer but this one ends it.
                 self.refusals.stale += 1;
-                self.transmit(Class::Control, Segment::Reset { tag });
+                self.transmit(PacketPriority::Control, Segment::Reset { tag });
             }
             Ok(
                 Segment::Data(Data { tag, .. })
@@ -406,7 +406,7 @@ impl Session {
                 | Segment::Acknowledge { tag, .. },
             ) => {
                 self.refusals.stale += 1;
-                self.transmit(Class::Control, Segment::Reset { tag });
+                self.transmit(PacketPriority::Control, Segment::Reset { tag });
             }
             Err(error) => self.refusals.count(&error),
         }
@@ -432,14 +432,14 @@ impl Session {
 
     fn heard(&mut self) {
         let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
-        self.owed_since = (waits || self.path.is_none()).then_some(self.now);
+        self.waiting_since = (waits || self.path.is_none()).then_some(self.now);
     }
 
     /// Ends the present session; opens the next one if there is a path.
-    fn end(&mut self, why: Why) {
+    fn end(&mut self, why: DeliveryError) {
         let (State::Open { peer } | State::Closing { peer, .. }) = self.state else { return };
         let closing = matches!(self.state, State::Closing { .. });
-        self.give_back(&why);
+        self.return_unacknowledged(&why);
         let incarnation = peer.incarnation;
         self.outputs.push_back(SessionOutput::Ended { incarnation, why });
         if closing {
@@ -452,56 +452,55 @@ impl Session {
     }
 
     /// Returns every unacknowledged message and begins from nothing.
-    fn give_back(&mut self, why: &Why) {
+    fn return_unacknowledged(&mut self, why: &DeliveryError) {
         for stream in STREAMS {
             let state = &mut self.streams[stream as usize];
             for (message, sent) in state.outbound.take_all() {
                 let why = why.clone();
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
-            for load in Load::ALL.into_iter().filter(|load| state.full[*load as usize]) {
+            for load in SizeClass::ALL.into_iter().filter(|load| state.full[*load as usize]) {
                 self.outputs.push_back(SessionOutput::Room { stream, load });
             }
             *state = StreamState::new(&self.config);
         }
         self.counters = self.counters();
         let assembly = self.config.message_max.saturating_mul(2);
-        self.pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
-        let pieces = Assembly::new(assembly, Self::ASSEMBLY_PATIENCE);
+        self.pieces = Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE);
+        let pieces = Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
-        self.replicas = Replicas::default();
+        self.replicas = DuplicateDiscard::default();
         self.congestion =
             if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_INITIAL };
         self.reduced_until = self.orders[0];
         self.retransmit_at = [None; 2];
-        self.owed_since = None;
-        self.trips.iter_mut().for_each(RoundTrip::progress);
+        self.waiting_since = None;
+        self.rtt.iter_mut().for_each(RttEstimator::progress);
     }
 
-    fn transmit(&mut self, class: Class, segment: Segment) {
+    fn transmit(&mut self, class: PacketPriority, segment: Segment) {
         let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: false });
     }
 
-    fn transmit_everywhere(&mut self, class: Class, segment: Segment) {
+    fn transmit_everywhere(&mut self, class: PacketPriority, segment: Segment) {
         let segment = segment.parcel();
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 
     fn give_up_at(&self) -> Option<Instant> {
         // Where an answer takes long, one that is lost is asked for twice before that.
-        let answers =
-            if self.path.is_some() { 3 * self.trips[0].timeout() } else { Duration::ZERO };
-        self.owed_since.map(|since| since + self.config.patience.max(answers))
+        let answers = if self.path.is_some() { 3 * self.rtt[0].timeout() } else { Duration::ZERO };
+        self.waiting_since.map(|since| since + self.config.idle_timeout.max(answers))
     }
 
     /// The peer has owed us a sign of life for too long.
     fn give_up(&mut self) {
-        self.owed_since = None;
+        self.waiting_since = None;
         match self.state {
             State::Open { .. } | State::Closing { .. } => self.end(self.unreachable()),
             State::Opening { .. } => {
-                self.give_back(&self.unreachable());
+                self.return_unacknowledged(&self.unreachable());
                 if self.path.is_none() {
                     self.state = State::Idle;
                 }
@@ -555,7 +554,7 @@ impl Machine for Session {
         const STALL: Duration = Duration::from_millis(100);
         let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
         if late > STALL {
-            self.owed_since = self.owed_since.map(|since| since + late);
+            self.waiting_since = self.waiting_since.map(|since| since + late);
         }
         self.now = now;
         let due = |at: Option<Instant>| at.is_some_and(|at| at <= now);

@@ -10,7 +10,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// is of a contract that is bound passes what waits for that of another. And readings of which the newest counts are of
 /// no strand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Strand {
+pub enum OrderingKey {
     /// What has no other.
     #[default]
     Common,
@@ -23,11 +23,11 @@ pub enum Strand {
     Call(u64),
 }
 
-impl Strand {
+impl OrderingKey {
     /// That of an object.
     pub fn to(object: &ObjectName) -> Self {
         let mut hasher = DefaultHasher::new();
         object.as_str().hash(&mut hasher);
-        Strand::Object(hasher.finish())
+        OrderingKey::Object(hasher.finish())
     }
 }

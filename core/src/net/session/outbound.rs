@@ -1,12 +1,12 @@
 //! The sending half of an ordered stream.
 
 use super::config::HEADER_MAX;
-use super::queue::Queue;
-use crate::net::session::ordering_key::Strand;
-use crate::net::session::size_class::Load;
+use super::queue::SendQueue;
+use crate::net::session::ordering_key::OrderingKey;
+use crate::net::session::size_class::SizeClass;
 use crate::net::wire::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
-use crate::{Instant, Parcel};
+use crate::{GatherBuffer, Instant};
 use bytes::{Bytes, BytesMut};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -19,7 +19,7 @@ pub(crate) struct Outbound {
     /// The one of which more is to be cut.
     partial: Option<Partial>,
     /// Those of which nothing has been cut.
-    waiting: Queue,
+    waiting: SendQueue,
     /// The part before the next one overtook it.
     overtook: bool,
     /// Of those that may overtake, those that arrived before this have been looked at.
@@ -27,7 +27,7 @@ pub(crate) struct Outbound {
     /// Of what is small, and of bulk.
     bytes: [usize; 2],
     /// Parts on their way, by sequence number.
-    flight: BTreeMap<u64, Part>,
+    flight: BTreeMap<u64, Chunk>,
     /// The bytes of those that are not known to be lost.
     flying_bytes: usize,
     lost: usize,
@@ -41,7 +41,7 @@ pub(crate) struct Outbound {
 /// A message on its way.
 #[derive(Debug)]
 struct Held {
-    message: Parcel,
+    message: GatherBuffer,
     /// The part that it ends in.
     last: u64,
 }
@@ -49,18 +49,18 @@ struct Held {
 /// A message that does not fit into one part.
 #[derive(Debug)]
 struct Partial {
-    strand: Strand,
-    message: Parcel,
+    strand: OrderingKey,
+    message: GatherBuffer,
     /// How many bytes of it have been cut.
     cut: usize,
 }
 
 /// A part on its way.
 #[derive(Clone, Debug)]
-pub(crate) struct Part {
+pub(crate) struct Chunk {
     pub(crate) first: bool,
     pub(crate) last: bool,
-    pub(crate) payload: Parcel,
+    pub(crate) payload: GatherBuffer,
     sent: Instant,
     /// Its place among all transmissions of the session.
     order: u64,
@@ -68,7 +68,7 @@ pub(crate) struct Part {
     lost: bool,
 }
 
-impl Part {
+impl Chunk {
     /// It has been sent before.
     pub(crate) fn is_repeated(&self) -> bool {
         self.again
@@ -77,7 +77,7 @@ impl Part {
 
 /// What an acknowledgement brought.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(crate) struct Progress {
+pub(crate) struct AckResult {
     /// How many parts it acknowledged for the first time.
     pub(crate) parts: usize,
     /// A round trip, from a part that was sent only once (Karn's rule).
@@ -87,8 +87,8 @@ pub(crate) struct Progress {
 }
 
 /// What is small to whoever sent it is so with what an exchange has put before it.
-pub(crate) fn load_of(message: &Parcel) -> Load {
-    Load::of(message.len().saturating_sub(HEADER_MAX))
+pub(crate) fn load_of(message: &GatherBuffer) -> SizeClass {
+    SizeClass::of(message.len().saturating_sub(HEADER_MAX))
 }
 
 /// The length that stands before a message.
@@ -99,7 +99,7 @@ fn length_of(message: usize) -> BytesMut {
 }
 
 /// Whether a message, with its length, goes into a part beside so many bytes.
-fn fits(message: &Parcel, beside: usize, room: usize) -> bool {
+fn fits(message: &GatherBuffer, beside: usize, room: usize) -> bool {
     beside + varint_length(message.len() as u64) + message.len() <= room
 }
 
@@ -112,7 +112,7 @@ impl Outbound {
         Outbound {
             cut: VecDeque::new(),
             partial: None,
-            waiting: Queue::default(),
+            waiting: SendQueue::default(),
             overtook: false,
             looked: 0,
             bytes: [0; 2],
@@ -126,7 +126,7 @@ impl Outbound {
     }
 
     /// The bytes of all messages of this load.
-    pub(crate) fn bytes(&self, load: Load) -> usize {
+    pub(crate) fn bytes(&self, load: SizeClass) -> usize {
         self.bytes[load as usize]
     }
 
@@ -159,7 +159,7 @@ impl Outbound {
         self.flight.len() - self.lost
     }
 
-    pub(crate) fn push(&mut self, strand: Strand, message: Parcel) {
+    pub(crate) fn push(&mut self, strand: OrderingKey, message: GatherBuffer) {
         self.bytes[load_of(&message) as usize] += message.len();
         self.waiting.push(strand, message);
     }
@@ -180,12 +180,12 @@ impl Outbound {
         room: usize,
         order: u64,
         now: Instant,
-    ) -> Option<(u64, Part)> {
+    ) -> Option<(u64, Chunk)> {
         if self.lost > 0
             && let Some((sequence, part)) = self.flight.iter_mut().find(|(_, part)| part.lost)
         {
             self.lost -= 1;
-            *part = Part { sent: now, order, again: true, lost: false, ..part.clone() };
+            *part = Chunk { sent: now, order, again: true, lost: false, ..part.clone() };
             self.flying_bytes += part.payload.len();
             return Some((*sequence, part.clone()));
         }
@@ -197,7 +197,7 @@ impl Outbound {
             Some(payload) => (true, true, payload),
             None => self.cut_part(room, sequence),
         };
-        let part = Part { first, last, payload, sent: now, order, again: false, lost: false };
+        let part = Chunk { first, last, payload, sent: now, order, again: false, lost: false };
         self.next += 1;
         self.flying_bytes += part.payload.len();
         self.flight.insert(sequence, part.clone());
@@ -206,7 +206,7 @@ impl Outbound {
 
     /// After each part of what is large, one of whole messages that need not wait for the rest of it: nothing
     /// of its strand. The large one goes on after them.
-    fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<Parcel> {
+    fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<GatherBuffer> {
         let large = self.partial.as_ref()?.strand;
         if std::mem::take(&mut self.overtook) {
             return None;
@@ -245,7 +245,7 @@ impl Outbound {
     }
 
     /// As many whole messages as fit, or as much of a large one.
-    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, Parcel) {
+    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, GatherBuffer) {
         if let Some(mut partial) = self.partial.take() {
             let end = partial.message.len().min(partial.cut + room);
             let payload = partial.message.slice(partial.cut..end);
@@ -284,7 +284,7 @@ impl Outbound {
     }
 
     /// The peer has told what arrived.
-    pub(crate) fn handle_ack(&mut self, ack: &Ack, now: Instant) -> Result<Progress, WireError> {
+    pub(crate) fn handle_ack(&mut self, ack: &Ack, now: Instant) -> Result<AckResult, WireError> {
         let beyond = ack.ranges.last().map_or(ack.next, |(_, last)| last.saturating_add(1));
         if beyond.max(ack.next) > self.next {
             return Err(WireError::Malformed { what: "an acknowledgement of what was never sent" });
@@ -293,7 +293,7 @@ impl Outbound {
         // wider than ours, whatever the peer promises.
         let window = ack.window.min(self.window);
         self.limit = self.limit.max(ack.next.saturating_add(window.into()));
-        let mut progress = Progress::default();
+        let mut progress = AckResult::default();
         let below = ack.next.checked_sub(1).map(|last| (0, last));
         for (first, last) in below.into_iter().chain(ack.ranges.iter().copied()) {
             self.arrived(first, last, now, &mut progress);
@@ -305,7 +305,7 @@ impl Outbound {
         Ok(progress)
     }
 
-    fn arrived(&mut self, first: u64, last: u64, now: Instant, progress: &mut Progress) {
+    fn arrived(&mut self, first: u64, last: u64, now: Instant, progress: &mut AckResult) {
         while let Some((&sequence, _)) = self.flight.range(first..=last).next() {
             let part = self.flight.remove(&sequence).expect("it was found");
             match part.lost {
@@ -332,7 +332,7 @@ impl Outbound {
         self.lose(|_| true)
     }
 
-    fn lose(&mut self, is_lost: impl Fn(&Part) -> bool) -> bool {
+    fn lose(&mut self, is_lost: impl Fn(&Chunk) -> bool) -> bool {
         let before = self.lost;
         for part in self.flight.values_mut() {
             if !part.lost && is_lost(part) {

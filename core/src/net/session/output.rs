@@ -1,9 +1,9 @@
 //! What a session wants done, and what it did.
 
-use crate::net::session::size_class::Load;
-use crate::net::wire::packet::{Class, Undelivered};
+use crate::net::session::size_class::SizeClass;
+use crate::net::wire::packet::{PacketPriority, UndeliveredReason};
 use crate::net::wire::segment::Stream;
-use crate::{Incarnation, Parcel, Why};
+use crate::{DeliveryError, GatherBuffer, Incarnation};
 use bytes::Bytes;
 
 /// What a session wants done.
@@ -12,9 +12,9 @@ pub enum SessionOutput {
     /// Give this segment to the router for the peer.
     Transmit {
         /// How urgent it is.
-        class: Class,
+        class: PacketPriority,
         /// The segment.
-        segment: Parcel,
+        segment: GatherBuffer,
         /// A copy is to go over every way that there is.
         everywhere: bool,
     },
@@ -44,7 +44,7 @@ pub enum SessionOutput {
         /// The message.
         message: Bytes,
         /// Why.
-        why: Why,
+        why: DeliveryError,
         /// Some of it was sent, so that it may have arrived; otherwise it has not.
         sent: bool,
     },
@@ -53,21 +53,21 @@ pub enum SessionOutput {
         /// Which life of the peer it was with.
         incarnation: Incarnation,
         /// Why.
-        why: Why,
+        why: DeliveryError,
     },
     /// A stream holds all that it should: stop sending, or messages will soon be refused.
     Full {
         /// Which.
         stream: Stream,
         /// What there is no room for: bulk alone, or what is small, and then nothing goes.
-        load: Load,
+        load: SizeClass,
     },
     /// A stream that was full takes messages again.
     Room {
         /// Which.
         stream: Stream,
         /// What there is room for.
-        load: Load,
+        load: SizeClass,
     },
     /// The peer speaks another version; the two cannot talk until one is updated.
     Incompatible {
@@ -77,7 +77,7 @@ pub enum SessionOutput {
 }
 
 /// A refused message, and why.
-pub type Refused = (Why, Bytes);
+pub type Refused = (DeliveryError, Bytes);
 
 /// What a session did so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,7 +95,7 @@ pub struct SessionCounters {
     /// Packets that came back undelivered; what is reliable of them was sent again.
     pub returned: u64,
     /// Why the last of them did.
-    pub last_return: Option<Undelivered>,
+    pub last_return: Option<UndeliveredReason>,
     /// Copies on the redundant stream that were dropped, for the first had arrived.
     pub replicas: u64,
     /// Parts of that stream of which no copy came in time; they were repeated.

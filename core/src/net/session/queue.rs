@@ -1,22 +1,22 @@
 //! What waits to be cut into parts: each strand in its order.
 
-use crate::Parcel;
-use crate::net::session::ordering_key::Strand;
+use crate::GatherBuffer;
+use crate::net::session::ordering_key::OrderingKey;
 use std::collections::BTreeMap;
 use std::ops::RangeFrom;
 
 /// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so that however much
 /// waits in one, nothing of another has to be found behind it.
 #[derive(Debug, Default)]
-pub(super) struct Queue {
+pub(super) struct SendQueue {
     /// By strand, in the order of arrival there.
-    messages: BTreeMap<(Strand, u64), Parcel>,
+    messages: BTreeMap<(OrderingKey, u64), GatherBuffer>,
     /// The first of each strand, by arrival.
-    heads: BTreeMap<u64, Strand>,
+    heads: BTreeMap<u64, OrderingKey>,
     arrivals: u64,
 }
 
-impl Queue {
+impl SendQueue {
     pub(super) fn len(&self) -> usize {
         self.messages.len()
     }
@@ -25,7 +25,7 @@ impl Queue {
         self.messages.is_empty()
     }
 
-    pub(super) fn push(&mut self, strand: Strand, message: Parcel) {
+    pub(super) fn push(&mut self, strand: OrderingKey, message: GatherBuffer) {
         let number = self.arrivals;
         self.arrivals += 1;
         if self.head(strand).is_none() {
@@ -35,13 +35,13 @@ impl Queue {
     }
 
     /// The first of those that arrived at `from` or later and are the first of their strand.
-    pub(super) fn first(&self, from: RangeFrom<u64>) -> Option<(u64, Strand, &Parcel)> {
+    pub(super) fn first(&self, from: RangeFrom<u64>) -> Option<(u64, OrderingKey, &GatherBuffer)> {
         let (&number, &strand) = self.heads.range(from).next()?;
         self.messages.get(&(strand, number)).map(|message| (number, strand, message))
     }
 
     /// Takes out what is the first of its strand: the next of it is so then.
-    pub(super) fn take(&mut self, number: u64) -> Option<(Strand, Parcel)> {
+    pub(super) fn take(&mut self, number: u64) -> Option<(OrderingKey, GatherBuffer)> {
         let strand = self.heads.remove(&number)?;
         let message = self.messages.remove(&(strand, number))?;
         if let Some(next) = self.head(strand) {
@@ -51,12 +51,12 @@ impl Queue {
     }
 
     /// All of them, in the order in which they arrived.
-    pub(super) fn into_messages(self) -> impl Iterator<Item = Parcel> {
+    pub(super) fn into_messages(self) -> impl Iterator<Item = GatherBuffer> {
         let by_arrival = self.messages.into_iter().map(|((_, number), message)| (number, message));
         by_arrival.collect::<BTreeMap<_, _>>().into_values()
     }
 
-    fn head(&self, strand: Strand) -> Option<u64> {
+    fn head(&self, strand: OrderingKey) -> Option<u64> {
         let all = (strand, 0)..=(strand, u64::MAX);
         self.messages.range(all).next().map(|((_, number), _)| *number)
     }
@@ -67,19 +67,19 @@ mod tests {
     use super::*;
     use bytes::Bytes;
 
-    fn parcel(text: &'static str) -> Parcel {
+    fn parcel(text: &'static str) -> GatherBuffer {
         Bytes::from_static(text.as_bytes()).into()
     }
 
     #[test]
     fn each_strand_keeps_its_order_and_shows_only_its_first() {
-        let (map, leg) = (Strand::Object(1), Strand::Object(2));
-        let mut queue = Queue::default();
+        let (map, leg) = (OrderingKey::Object(1), OrderingKey::Object(2));
+        let mut queue = SendQueue::default();
         for (strand, text) in [(map, "m1"), (map, "m2"), (leg, "l1"), (map, "m3"), (leg, "l2")] {
             queue.push(strand, parcel(text));
         }
         let first =
-            |queue: &Queue, from| queue.first(from).map(|(number, strand, _)| (number, strand));
+            |queue: &SendQueue, from| queue.first(from).map(|(number, strand, _)| (number, strand));
 
         assert_eq!(first(&queue, 0..), Some((0, map)));
         assert_eq!(first(&queue, 1..), Some((2, leg)), "what follows in a strand is not looked at");

@@ -1,7 +1,7 @@
 //! Puts pieces together, within bounds of space and time.
 
-use crate::net::wire::segment::{PIECES_MAX, Piece};
-use crate::{Instant, Parcel};
+use crate::net::wire::segment::{Fragment, PIECES_MAX};
+use crate::{GatherBuffer, Instant};
 use bytes::{Bytes, BytesMut};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 /// Things of which some pieces have arrived, by a key.
 #[derive(Debug)]
-pub(crate) struct Assembly<K> {
+pub(crate) struct Reassembly<K> {
     open: BTreeMap<K, Pieces>,
     bytes: usize,
     bytes_max: usize,
@@ -29,16 +29,16 @@ struct Pieces {
     since: Instant,
 }
 
-impl<K: Ord + Copy> Assembly<K> {
+impl<K: Ord + Copy> Reassembly<K> {
     pub(crate) fn new(bytes_max: usize, patience: Duration) -> Self {
-        Assembly { open: BTreeMap::new(), bytes: 0, bytes_max, patience, given_up: 0 }
+        Reassembly { open: BTreeMap::new(), bytes: 0, bytes_max, patience, given_up: 0 }
     }
 
     /// A piece has arrived. Answers with the whole when it was the last one missing.
     pub(crate) fn handle(
         &mut self,
         key: K,
-        piece: Piece,
+        piece: Fragment,
         bytes: Bytes,
         now: Instant,
     ) -> Option<Bytes> {
@@ -96,7 +96,10 @@ impl<K: Ord + Copy> Assembly<K> {
 }
 
 /// One whole, or pieces of at most `room` bytes.
-pub(crate) fn pieces_of(payload: &Parcel, room: usize) -> Vec<(Option<Piece>, Parcel)> {
+pub(crate) fn pieces_of(
+    payload: &GatherBuffer,
+    room: usize,
+) -> Vec<(Option<Fragment>, GatherBuffer)> {
     if payload.len() <= room {
         return vec![(None, payload.clone())];
     }
@@ -106,7 +109,7 @@ pub(crate) fn pieces_of(payload: &Parcel, room: usize) -> Vec<(Option<Piece>, Pa
         .map(|index| {
             let start = (usize::from(index) * size).min(payload.len());
             let end = (start + size).min(payload.len());
-            (Some(Piece { index, count }), payload.slice(start..end))
+            (Some(Fragment { index, count }), payload.slice(start..end))
         })
         .collect()
 }
@@ -115,12 +118,12 @@ pub(crate) fn pieces_of(payload: &Parcel, room: usize) -> Vec<(Option<Piece>, Pa
 mod tests {
     use super::*;
 
-    fn piece(index: u16, count: u16) -> Piece {
-        Piece { index, count }
+    fn piece(index: u16, count: u16) -> Fragment {
+        Fragment { index, count }
     }
 
-    fn assembly() -> Assembly<u32> {
-        Assembly::new(400, Duration::from_secs(1))
+    fn assembly() -> Reassembly<u32> {
+        Reassembly::new(400, Duration::from_secs(1))
     }
 
     #[test]

@@ -1,10 +1,10 @@
 //! What a session does with what arrives.
 
-use super::best_effort::Came;
-use super::inbound::Arrived;
+use super::best_effort::DatagramStatus;
+use super::inbound::ChunkStatus;
 use super::{Session, SessionOutput, State, duplicates};
-use crate::Why;
-use crate::net::wire::packet::Class;
+use crate::DeliveryError;
+use crate::net::wire::packet::PacketPriority;
 use crate::net::wire::segment::{Data, Datagram, Segment, Stream};
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ impl Session {
             self.handle_ack(stream, &ack);
         }
         let copied = stream == Stream::Redundant && !again && piece.is_none();
-        if copied && self.replicas.handle(sequence) == duplicates::Came::Replica {
+        if copied && self.replicas.handle(sequence) == duplicates::CopyStatus::Replica {
             return self.close_when_done();
         }
         let payload = payload.into_bytes();
@@ -33,22 +33,22 @@ impl Session {
             let outputs = messages.into_iter();
             self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
             match arrived {
-                Ok(Arrived::New) => {}
-                Ok(Arrived::Again) => self.counters.doubled += 1,
-                Ok(Arrived::Beyond) => self.refusals.unexpected += 1,
+                Ok(ChunkStatus::New) => {}
+                Ok(ChunkStatus::Again) => self.counters.doubled += 1,
+                Ok(ChunkStatus::Beyond) => self.refusals.unexpected += 1,
                 Err(error) => {
                     // The peer is broken; whatever it says next cannot be trusted to be in order.
                     self.refusals.count(&error);
                     let State::Open { peer } = self.state else { return };
                     let reset = Segment::Reset { tag: self.tag };
-                    self.transmit(Class::Control, reset);
+                    self.transmit(PacketPriority::Control, reset);
                     self.newest = self.newest.max((peer.incarnation, peer.number + 1));
                     // Ours were good: they come back because of what it sent.
                     let reason = format!(
                         "it breaks the protocol of sessions ({error}): update one of the two"
                     );
                     let node = self.config.peer.to_string();
-                    self.end(Why::Undelivered { node, reason });
+                    self.end(DeliveryError::Undelivered { node, reason });
                     return;
                 }
             }
@@ -60,7 +60,7 @@ impl Session {
     /// third of what a part does.
     fn ack_delay(&self) -> Duration {
         const NARROW_MAX: Duration = Duration::from_millis(50);
-        let trip = self.trips[0].smoothed().filter(|_| self.is_narrow());
+        let trip = self.rtt[0].smoothed().filter(|_| self.is_narrow());
         let quarter = trip.map_or(Duration::ZERO, |trip| trip / 4);
         self.config.ack_delay.max(quarter.min(NARROW_MAX))
     }
@@ -68,13 +68,13 @@ impl Session {
     pub(super) fn handle_datagram(&mut self, datagram: Datagram) {
         let channel = datagram.channel;
         match self.best_effort.handle(datagram, self.now) {
-            Came::Newest(message) => {
+            DatagramStatus::Newest(message) => {
                 self.outputs.push_back(SessionOutput::Newest { channel, message });
             }
-            Came::InPart => {}
-            Came::Again => self.counters.doubled += 1,
-            Came::Overtaken => self.counters.overtaken += 1,
-            Came::TooMany => self.refusals.too_large += 1,
+            DatagramStatus::InPart => {}
+            DatagramStatus::Again => self.counters.doubled += 1,
+            DatagramStatus::Overtaken => self.counters.overtaken += 1,
+            DatagramStatus::TooMany => self.refusals.too_large += 1,
         }
     }
 }

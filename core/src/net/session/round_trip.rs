@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// The estimator of one session.
 #[derive(Debug)]
-pub(crate) struct RoundTrip {
+pub(crate) struct RttEstimator {
     smoothed: Option<Duration>,
     deviation: Duration,
     /// The shortest on this path: what is above it was spent in queues.
@@ -17,7 +17,7 @@ pub(crate) struct RoundTrip {
     longest: Duration,
 }
 
-impl RoundTrip {
+impl RttEstimator {
     /// Before the first measurement: several round trips of any medium aboard a robot.
     const INITIAL: Duration = Duration::from_millis(100);
     /// The same where the medium is probably slow (RFC 6298, 2.1).
@@ -29,7 +29,7 @@ impl RoundTrip {
     const LONGEST_NARROW: Duration = Duration::from_secs(2);
 
     pub(crate) fn new(shortest: Duration, longest: Duration) -> Self {
-        RoundTrip {
+        RttEstimator {
             smoothed: None,
             deviation: Duration::ZERO,
             least: None,
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn the_timeout_follows_the_measured_round_trip_within_its_bounds() {
-        let mut trip = RoundTrip::new(20 * MS, 1000 * MS);
+        let mut trip = RttEstimator::new(20 * MS, 1000 * MS);
         assert_eq!(trip.timeout(), 100 * MS);
         trip.measure(40 * MS);
         assert_eq!(trip.timeout(), 120 * MS, "40 + 4 * 20");
@@ -123,7 +123,7 @@ mod tests {
     }
     #[test]
     fn on_a_narrow_path_no_small_message_shortens_it_and_its_doublings_last_until_a_measurement() {
-        let mut trip = RoundTrip::new(20 * MS, 500 * MS);
+        let mut trip = RttEstimator::new(20 * MS, 500 * MS);
         trip.enter_narrow_path();
         assert_eq!(trip.timeout(), 1000 * MS);
         for _ in 0..100 {

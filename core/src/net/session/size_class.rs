@@ -7,22 +7,22 @@
 
 /// Whether a message is small, or bulk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Load {
+pub enum SizeClass {
     /// Of [`SMALL_MAX`](Load::SMALL_MAX) bytes at most: an order, a reading, the scan of a laser.
     Small,
     /// Larger: an image, a map.
     Bulk,
 }
 
-impl Load {
+impl SizeClass {
     /// The most bytes of a small message. The room that small ones have anywhere takes 64 of them at least.
     pub const SMALL_MAX: usize = 16 * 1024;
 
     /// Both, in the order of their places.
-    pub const ALL: [Load; 2] = [Load::Small, Load::Bulk];
+    pub const ALL: [SizeClass; 2] = [SizeClass::Small, SizeClass::Bulk];
 
     /// What a message of so many bytes is.
     pub fn of(bytes: usize) -> Self {
-        if bytes > Self::SMALL_MAX { Load::Bulk } else { Load::Small }
+        if bytes > Self::SMALL_MAX { SizeClass::Bulk } else { SizeClass::Small }
     }
 }

@@ -1,7 +1,7 @@
 //! How a session stands, for people.
 
-use super::duplicates::Replicas;
-use super::round_trip::RoundTrip;
+use super::duplicates::DuplicateDiscard;
+use super::round_trip::RttEstimator;
 use super::{STREAMS, Session, SessionCounters, State, lane};
 use crate::Incarnation;
 use crate::net::wire::Refusals;
@@ -39,7 +39,7 @@ impl fmt::Display for SessionState {
 
 /// A session at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SessionStanding {
+pub struct SessionStatus {
     /// Where it stands.
     pub state: SessionState,
     /// Which of the peer's lives it is with; `None` while there is none open.
@@ -74,13 +74,13 @@ impl Session {
 
     /// The smoothed round trip to the peer.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.trips.iter().find_map(RoundTrip::smoothed)
+        self.rtt.iter().find_map(RttEstimator::smoothed)
     }
 
     /// What it did so far.
     pub fn counters(&self) -> SessionCounters {
         let unfinished = self.pieces.given_up + self.best_effort.unfinished();
-        let Replicas { dropped, missed, alone, .. } = self.replicas;
+        let DuplicateDiscard { dropped, missed, alone, .. } = self.replicas;
         SessionCounters {
             unfinished: self.counters.unfinished + unfinished,
             replicas: self.counters.replicas + dropped,
@@ -96,7 +96,7 @@ impl Session {
     }
 
     /// How it stands now.
-    pub fn standing(&self) -> SessionStanding {
+    pub fn standing(&self) -> SessionStatus {
         let state = match self.state {
             State::Idle => SessionState::Away,
             State::Opening { .. } if self.path.is_none() => SessionState::Away,
@@ -106,7 +106,7 @@ impl Session {
             State::Closed => SessionState::Closed,
         };
         let held = STREAMS.map(|stream| self.streams[stream as usize].outbound.messages());
-        SessionStanding {
+        SessionStatus {
             state,
             incarnation: self.peer(),
             round_trip: self.round_trip(),

@@ -8,7 +8,7 @@ mod paths;
 
 use super::*;
 use crate::NodeName;
-use crate::net::wire::segment::{Ack, Open};
+use crate::net::wire::segment::{Ack, OpenSegment};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -143,10 +143,10 @@ fn message(message: Bytes) -> SessionOutput {
     SessionOutput::Message { stream: Stream::Data, message }
 }
 
-fn returned(message: Bytes, why: &Why) -> SessionOutput {
+fn returned(message: Bytes, why: &DeliveryError) -> SessionOutput {
     SessionOutput::Returned { stream: Stream::Data, message, why: why.clone(), sent: true }
 }
 
-fn unreachable(node: &str) -> Why {
-    Why::Unreachable { node: node.into() }
+fn unreachable(node: &str) -> DeliveryError {
+    DeliveryError::Unreachable { node: node.into() }
 }

@@ -1,13 +1,13 @@
 //! What a session sends when, and what acknowledgements tell it.
 
-use super::outbound::Part;
+use super::outbound::Chunk;
 use super::reassembly::pieces_of;
 use super::{STREAMS, Session, SessionOutput, State, lane};
 use crate::net::is_narrow;
-use crate::net::session::size_class::Load;
-use crate::net::wire::packet::{Class, Undelivered, WAY_MAX};
+use crate::net::session::size_class::SizeClass;
+use crate::net::wire::packet::{PacketPriority, UndeliveredReason, WAY_MAX};
 use crate::net::wire::segment::{Ack, Data, PIECE_HEADER, Segment, Stream, data_header};
-use crate::{Instant, Why};
+use crate::{DeliveryError, Instant};
 
 /// Which stream goes first when several wait.
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
@@ -15,7 +15,7 @@ const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Dat
 impl Session {
     /// Something of ours came back: it is repeated once the routers have had time to find another way,
     /// and never faster than silence would be taken for loss.
-    pub fn handle_undelivered(&mut self, reason: Undelivered, now: Instant) {
+    pub fn handle_undelivered(&mut self, reason: UndeliveredReason, now: Instant) {
         self.now = now;
         self.counters.returned += 1;
         self.counters.last_return = Some(reason);
@@ -25,13 +25,14 @@ impl Session {
     }
 
     /// Why the peer cannot be reached, as far as somebody has said.
-    pub(super) fn unreachable(&self) -> Why {
+    pub(super) fn unreachable(&self) -> DeliveryError {
         let node = self.config.peer.to_string();
         match self.returned {
-            None | Some(Undelivered::NoRoute) => Why::Unreachable { node },
-            Some(reason) => {
-                Why::Undelivered { node, reason: format!("{reason}; {}", reason.advice()) }
-            }
+            None | Some(UndeliveredReason::NoRoute) => DeliveryError::Unreachable { node },
+            Some(reason) => DeliveryError::Undelivered {
+                node,
+                reason: format!("{reason}; {}", reason.advice()),
+            },
         }
     }
 
@@ -75,7 +76,7 @@ impl Session {
             let header = data_header(state.outbound.next()) + way;
             // Copies that do not fit onto their ways go one way.
             let least = if stream == Stream::Redundant { 48 } else { 16 };
-            let room = mtu.saturating_sub(header + ack_room).clamp(least, self.config.part_max);
+            let room = mtu.saturating_sub(header + ack_room).clamp(least, self.config.chunk_max);
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
                 Stream::Control => congested && state.outbound.flying() >= always,
@@ -113,8 +114,8 @@ impl Session {
         let [control, data, redundant] = acks;
         let segment = Segment::Acknowledge { tag, control, data, redundant };
         match stream {
-            Stream::Redundant => self.transmit_everywhere(Class::Control, segment),
-            Stream::Control | Stream::Data => self.transmit(Class::Control, segment),
+            Stream::Redundant => self.transmit_everywhere(PacketPriority::Control, segment),
+            Stream::Control | Stream::Data => self.transmit(PacketPriority::Control, segment),
         }
     }
 
@@ -123,7 +124,7 @@ impl Session {
         tag: u32,
         stream: Stream,
         sequence: u64,
-        part: Part,
+        part: Chunk,
         mut ack: Option<Ack>,
         room: usize,
     ) {
@@ -132,20 +133,20 @@ impl Session {
         self.counters.repeated += u64::from(again);
         let lane = lane(stream);
         self.orders[lane] += 1;
-        self.retransmit_at[lane].get_or_insert(self.now + self.trips[lane].timeout());
-        let Part { first, last, payload, .. } = part;
+        self.retransmit_at[lane].get_or_insert(self.now + self.rtt[lane].timeout());
+        let Chunk { first, last, payload, .. } = part;
         for (piece, payload) in pieces_of(&payload, room) {
             let ack = ack.take();
             let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
             let segment = Segment::Data(data);
             match stream {
-                Stream::Control => self.transmit(Class::Control, segment),
-                Stream::Data => self.transmit(Class::Data, segment),
+                Stream::Control => self.transmit(PacketPriority::Control, segment),
+                Stream::Data => self.transmit(PacketPriority::Data, segment),
                 // A stop, or a beat: it waits for nothing that is said one way.
                 Stream::Redundant if first && last => {
-                    self.transmit_everywhere(Class::Control, segment);
+                    self.transmit_everywhere(PacketPriority::Control, segment);
                 }
-                Stream::Redundant => self.transmit_everywhere(Class::Data, segment),
+                Stream::Redundant => self.transmit_everywhere(PacketPriority::Data, segment),
             }
         }
     }
@@ -157,7 +158,7 @@ impl Session {
         let control = Some(control.inbound.acknowledge());
         let data = Some(data.inbound.acknowledge());
         let segment = Segment::Acknowledge { tag: peer.tag, control, data, redundant: None };
-        self.transmit(Class::Control, segment);
+        self.transmit(PacketPriority::Control, segment);
     }
 
     /// Acknowledges what has waited for it.
@@ -184,7 +185,7 @@ impl Session {
             Err(error) => return self.refusals.count(&error),
         };
         let of = lane(stream);
-        let queueing = progress.round_trip.map(|sample| self.trips[of].measure(sample));
+        let queueing = progress.round_trip.map(|sample| self.rtt[of].measure(sample));
         let crowded = queueing.is_some_and(|queueing| queueing > Self::QUEUEING_MAX);
         if let Some(order) = progress.order {
             let mut lost = false;
@@ -213,7 +214,7 @@ impl Session {
                 }
             }
             let flying = self.flying(of) > 0;
-            self.retransmit_at[of] = flying.then(|| self.now + self.trips[of].timeout());
+            self.retransmit_at[of] = flying.then(|| self.now + self.rtt[of].timeout());
         }
         self.make_room(stream);
         self.heard();
@@ -222,18 +223,18 @@ impl Session {
     pub(super) fn make_room(&mut self, stream: Stream) {
         let state = &self.streams[stream as usize];
         let (messages, most) = (state.outbound.messages(), self.config.buffer_messages);
-        let rooms = Load::ALL.map(|load| {
+        let rooms = SizeClass::ALL.map(|load| {
             let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
             match load {
                 // Half empty, so that whoever waits can send more than one message.
-                Load::Small => messages <= most / 2 && holds <= should / 2,
+                SizeClass::Small => messages <= most / 2 && holds <= should / 2,
                 // One is worth the word, and the next is to be here before the last has gone. What is small may
                 // stand here for ever: it has room of its own, and its senders keep their half.
-                Load::Bulk => messages <= most && holds <= should,
+                SizeClass::Bulk => messages <= most && holds <= should,
             }
         });
         let state = &mut self.streams[stream as usize];
-        for load in Load::ALL {
+        for load in SizeClass::ALL {
             if rooms[load as usize] && std::mem::take(&mut state.full[load as usize]) {
                 self.outputs.push_back(SessionOutput::Room { stream, load });
             }
@@ -241,16 +242,16 @@ impl Session {
     }
 
     /// The bytes of this load that should wait in a stream at most.
-    pub(super) fn buffer_bytes(&self, load: Load) -> usize {
+    pub(super) fn buffer_bytes(&self, load: SizeClass) -> usize {
         match load {
-            Load::Small => self.config.buffer_bytes,
+            SizeClass::Small => self.config.buffer_bytes,
             // What is small waits behind no more of it.
-            Load::Bulk => self.config.buffer_bytes / 2,
+            SizeClass::Bulk => self.config.buffer_bytes / 2,
         }
     }
 
     pub(super) fn handle_silence(&mut self, of: usize) {
-        self.trips[of].back_off();
+        self.rtt[of].back_off();
         if of == 0 {
             let most = if self.is_narrow() { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };
             self.congestion = self.congestion.min(most);
@@ -259,6 +260,6 @@ impl Session {
         for stream in STREAMS.into_iter().filter(|stream| lane(*stream) == of) {
             self.streams[stream as usize].outbound.lose_all();
         }
-        self.retransmit_at[of] = Some(self.now + self.trips[of].timeout());
+        self.retransmit_at[of] = Some(self.now + self.rtt[of].timeout());
     }
 }

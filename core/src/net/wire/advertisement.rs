@@ -22,7 +22,7 @@
 
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};
-use crate::net::routing::LinkNumber;
+use crate::net::routing::LinkId;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -44,7 +44,7 @@ const GAVE_UP: u8 = 5;
 
 /// Which advertisement: of two of one origin, the greater is the newer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Stamp {
+pub struct AdvertisementId {
     /// Whose.
     pub origin: NodeId,
     /// In which of its lives.
@@ -57,7 +57,7 @@ pub struct Stamp {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Advertisement {
     /// Which.
-    pub stamp: Stamp,
+    pub stamp: AdvertisementId,
     /// The origin's name.
     pub node: NodeName,
     /// Whom it has links to, at most [`NEIGHBOURS_MAX`].
@@ -82,7 +82,7 @@ pub struct Edge {
 
 /// What a router says to its neighbour's.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Routing {
+pub enum RoutingMessage {
     /// These are the newest that I know.
     Announce(Vec<Advertisement>),
     /// I have these.
@@ -90,12 +90,12 @@ pub enum Routing {
         /// Of all origins from the first to the last, I have exactly these.
         range: Option<(NodeId, NodeId)>,
         /// Which. A sequence of 0 asks for the origin's advertisement.
-        stamps: Vec<Stamp>,
+        stamps: Vec<AdvertisementId>,
     },
     /// A later life of a node has come up, while routes lead to an older one: is that still there?
     Dispute {
         /// The later life; its sequence says nothing.
-        contender: Stamp,
+        contender: AdvertisementId,
         /// The name of both.
         node: NodeName,
     },
@@ -107,9 +107,9 @@ pub enum Routing {
         advertisement: Advertisement,
     },
     /// I call this link so.
-    Numbered(LinkNumber),
+    Numbered(LinkId),
     /// Another link between us, which you call so, carries no more at this end.
-    GaveUp(LinkNumber),
+    GaveUp(LinkId),
 }
 
 impl Edge {
@@ -120,15 +120,15 @@ impl Edge {
     }
 }
 
-impl Stamp {
+impl AdvertisementId {
     fn put(&self, bytes: &mut BytesMut) {
         bytes.put_u32(self.origin.0);
         bytes.put_u64(self.incarnation.0);
         bytes.put_u32(self.sequence);
     }
 
-    fn read(reader: &mut Reader) -> Result<Stamp, WireError> {
-        Ok(Stamp {
+    fn read(reader: &mut Reader) -> Result<AdvertisementId, WireError> {
+        Ok(AdvertisementId {
             origin: NodeId(reader.u32()?),
             incarnation: Incarnation(reader.u64()?),
             sequence: reader.u32()?,
@@ -164,7 +164,7 @@ impl Advertisement {
     }
 
     fn read(reader: &mut Reader) -> Result<Advertisement, WireError> {
-        let stamp = Stamp::read(reader)?;
+        let stamp = AdvertisementId::read(reader)?;
         let node: NodeName = reader.parsed("a node's name")?;
         if NodeId::of(&node) != stamp.origin || stamp.sequence == 0 {
             return Err(WireError::Malformed { what: "an advertisement's origin" });
@@ -190,18 +190,18 @@ impl Advertisement {
     }
 }
 
-impl Routing {
+impl RoutingMessage {
     /// Its bytes.
     pub fn encode(&self) -> Bytes {
         let mut bytes = BytesMut::new();
         match self {
-            Routing::Announce(advertisements) => {
+            RoutingMessage::Announce(advertisements) => {
                 bytes.put_u8(ANNOUNCE);
                 for advertisement in advertisements {
                     advertisement.put(&mut bytes);
                 }
             }
-            Routing::Have { range, stamps } => {
+            RoutingMessage::Have { range, stamps } => {
                 bytes.put_u8(HAVE);
                 let (first, last) = range.unwrap_or((NodeId(0), NodeId(0)));
                 bytes.put_u8(range.is_some().into());
@@ -211,18 +211,18 @@ impl Routing {
                     stamp.put(&mut bytes);
                 }
             }
-            Routing::Dispute { contender, node } => {
+            RoutingMessage::Dispute { contender, node } => {
                 bytes.put_u8(DISPUTE);
                 contender.put(&mut bytes);
                 bytes.sized(node.as_str().as_bytes());
             }
-            Routing::Defend { against, advertisement } => {
+            RoutingMessage::Defend { against, advertisement } => {
                 bytes.put_u8(DEFEND);
                 bytes.put_u64(against.0);
                 advertisement.put(&mut bytes);
             }
-            Routing::Numbered(link) | Routing::GaveUp(link) => {
-                let gave_up = matches!(self, Routing::GaveUp(_));
+            RoutingMessage::Numbered(link) | RoutingMessage::GaveUp(link) => {
+                let gave_up = matches!(self, RoutingMessage::GaveUp(_));
                 bytes.put_u8(if gave_up { GAVE_UP } else { NUMBERED });
                 bytes.put_u16(link.0);
             }
@@ -234,7 +234,7 @@ impl Routing {
     ///
     /// # Errors
     /// [`WireError`] for anything that [`encode`](Routing::encode) does not write.
-    pub fn decode(bytes: Bytes) -> Result<Routing, WireError> {
+    pub fn decode(bytes: Bytes) -> Result<RoutingMessage, WireError> {
         let mut reader = Reader::new(bytes);
         match reader.u8()? {
             ANNOUNCE => {
@@ -242,7 +242,7 @@ impl Routing {
                 while !reader.is_empty() {
                     advertisements.push(Advertisement::read(&mut reader)?);
                 }
-                Ok(Routing::Announce(advertisements))
+                Ok(RoutingMessage::Announce(advertisements))
             }
             HAVE => {
                 let ranged = match reader.u8()? {
@@ -253,27 +253,31 @@ impl Routing {
                 let range = (NodeId(reader.u32()?), NodeId(reader.u32()?));
                 let mut stamps = Vec::new();
                 while !reader.is_empty() {
-                    stamps.push(Stamp::read(&mut reader)?);
+                    stamps.push(AdvertisementId::read(&mut reader)?);
                 }
-                Ok(Routing::Have { range: ranged.then_some(range), stamps })
+                Ok(RoutingMessage::Have { range: ranged.then_some(range), stamps })
             }
             DISPUTE => {
-                let contender = Stamp::read(&mut reader)?;
+                let contender = AdvertisementId::read(&mut reader)?;
                 let node: NodeName = reader.parsed("a node's name")?;
                 if NodeId::of(&node) != contender.origin {
                     return Err(WireError::Malformed { what: "a dispute's origin" });
                 }
-                Ok(Routing::Dispute { contender, node })
+                Ok(RoutingMessage::Dispute { contender, node })
             }
             DEFEND => {
                 let against = Incarnation(reader.u64()?);
                 let advertisement = Advertisement::read(&mut reader)?;
-                Ok(Routing::Defend { against, advertisement })
+                Ok(RoutingMessage::Defend { against, advertisement })
             }
             kind @ (NUMBERED | GAVE_UP) => {
-                let link = LinkNumber(reader.u16()?);
+                let link = LinkId(reader.u16()?);
                 reader.end("a link's number")?;
-                Ok(if kind == GAVE_UP { Routing::GaveUp(link) } else { Routing::Numbered(link) })
+                Ok(if kind == GAVE_UP {
+                    RoutingMessage::GaveUp(link)
+                } else {
+                    RoutingMessage::Numbered(link)
+                })
             }
             _ => Err(WireError::Malformed { what: "a routing message's kind" }),
         }
@@ -286,7 +290,8 @@ mod tests {
 
     fn advertisement() -> Advertisement {
         let node = NodeName::new("m1").unwrap();
-        let stamp = Stamp { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
+        let stamp =
+            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
         let edges = vec![Edge { to: NodeId(9), life: 7, cost: 10, mtu: 1400 }];
         Advertisement { stamp, node, edges, withdrawn: false }
     }
@@ -296,39 +301,39 @@ mod tests {
         let origin = NodeId::of(&NodeName::new("m1").unwrap()).0.to_be_bytes();
         let stamp = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
         let announce = [&[0], &stamp[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
-        assert_eq!(&Routing::Announce(vec![advertisement()]).encode()[..], announce);
+        assert_eq!(&RoutingMessage::Announce(vec![advertisement()]).encode()[..], announce);
         let range = Some((NodeId(1), NodeId(2)));
-        let have = Routing::Have { range, stamps: vec![advertisement().stamp] };
+        let have = RoutingMessage::Have { range, stamps: vec![advertisement().stamp] };
         assert_eq!(&have.encode()[..], [b"\x01\x01\0\0\0\x01\0\0\0\x02", &stamp[..]].concat());
     }
 
     #[test]
     fn routing_messages_come_back_as_they_were_and_cut_ones_do_not() {
         let withdrawal = advertisement().withdrawal();
-        let announce = Routing::Announce(vec![advertisement(), withdrawal, advertisement()]);
-        assert_eq!(Routing::decode(announce.encode()), Ok(announce));
+        let announce = RoutingMessage::Announce(vec![advertisement(), withdrawal, advertisement()]);
+        assert_eq!(RoutingMessage::decode(announce.encode()), Ok(announce));
         for range in [None, Some((NodeId(0), NodeId(u32::MAX)))] {
-            let have = Routing::Have { range, stamps: vec![advertisement().stamp; 3] };
-            assert_eq!(Routing::decode(have.encode()), Ok(have));
+            let have = RoutingMessage::Have { range, stamps: vec![advertisement().stamp; 3] };
+            assert_eq!(RoutingMessage::decode(have.encode()), Ok(have));
         }
-        let contender = Stamp { sequence: 0, ..advertisement().stamp };
-        let dispute = Routing::Dispute { contender, node: advertisement().node };
-        assert_eq!(Routing::decode(dispute.encode()), Ok(dispute));
+        let contender = AdvertisementId { sequence: 0, ..advertisement().stamp };
+        let dispute = RoutingMessage::Dispute { contender, node: advertisement().node };
+        assert_eq!(RoutingMessage::decode(dispute.encode()), Ok(dispute));
         let against = Incarnation(9);
-        let defend = Routing::Defend { against, advertisement: advertisement() };
-        assert_eq!(Routing::decode(defend.encode()), Ok(defend));
+        let defend = RoutingMessage::Defend { against, advertisement: advertisement() };
+        assert_eq!(RoutingMessage::decode(defend.encode()), Ok(defend));
         for (said, bytes) in [
-            (Routing::Numbered(LinkNumber(0x0102)), b"\x04\x01\x02"),
-            (Routing::GaveUp(LinkNumber(0x0102)), b"\x05\x01\x02"),
+            (RoutingMessage::Numbered(LinkId(0x0102)), b"\x04\x01\x02"),
+            (RoutingMessage::GaveUp(LinkId(0x0102)), b"\x05\x01\x02"),
         ] {
             assert_eq!(&said.encode()[..], bytes);
-            assert_eq!(Routing::decode(said.encode()), Ok(said));
-            assert!(Routing::decode([&bytes[..], b"\0"].concat().into()).is_err());
+            assert_eq!(RoutingMessage::decode(said.encode()), Ok(said));
+            assert!(RoutingMessage::decode([&bytes[..], b"\0"].concat().into()).is_err());
         }
-        let one = Routing::Announce(vec![advertisement()]).encode();
+        let one = RoutingMessage::Announce(vec![advertisement()]).encode();
         assert_eq!(one.len(), 1 + advertisement().length());
         for cut in 2..one.len() {
-            assert_eq!(Routing::decode(one.slice(..cut)), Err(WireError::Truncated));
+            assert_eq!(RoutingMessage::decode(one.slice(..cut)), Err(WireError::Truncated));
         }
     }
 
@@ -336,7 +341,7 @@ mod tests {
     fn an_advertisement_whose_number_is_not_its_names_is_refused() {
         let mut forged = advertisement();
         forged.stamp.origin = NodeId(1);
-        let bytes = Routing::Announce(vec![forged]).encode();
-        assert!(matches!(Routing::decode(bytes), Err(WireError::Malformed { .. })));
+        let bytes = RoutingMessage::Announce(vec![forged]).encode();
+        assert!(matches!(RoutingMessage::decode(bytes), Err(WireError::Malformed { .. })));
     }
 }

@@ -20,7 +20,7 @@
 //! came is a sign of life to all. Of the echoed incarnation and sequence the lower 16 bits are enough: the
 //! one who is spoken to knows the rest.
 
-use super::frame::Stance;
+use super::frame::HelloState;
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};
@@ -36,7 +36,7 @@ const HELD_MAX: u32 = (1 << 24) - 1;
 
 /// A sign of life to all nodes of a bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Greeting {
+pub struct BusHello {
     /// Who speaks.
     pub node: NodeName,
     /// In which of its lives.
@@ -48,25 +48,25 @@ pub struct Greeting {
     /// Each neighbour has a word in one of so many greetings; never 0.
     pub turn: u8,
     /// To some of the neighbours.
-    pub words: Vec<Word>,
+    pub words: Vec<NeighbourEntry>,
 }
 
 /// What a greeting says to one of those who hear it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Word {
+pub struct NeighbourEntry {
     /// To whom.
     pub to: NodeId,
     /// Whether the speaker would use the link between the two.
-    pub stance: Stance,
+    pub stance: HelloState,
     /// How many of a thousand of the other's greetings it has lost lately.
     pub loss_permille: u16,
     /// What it heard last of the other; `None` if nothing yet.
-    pub echo: Option<ShortEcho>,
+    pub echo: Option<CompactEcho>,
 }
 
 /// What a node heard last of one that it greets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ShortEcho {
+pub struct CompactEcho {
     /// The lower bits of the other's incarnation.
     pub life: u16,
     /// The lower bits of the number of its last greeting.
@@ -75,7 +75,7 @@ pub struct ShortEcho {
     pub held_us: u32,
 }
 
-impl Greeting {
+impl BusHello {
     /// No greeting is longer than this, in bytes.
     pub(super) fn length_at_most(&self) -> usize {
         23 + self.node.as_str().len() + 13 * self.words.len()
@@ -91,7 +91,7 @@ impl Greeting {
             bytes.put_u32(word.to.0);
             let echo = if word.echo.is_some() { ECHO } else { 0 };
             bytes.put_u16((word.stance as u16) << 14 | echo | word.loss_permille.min(1_000));
-            if let Some(ShortEcho { life, sequence, held_us }) = word.echo {
+            if let Some(CompactEcho { life, sequence, held_us }) = word.echo {
                 bytes.put_u16(life);
                 bytes.put_u16(sequence);
                 let held = (held_us / HELD_UNIT_US).min(HELD_MAX);
@@ -119,20 +119,20 @@ impl Greeting {
             if words.len() == WORDS_MAX {
                 return Err(WireError::TooLarge { what: "a greeting" });
             }
-            words.push(Word::decode(&mut reader)?);
+            words.push(NeighbourEntry::decode(&mut reader)?);
         }
-        Ok(Greeting { node, incarnation, sequence, interval_us, turn, words })
+        Ok(BusHello { node, incarnation, sequence, interval_us, turn, words })
     }
 }
 
-impl Word {
+impl NeighbourEntry {
     fn decode(reader: &mut Reader) -> Result<Self, WireError> {
         let to = NodeId(reader.u32()?);
         let flags = reader.u16()?;
         let stance = match flags >> 14 {
-            0 => Stance::Unproved,
-            1 => Stance::Down,
-            2 => Stance::Ready,
+            0 => HelloState::Unproved,
+            1 => HelloState::Down,
+            2 => HelloState::Ready,
             _ => return Err(WireError::Malformed { what: "a word's stance" }),
         };
         if flags & !(LOSS | ECHO | 3 << 14) != 0 || flags & LOSS > 1_000 {
@@ -143,9 +143,9 @@ impl Word {
         } else {
             let (life, sequence) = (reader.u16()?, reader.u16()?);
             let held = u32::from(reader.u8()?) << 16 | u32::from(reader.u16()?);
-            Some(ShortEcho { life, sequence, held_us: held * HELD_UNIT_US })
+            Some(CompactEcho { life, sequence, held_us: held * HELD_UNIT_US })
         };
-        Ok(Word { to, stance, loss_permille: flags & LOSS, echo })
+        Ok(NeighbourEntry { to, stance, loss_permille: flags & LOSS, echo })
     }
 }
 
@@ -155,16 +155,21 @@ mod tests {
     use crate::net::wire::frame::Frame;
     use bytes::Bytes;
 
-    fn greeting() -> Greeting {
-        let echo = ShortEcho { life: 0x0a0b, sequence: 9, held_us: 0x400 };
-        let word = Word {
+    fn greeting() -> BusHello {
+        let echo = CompactEcho { life: 0x0a0b, sequence: 9, held_us: 0x400 };
+        let word = NeighbourEntry {
             to: NodeId(0x0102_0304),
-            stance: Stance::Ready,
+            stance: HelloState::Ready,
             loss_permille: 1_000,
             echo: Some(echo),
         };
-        let unheard = Word { to: NodeId(5), stance: Stance::Down, loss_permille: 0, echo: None };
-        Greeting {
+        let unheard = NeighbourEntry {
+            to: NodeId(5),
+            stance: HelloState::Down,
+            loss_permille: 0,
+            echo: None,
+        };
+        BusHello {
             node: NodeName::new("m1").unwrap(),
             incarnation: Incarnation(0x80),
             sequence: 3,
@@ -205,7 +210,7 @@ mod tests {
     #[test]
     fn a_flood_of_words_is_refused() {
         let word = greeting().words[1];
-        let flood = Greeting { words: vec![word; WORDS_MAX + 1], ..greeting() };
+        let flood = BusHello { words: vec![word; WORDS_MAX + 1], ..greeting() };
 
         let refused = Frame::decode(Frame::Greeting(flood).encode());
 
@@ -215,7 +220,7 @@ mod tests {
     #[test]
     fn an_echo_that_was_held_for_longer_than_can_be_said_is_said_as_the_longest() {
         let mut long = greeting();
-        long.words[0].echo = Some(ShortEcho { life: 1, sequence: 1, held_us: u32::MAX });
+        long.words[0].echo = Some(CompactEcho { life: 1, sequence: 1, held_us: u32::MAX });
 
         let Ok(Frame::Greeting(read)) = Frame::decode(Frame::Greeting(long).encode()) else {
             panic!("it is a greeting");

@@ -25,9 +25,9 @@
 //!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
-use super::bus_hello::Greeting;
+use super::bus_hello::BusHello;
 use super::{Reader, WireError, Write, packet};
-use crate::{Incarnation, NodeName, Parcel};
+use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The protocol's version: the low half of the first byte.
@@ -51,16 +51,16 @@ pub enum Frame {
     /// For the neighbour's router itself: what it should know of the network.
     Routing(Bytes),
     /// A packet on its way.
-    Data(Parcel),
+    Data(GatherBuffer),
     /// I live, and this is what I hear of each of you.
-    Greeting(Greeting),
+    Greeting(BusHello),
     /// A part of what the neighbour's router should know, where no frame carries it whole.
-    RoutingPart(RoutingPart),
+    RoutingPart(RoutingFragment),
 }
 
 /// A part of something of the router's.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RoutingPart {
+pub struct RoutingFragment {
     /// Which, from 0 to [`INDEX_MAX`](RoutingPart::INDEX_MAX).
     pub index: u8,
     /// It is the last.
@@ -81,7 +81,7 @@ pub struct Hello {
     /// How long an interval is, in microseconds.
     pub interval_us: u32,
     /// Whether it would use the link.
-    pub stance: Stance,
+    pub stance: HelloState,
     /// How many of a thousand of the other's hellos it has lost lately.
     pub loss_permille: u16,
     /// What it last heard of the one that it speaks to; `None` if nothing yet.
@@ -91,7 +91,7 @@ pub struct Hello {
 /// What one end of a link thinks of it. Both ends must be ready before either uses it, and one that
 /// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC 5880).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stance {
+pub enum HelloState {
     /// It knows nothing yet: it has just begun, or begun anew.
     Unproved,
     /// It has given the link up, which has not proved itself since.
@@ -118,7 +118,7 @@ impl Frame {
     }
 
     /// The frame's bytes. What is large of what it carries is not copied.
-    pub fn parcel(&self) -> Parcel {
+    pub fn parcel(&self) -> GatherBuffer {
         match self {
             Frame::Hello(hello) => hello.encode().into(),
             Frame::Routing(bytes) => wrap(ROUTING, &bytes.clone().into()),
@@ -134,8 +134,8 @@ impl Frame {
                 let mut bytes = BytesMut::with_capacity(FRAME_HEADER + 1 + part.bytes.len());
                 bytes.put_u8(MAGIC | VERSION);
                 bytes.put_u8(ROUTING_PART);
-                let last = if part.last { RoutingPart::LAST } else { 0 };
-                bytes.put_u8(last | part.index & RoutingPart::INDEX_MAX);
+                let last = if part.last { RoutingFragment::LAST } else { 0 };
+                bytes.put_u8(last | part.index & RoutingFragment::INDEX_MAX);
                 bytes.put_slice(&part.bytes);
                 bytes.freeze().into()
             }
@@ -160,19 +160,19 @@ impl Frame {
             HELLO => Hello::decode(reader).map(Frame::Hello),
             ROUTING => Ok(Frame::Routing(reader.rest())),
             DATA => Ok(Frame::Data(reader.rest().into())),
-            GREETING => Greeting::decode(reader).map(Frame::Greeting),
+            GREETING => BusHello::decode(reader).map(Frame::Greeting),
             ROUTING_PART => {
                 let first = reader.u8()?;
                 let (index, last) =
-                    (first & RoutingPart::INDEX_MAX, first & RoutingPart::LAST != 0);
-                Ok(Frame::RoutingPart(RoutingPart { index, last, bytes: reader.rest() }))
+                    (first & RoutingFragment::INDEX_MAX, first & RoutingFragment::LAST != 0);
+                Ok(Frame::RoutingPart(RoutingFragment { index, last, bytes: reader.rest() }))
             }
             _ => Err(WireError::Malformed { what: "a frame's kind" }),
         }
     }
 }
 
-impl RoutingPart {
+impl RoutingFragment {
     /// The number of the last of the most parts.
     pub const INDEX_MAX: u8 = 127;
     const LAST: u8 = 128;
@@ -180,13 +180,13 @@ impl RoutingPart {
 
 /// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not keep
 /// up carries nothing.
-pub fn is_hello(frame: &Parcel) -> bool {
+pub fn is_hello(frame: &GatherBuffer) -> bool {
     matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
 /// each other, and packets of the class [`Control`](crate::net::Class::Control), such as acknowledgements.
-pub fn is_urgent(frame: &Parcel) -> bool {
+pub fn is_urgent(frame: &GatherBuffer) -> bool {
     let [head, body] = frame.pieces();
     match head {
         // A packet in one piece, which is too large to be copied behind this header.
@@ -197,7 +197,7 @@ pub fn is_urgent(frame: &Parcel) -> bool {
     }
 }
 
-fn wrap(kind: u8, payload: &Parcel) -> Parcel {
+fn wrap(kind: u8, payload: &GatherBuffer) -> GatherBuffer {
     let mut bytes = BytesMut::with_capacity(FRAME_HEADER + payload.copied());
     bytes.put_u8(MAGIC | VERSION);
     bytes.put_u8(kind);
@@ -228,9 +228,9 @@ impl Hello {
         let sequence = reader.u32()?;
         let interval_us = reader.u32()?;
         let stance = match reader.u8()? {
-            0 => Stance::Unproved,
-            1 => Stance::Down,
-            2 => Stance::Ready,
+            0 => HelloState::Unproved,
+            1 => HelloState::Down,
+            2 => HelloState::Ready,
             _ => return Err(WireError::Malformed { what: "a hello's stance" }),
         };
         let loss_permille = reader.u16()?;
@@ -253,7 +253,7 @@ impl Hello {
 mod tests {
     use super::*;
     use crate::net::wire::node_id::NodeId;
-    use crate::net::wire::packet::{Class, Packet, Payload};
+    use crate::net::wire::packet::{Packet, PacketPriority, Payload};
 
     fn hello() -> Hello {
         Hello {
@@ -261,7 +261,7 @@ mod tests {
             incarnation: Incarnation(0x0102),
             sequence: 3,
             interval_us: 50_000,
-            stance: Stance::Ready,
+            stance: HelloState::Ready,
             loss_permille: 0x0102,
             echo: Some(Echo { incarnation: Incarnation(0x0a), sequence: 9, held_us: 0x100 }),
         }
@@ -276,14 +276,14 @@ mod tests {
         assert_eq!(&Frame::Hello(hello()).encode()[..], golden);
         assert_eq!(&Frame::Data(Bytes::from_static(b"xy").into()).encode()[..], b"\xb1\x02xy");
         assert_eq!(&Frame::Routing(Bytes::from_static(b"z")).encode()[..], b"\xb1\x01z");
-        let part = RoutingPart { index: 3, last: true, bytes: Bytes::from_static(b"z") };
+        let part = RoutingFragment { index: 3, last: true, bytes: Bytes::from_static(b"z") };
         assert_eq!(&Frame::RoutingPart(part).encode()[..], b"\xb1\x04\x83z");
     }
 
     #[test]
     fn a_frame_comes_back_as_it_was() {
         let nothing_heard = Hello { echo: None, ..hello() };
-        let part = |last| RoutingPart { index: 127, last, bytes: Bytes::from_static(b"z") };
+        let part = |last| RoutingFragment { index: 127, last, bytes: Bytes::from_static(b"z") };
         for frame in [
             Frame::Hello(hello()),
             Frame::Hello(nothing_heard),
@@ -302,9 +302,11 @@ mod tests {
         check(Frame::Routing(Bytes::from_static(b"z")), true);
         assert!(is_hello(&Frame::Hello(hello()).parcel()));
         assert!(!is_hello(&Frame::Routing(Bytes::new()).parcel()));
-        for (class, expected) in
-            [(Class::Control, true), (Class::Data, false), (Class::Bulk, false)]
-        {
+        for (class, expected) in [
+            (PacketPriority::Control, true),
+            (PacketPriority::Data, false),
+            (PacketPriority::Bulk, false),
+        ] {
             let copy =
                 Payload::Copy { copy: 1, relays: vec![NodeId(3)], segment: Bytes::new().into() };
             for payload in [Payload::Segment(Bytes::new().into()), copy] {
@@ -322,7 +324,7 @@ mod tests {
                 check(Frame::Data(packet.parcel()), expected);
             }
         }
-        assert!(!is_urgent(&Parcel::default()));
+        assert!(!is_urgent(&GatherBuffer::default()));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! ```
 //! Numbers are of variable length, texts and byte strings stand after their length, a last byte
 //! string without. Stamps are microseconds since the session began, on the sender's clock; those of
-//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`Why`] by the codec;
+//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`DeliveryError`] by the codec;
 //! it is no daily traffic.
 //!
 //! ```text
@@ -21,7 +21,7 @@
 
 use super::{Reader, WireError, Write};
 use crate::contract::codec;
-use crate::{MessageId, ObjectName, Parcel, Why};
+use crate::{DeliveryError, GatherBuffer, MessageId, ObjectName};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The longest name of a topic, in bytes.
@@ -39,7 +39,7 @@ pub const FORMS_MAX: usize = 16;
 
 /// What two nodes say to each other.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Message {
+pub enum PeerMessage {
     /// I shall send messages of this contract to this object under this number.
     Bind {
         /// The number, chosen by the sender; good for this session.
@@ -59,7 +59,7 @@ pub enum Message {
         /// Which.
         binding: u32,
         /// Why.
-        why: Why,
+        why: DeliveryError,
         /// The contract as the receiver knows it; empty if it does not.
         identity: Bytes,
     },
@@ -76,14 +76,14 @@ pub enum Message {
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
-        payload: Parcel,
+        payload: GatherBuffer,
     },
     /// The reply.
     Reply {
         /// To which request.
         call: u64,
         /// The encoded reply, or why there is none.
-        result: Result<Parcel, Why>,
+        result: Result<GatherBuffer, DeliveryError>,
     },
     /// A message that wants no reply.
     Tell {
@@ -94,7 +94,7 @@ pub enum Message {
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
-        payload: Parcel,
+        payload: GatherBuffer,
     },
     /// Send me what is published with you on this topic.
     Subscribe {
@@ -111,7 +111,7 @@ pub enum Message {
         /// Which.
         subscription: u32,
         /// Why.
-        why: Why,
+        why: DeliveryError,
     },
     /// Nobody here listens any more.
     Unsubscribe {
@@ -125,14 +125,14 @@ pub enum Message {
         /// When it was published.
         stamp_us: u64,
         /// The event.
-        payload: Parcel,
+        payload: GatherBuffer,
     },
     /// A fault, for the receiver's recoverer.
     Notice {
         /// By which number to confirm.
         number: u64,
         /// The fault, as the fault chain encodes it.
-        payload: Parcel,
+        payload: GatherBuffer,
     },
     /// The fault has arrived.
     Confirmed {
@@ -152,15 +152,15 @@ pub enum Message {
         removed: Vec<ObjectName>,
     },
     /// This node ends in order and will not be back soon: do not take it for lost.
-    Bye,
+    Leaving,
     /// The object behind this binding has no room: send it nothing until I say so. What is under way
     /// waits here.
-    Full {
+    NotReady {
         /// Which.
         binding: u32,
     },
     /// It has room again.
-    Room {
+    Ready {
         /// Which.
         binding: u32,
     },
@@ -184,11 +184,11 @@ const BYE: u8 = 14;
 const FULL: u8 = 15;
 const ROOM: u8 = 16;
 
-impl Message {
+impl PeerMessage {
     /// The message's bytes. A large payload is not copied.
-    pub fn encode(&self) -> Parcel {
+    pub fn encode(&self) -> GatherBuffer {
         let payload = self.payload();
-        let mut bytes = BytesMut::with_capacity(24 + payload.map_or(0, Parcel::copied));
+        let mut bytes = BytesMut::with_capacity(24 + payload.map_or(0, GatherBuffer::copied));
         self.put_head(&mut bytes);
         match payload {
             Some(payload) => payload.behind(bytes),
@@ -197,13 +197,13 @@ impl Message {
     }
 
     /// What it ends with, as it is.
-    fn payload(&self) -> Option<&Parcel> {
+    fn payload(&self) -> Option<&GatherBuffer> {
         match self {
-            Message::Request { payload, .. }
-            | Message::Tell { payload, .. }
-            | Message::Event { payload, .. }
-            | Message::Notice { payload, .. }
-            | Message::Reply { result: Ok(payload), .. } => Some(payload),
+            PeerMessage::Request { payload, .. }
+            | PeerMessage::Tell { payload, .. }
+            | PeerMessage::Event { payload, .. }
+            | PeerMessage::Notice { payload, .. }
+            | PeerMessage::Reply { result: Ok(payload), .. } => Some(payload),
             _ => None,
         }
     }
@@ -211,61 +211,61 @@ impl Message {
     /// Writes all that stands before the payload.
     fn put_head(&self, bytes: &mut BytesMut) {
         match self {
-            Message::Bind { binding, object, identity } => {
+            PeerMessage::Bind { binding, object, identity } => {
                 numbered(bytes, BIND, *binding);
                 bytes.sized(object.as_str().as_bytes());
                 bytes.put_slice(identity);
             }
-            Message::Bound { binding } => numbered(bytes, BOUND, *binding),
-            Message::BindRefused { binding, why, identity } => {
+            PeerMessage::Bound { binding } => numbered(bytes, BOUND, *binding),
+            PeerMessage::BindRefused { binding, why, identity } => {
                 numbered(bytes, BIND_REFUSED, *binding);
                 bytes.sized(&encode_why(why));
                 bytes.put_slice(identity);
             }
-            Message::Request { binding, call, stamp, within, id, payload: _ } => {
+            PeerMessage::Request { binding, call, stamp, within, id, payload: _ } => {
                 numbered(bytes, REQUEST, *binding);
                 [call, stamp, within].into_iter().for_each(|number| bytes.varint(*number));
                 put_id(bytes, *id);
             }
-            Message::Reply { call, result: Ok(_) } => {
+            PeerMessage::Reply { call, result: Ok(_) } => {
                 bytes.put_u8(REPLY);
                 bytes.varint(*call);
             }
-            Message::Reply { call, result: Err(why) } => {
+            PeerMessage::Reply { call, result: Err(why) } => {
                 bytes.put_u8(REPLY_FAILED);
                 bytes.varint(*call);
                 bytes.sized(&encode_why(why));
             }
-            Message::Tell { binding, stamp_us, id, payload: _ } => {
+            PeerMessage::Tell { binding, stamp_us, id, payload: _ } => {
                 numbered(bytes, TELL, *binding);
                 bytes.varint(*stamp_us);
                 put_id(bytes, *id);
             }
-            Message::Subscribe { subscription, topic, identities } => {
+            PeerMessage::Subscribe { subscription, topic, identities } => {
                 numbered(bytes, SUBSCRIBE, *subscription);
                 bytes.sized(topic.as_bytes());
                 identities.iter().for_each(|identity| bytes.sized(identity));
             }
-            Message::SubscribeRefused { subscription, why } => {
+            PeerMessage::SubscribeRefused { subscription, why } => {
                 numbered(bytes, SUBSCRIBE_REFUSED, *subscription);
                 bytes.sized(&encode_why(why));
             }
-            Message::Unsubscribe { subscription } => {
+            PeerMessage::Unsubscribe { subscription } => {
                 numbered(bytes, UNSUBSCRIBE, *subscription);
             }
-            Message::Event { subscription, stamp_us, payload: _ } => {
+            PeerMessage::Event { subscription, stamp_us, payload: _ } => {
                 numbered(bytes, EVENT, *subscription);
                 bytes.varint(*stamp_us);
             }
-            Message::Notice { number, payload: _ } => {
+            PeerMessage::Notice { number, payload: _ } => {
                 bytes.put_u8(NOTICE);
                 bytes.varint(*number);
             }
-            Message::Confirmed { number } => {
+            PeerMessage::Confirmed { number } => {
                 bytes.put_u8(CONFIRMED);
                 bytes.varint(*number);
             }
-            Message::Names { stamp_us, complete, added, removed } => {
+            PeerMessage::Names { stamp_us, complete, added, removed } => {
                 bytes.put_u8(NAMES);
                 bytes.varint(*stamp_us);
                 bytes.put_u8((*complete).into());
@@ -274,9 +274,9 @@ impl Message {
                     names.iter().for_each(|name| bytes.sized(name.as_str().as_bytes()));
                 }
             }
-            Message::Bye => bytes.put_u8(BYE),
-            Message::Full { binding } => numbered(bytes, FULL, *binding),
-            Message::Room { binding } => numbered(bytes, ROOM, *binding),
+            PeerMessage::Leaving => bytes.put_u8(BYE),
+            PeerMessage::NotReady { binding } => numbered(bytes, FULL, *binding),
+            PeerMessage::Ready { binding } => numbered(bytes, ROOM, *binding),
         }
     }
 
@@ -284,11 +284,11 @@ impl Message {
     ///
     /// # Errors
     /// [`WireError`] for anything that [`encode`](Message::encode) does not write.
-    pub fn decode(bytes: Bytes) -> Result<Message, WireError> {
+    pub fn decode(bytes: Bytes) -> Result<PeerMessage, WireError> {
         let mut reader = Reader::new(bytes);
         let what = "a message";
         Ok(match reader.u8()? {
-            BIND => Message::Bind {
+            BIND => PeerMessage::Bind {
                 binding: number(&mut reader)?,
                 object: reader.parsed("an object's name")?,
                 identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
@@ -296,14 +296,14 @@ impl Message {
             BOUND => {
                 let binding = number(&mut reader)?;
                 reader.end(what)?;
-                Message::Bound { binding }
+                PeerMessage::Bound { binding }
             }
-            BIND_REFUSED => Message::BindRefused {
+            BIND_REFUSED => PeerMessage::BindRefused {
                 binding: number(&mut reader)?,
                 why: read_why(&mut reader)?,
                 identity: rest(reader, IDENTITY_MAX, "a contract's identity")?,
             },
-            REQUEST => Message::Request {
+            REQUEST => PeerMessage::Request {
                 binding: number(&mut reader)?,
                 call: reader.varint()?,
                 stamp: reader.varint()?,
@@ -311,20 +311,22 @@ impl Message {
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
             },
-            REPLY => Message::Reply { call: reader.varint()?, result: Ok(reader.rest().into()) },
+            REPLY => {
+                PeerMessage::Reply { call: reader.varint()?, result: Ok(reader.rest().into()) }
+            }
             REPLY_FAILED => {
                 let call = reader.varint()?;
                 let why = read_why(&mut reader)?;
                 reader.end(what)?;
-                Message::Reply { call, result: Err(why) }
+                PeerMessage::Reply { call, result: Err(why) }
             }
-            TELL => Message::Tell {
+            TELL => PeerMessage::Tell {
                 binding: number(&mut reader)?,
                 stamp_us: reader.varint()?,
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
             },
-            SUBSCRIBE => Message::Subscribe {
+            SUBSCRIBE => PeerMessage::Subscribe {
                 subscription: number(&mut reader)?,
                 topic: reader.text(TOPIC_MAX, "a topic's name")?,
                 identities: read_identities(reader)?,
@@ -333,23 +335,25 @@ impl Message {
                 let subscription = number(&mut reader)?;
                 let why = read_why(&mut reader)?;
                 reader.end(what)?;
-                Message::SubscribeRefused { subscription, why }
+                PeerMessage::SubscribeRefused { subscription, why }
             }
             UNSUBSCRIBE => {
                 let subscription = number(&mut reader)?;
                 reader.end(what)?;
-                Message::Unsubscribe { subscription }
+                PeerMessage::Unsubscribe { subscription }
             }
-            EVENT => Message::Event {
+            EVENT => PeerMessage::Event {
                 subscription: number(&mut reader)?,
                 stamp_us: reader.varint()?,
                 payload: reader.rest().into(),
             },
-            NOTICE => Message::Notice { number: reader.varint()?, payload: reader.rest().into() },
+            NOTICE => {
+                PeerMessage::Notice { number: reader.varint()?, payload: reader.rest().into() }
+            }
             CONFIRMED => {
                 let number = reader.varint()?;
                 reader.end(what)?;
-                Message::Confirmed { number }
+                PeerMessage::Confirmed { number }
             }
             NAMES => {
                 let stamp_us = reader.varint()?;
@@ -357,21 +361,21 @@ impl Message {
                 let added = read_names(&mut reader)?;
                 let removed = read_names(&mut reader)?;
                 reader.end(what)?;
-                Message::Names { stamp_us, complete, added, removed }
+                PeerMessage::Names { stamp_us, complete, added, removed }
             }
             BYE => {
                 reader.end(what)?;
-                Message::Bye
+                PeerMessage::Leaving
             }
             FULL => {
                 let binding = number(&mut reader)?;
                 reader.end(what)?;
-                Message::Full { binding }
+                PeerMessage::NotReady { binding }
             }
             ROOM => {
                 let binding = number(&mut reader)?;
                 reader.end(what)?;
-                Message::Room { binding }
+                PeerMessage::Ready { binding }
             }
             _ => return Err(WireError::Malformed { what: "a message's kind" }),
         })
@@ -421,20 +425,20 @@ fn read_id(reader: &mut Reader) -> Result<Option<MessageId>, WireError> {
     }
 }
 
-fn encode_why(why: &Why) -> Vec<u8> {
+fn encode_why(why: &DeliveryError) -> Vec<u8> {
     let mut bytes = Vec::new();
     if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
         // Its text is longer than any that this program writes: the kind is what counts.
         let reason = why.to_string().chars().take(1024).collect();
-        let short = Why::Undecodable { reason };
+        let short = DeliveryError::Undecodable { reason };
         codec::encode_bounded(&short, WHY_MAX, &mut bytes).expect("1024 letters fit");
     }
     bytes
 }
 
-fn read_why(reader: &mut Reader) -> Result<Why, WireError> {
+fn read_why(reader: &mut Reader) -> Result<DeliveryError, WireError> {
     let bytes = reader.sized(WHY_MAX, "an error")?;
-    codec::decode_bounded::<Why, WHY_MAX>(&bytes)
+    codec::decode_bounded::<DeliveryError, WHY_MAX>(&bytes)
         .map_err(|_| WireError::Malformed { what: "an error" })
 }
 
@@ -452,23 +456,27 @@ fn read_names(reader: &mut Reader) -> Result<Vec<ObjectName>, WireError> {
 mod tests {
     use super::*;
 
-    fn examples() -> Vec<(Message, &'static [u8])> {
+    fn examples() -> Vec<(PeerMessage, &'static [u8])> {
         let object = ObjectName::new("arm").unwrap();
         let payload = Bytes::from_static(b"xy");
         let id = Some(MessageId { sender: 2, sequence: 300 });
-        let unknown = Why::Stopped;
+        let unknown = DeliveryError::Stopped;
         vec![
             (
-                Message::Bind { binding: 1, object: object.clone(), identity: payload.clone() },
+                PeerMessage::Bind { binding: 1, object: object.clone(), identity: payload.clone() },
                 b"\0\x01\x03armxy",
             ),
-            (Message::Bound { binding: 200 }, b"\x01\xc8\x01"),
+            (PeerMessage::Bound { binding: 200 }, b"\x01\xc8\x01"),
             (
-                Message::BindRefused { binding: 1, why: unknown.clone(), identity: Bytes::new() },
+                PeerMessage::BindRefused {
+                    binding: 1,
+                    why: unknown.clone(),
+                    identity: Bytes::new(),
+                },
                 b"\x02\x01\x01\x02",
             ),
             (
-                Message::Request {
+                PeerMessage::Request {
                     binding: 1,
                     call: 7,
                     stamp: 300,
@@ -479,7 +487,7 @@ mod tests {
                 b"\x03\x01\x07\xac\x02\x05\0xy",
             ),
             (
-                Message::Request {
+                PeerMessage::Request {
                     binding: 1,
                     call: 7,
                     stamp: 0,
@@ -489,10 +497,10 @@ mod tests {
                 },
                 b"\x03\x01\x07\0\0\x01\0\0\0\0\0\0\0\x02\xac\x02xy",
             ),
-            (Message::Reply { call: 7, result: Ok(payload.clone().into()) }, b"\x04\x07xy"),
-            (Message::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
+            (PeerMessage::Reply { call: 7, result: Ok(payload.clone().into()) }, b"\x04\x07xy"),
+            (PeerMessage::Reply { call: 7, result: Err(unknown.clone()) }, b"\x05\x07\x01\x02"),
             (
-                Message::Tell {
+                PeerMessage::Tell {
                     binding: 1,
                     stamp_us: 9,
                     id: None,
@@ -501,23 +509,27 @@ mod tests {
                 b"\x06\x01\x09\0xy",
             ),
             (
-                Message::Subscribe {
+                PeerMessage::Subscribe {
                     subscription: 3,
                     topic: "t".into(),
                     identities: vec![payload.clone(), payload.clone()],
                 },
                 b"\x07\x03\x01t\x02xy\x02xy",
             ),
-            (Message::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
-            (Message::Unsubscribe { subscription: 3 }, b"\x09\x03"),
+            (PeerMessage::SubscribeRefused { subscription: 3, why: unknown }, b"\x08\x03\x01\x02"),
+            (PeerMessage::Unsubscribe { subscription: 3 }, b"\x09\x03"),
             (
-                Message::Event { subscription: 3, stamp_us: 300, payload: payload.clone().into() },
+                PeerMessage::Event {
+                    subscription: 3,
+                    stamp_us: 300,
+                    payload: payload.clone().into(),
+                },
                 b"\x0a\x03\xac\x02xy",
             ),
-            (Message::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
-            (Message::Confirmed { number: 4 }, b"\x0c\x04"),
+            (PeerMessage::Notice { number: 4, payload: payload.into() }, b"\x0b\x04xy"),
+            (PeerMessage::Confirmed { number: 4 }, b"\x0c\x04"),
             (
-                Message::Names {
+                PeerMessage::Names {
                     stamp_us: 0,
                     complete: true,
                     added: vec![object.clone()],
@@ -525,9 +537,9 @@ mod tests {
                 },
                 b"\x0d\0\x01\x01\x03arm\x01\x03arm",
             ),
-            (Message::Bye, b"\x0e"),
-            (Message::Full { binding: 200 }, b"\x0f\xc8\x01"),
-            (Message::Room { binding: 200 }, b"\x10\xc8\x01"),
+            (PeerMessage::Leaving, b"\x0e"),
+            (PeerMessage::NotReady { binding: 200 }, b"\x0f\xc8\x01"),
+            (PeerMessage::Ready { binding: 200 }, b"\x10\xc8\x01"),
         ]
     }
 
@@ -535,7 +547,7 @@ mod tests {
     fn the_bytes_of_messages_are_these_for_ever_and_come_back() {
         for (message, golden) in examples() {
             assert_eq!(message.encode().into_bytes(), golden, "{message:?}");
-            assert_eq!(Message::decode(Bytes::from_static(golden)), Ok(message));
+            assert_eq!(PeerMessage::decode(Bytes::from_static(golden)), Ok(message));
         }
     }
 
@@ -544,7 +556,7 @@ mod tests {
         for (message, golden) in examples() {
             // Whatever is cut off a last byte string is not missed here.
             for cut in 0..golden.len().saturating_sub(2) {
-                if let Ok(other) = Message::decode(Bytes::from_static(&golden[..cut])) {
+                if let Ok(other) = PeerMessage::decode(Bytes::from_static(&golden[..cut])) {
                     assert_ne!(other, message);
                 }
             }
@@ -552,16 +564,16 @@ mod tests {
         for foreign in
             [&b"\x11"[..], b"\x01\x01!", b"\x0d\0\0\xff\xff\x7f\x01a", b"\x05\x07\x01\x63"]
         {
-            assert!(Message::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
+            assert!(PeerMessage::decode(Bytes::copy_from_slice(foreign)).is_err(), "{foreign:?}");
         }
     }
 
     #[test]
     fn an_error_too_long_to_send_is_sent_short() {
-        let why = Why::ContractDiffers { difference: "x".repeat(100_000) };
-        let message = Message::Reply { call: 1, result: Err(why) };
-        let Ok(Message::Reply { result: Err(short), .. }) =
-            Message::decode(message.encode().into_bytes())
+        let why = DeliveryError::ContractDiffers { difference: "x".repeat(100_000) };
+        let message = PeerMessage::Reply { call: 1, result: Err(why) };
+        let Ok(PeerMessage::Reply { result: Err(short), .. }) =
+            PeerMessage::decode(message.encode().into_bytes())
         else {
             panic!("it did not come back");
         };

@@ -24,7 +24,7 @@
 
 use super::node_id::NodeId;
 use super::{Reader, WireError};
-use crate::Parcel;
+use crate::GatherBuffer;
 use bytes::{BufMut, Bytes, BytesMut};
 use std::fmt;
 
@@ -51,7 +51,7 @@ const PASSED: u8 = COPY | RETURN;
 
 /// How urgent a packet is. A queue that is not empty lets the more urgent go first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Class {
+pub enum PacketPriority {
     /// What keeps the robot together: bindings, faults, commands to recover.
     Control,
     /// What its objects say to each other.
@@ -64,7 +64,7 @@ pub enum Class {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// How urgent it is.
-    pub class: Class,
+    pub class: PacketPriority,
     /// How many more nodes may pass it on.
     pub hops: u8,
     /// Whom it is for.
@@ -81,7 +81,7 @@ pub struct Packet {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Payload {
     /// For the destination's session with the source.
-    Segment(Parcel),
+    Segment(GatherBuffer),
     /// The same, one of several that go different ways, and by no other than its own.
     Copy {
         /// Which, below [`COPIES_MAX`].
@@ -89,20 +89,20 @@ pub enum Payload {
         /// The nodes that it is still to pass after the one that has it, at most [`RELAYS_MAX`].
         relays: Vec<NodeId>,
         /// The segment.
-        segment: Parcel,
+        segment: GatherBuffer,
     },
     /// A packet of the receiver's could not be delivered.
     Return {
         /// Where it should have gone.
         destination: NodeId,
         /// Why it did not.
-        reason: Undelivered,
+        reason: UndeliveredReason,
     },
 }
 
 /// Why a packet did not reach its destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Undelivered {
+pub enum UndeliveredReason {
     /// No path leads there.
     NoRoute,
     /// Too many nodes have passed it on.
@@ -111,25 +111,25 @@ pub enum Undelivered {
     TooLarge,
 }
 
-impl Undelivered {
+impl UndeliveredReason {
     /// What somebody can do about it.
     pub fn advice(self) -> &'static str {
         match self {
-            Undelivered::NoRoute => "see the links of the nodes in between",
-            Undelivered::TooManyHops => {
+            UndeliveredReason::NoRoute => "see the links of the nodes in between",
+            UndeliveredReason::TooManyHops => {
                 "the path is too long, or nodes disagree about it: compare their routes"
             }
-            Undelivered::TooLarge => "let the links on the way carry larger frames",
+            UndeliveredReason::TooLarge => "let the links on the way carry larger frames",
         }
     }
 }
 
-impl fmt::Display for Undelivered {
+impl fmt::Display for UndeliveredReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Undelivered::NoRoute => "no path leads there",
-            Undelivered::TooManyHops => "too many nodes have passed it on",
-            Undelivered::TooLarge => "it is larger than the next link can carry",
+            UndeliveredReason::NoRoute => "no path leads there",
+            UndeliveredReason::TooManyHops => "too many nodes have passed it on",
+            UndeliveredReason::TooLarge => "it is larger than the next link can carry",
         })
     }
 }
@@ -141,7 +141,7 @@ impl Packet {
     }
 
     /// The packet's bytes. What is large of what it carries is not copied.
-    pub fn parcel(&self) -> Parcel {
+    pub fn parcel(&self) -> GatherBuffer {
         let class = (self.class as u8) << 6;
         let (kind, length) = match &self.payload {
             Payload::Segment(segment) => (class, segment.copied()),
@@ -202,9 +202,9 @@ impl Packet {
         } else {
             let destination = NodeId(reader.u32()?);
             let reason = match reader.u8()? {
-                0 => Undelivered::NoRoute,
-                1 => Undelivered::TooManyHops,
-                2 => Undelivered::TooLarge,
+                0 => UndeliveredReason::NoRoute,
+                1 => UndeliveredReason::TooManyHops,
+                2 => UndeliveredReason::TooLarge,
                 _ => return Err(WireError::Malformed { what: "a return's reason" }),
             };
             reader.end("a return")?;
@@ -220,7 +220,7 @@ pub(crate) fn is_control(packet: &[u8]) -> bool {
         Some(first) if first & COPY == COPY => packet.get(PACKET_HEADER),
         first => first,
     };
-    class.is_some_and(|class| class >> 6 == Class::Control as u8)
+    class.is_some_and(|class| class >> 6 == PacketPriority::Control as u8)
 }
 
 /// Nodes between the source and the destination, each once.
@@ -241,11 +241,11 @@ fn read_relays(
     Ok(relays)
 }
 
-fn read_class(first: u8) -> Result<Class, WireError> {
+fn read_class(first: u8) -> Result<PacketPriority, WireError> {
     match first >> 6 {
-        0 => Ok(Class::Control),
-        1 => Ok(Class::Data),
-        2 => Ok(Class::Bulk),
+        0 => Ok(PacketPriority::Control),
+        1 => Ok(PacketPriority::Data),
+        2 => Ok(PacketPriority::Bulk),
         _ => Err(WireError::Malformed { what: "a packet's class" }),
     }
 }
@@ -254,7 +254,7 @@ fn read_copy(
     mut reader: Reader,
     destination: NodeId,
     source: NodeId,
-) -> Result<(Class, Payload), WireError> {
+) -> Result<(PacketPriority, Payload), WireError> {
     let way = reader.u8()?;
     let class = read_class(way)?;
     let copy = way >> 4 & (COPIES_MAX as u8 - 1);
@@ -268,7 +268,7 @@ mod tests {
 
     fn packet(payload: Payload) -> Packet {
         Packet {
-            class: Class::Data,
+            class: PacketPriority::Data,
             hops: 8,
             destination: NodeId(0x01020304),
             source: NodeId(5),
@@ -290,7 +290,8 @@ mod tests {
     fn the_bytes_of_a_packet_are_these_for_ever() {
         let segment = packet(Payload::Segment(Bytes::from_static(b"hi").into()));
         assert_eq!(&segment.encode()[..], b"\x48\x01\x02\x03\x04\0\0\0\x05hi");
-        let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::TooManyHops };
+        let returned =
+            Payload::Return { destination: NodeId(7), reason: UndeliveredReason::TooManyHops };
         assert_eq!(&packet(returned).encode()[..], b"\x68\x01\x02\x03\x04\0\0\0\x05\0\0\0\x07\x01");
         let bytes = b"\xc8\x01\x02\x03\x04\0\0\0\x05\x52\0\0\0\x07\0\0\0\x08hi";
         assert_eq!(&packet(copy_over(&[7, 8])).encode()[..], bytes);
@@ -301,7 +302,8 @@ mod tests {
 
     #[test]
     fn a_packet_comes_back_as_it_was_and_nothing_else_does() {
-        let returned = Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute };
+        let returned =
+            Payload::Return { destination: NodeId(7), reason: UndeliveredReason::NoRoute };
         for payload in [Payload::Segment(Bytes::from_static(b"hi").into()), returned] {
             let packet = packet(payload);
             assert_eq!(Packet::decode(packet.encode()), Ok(packet.clone()));
@@ -311,7 +313,7 @@ mod tests {
         }
         for payload in [
             Payload::Segment(Bytes::from_static(b"hi").into()),
-            Payload::Return { destination: NodeId(7), reason: Undelivered::NoRoute },
+            Payload::Return { destination: NodeId(7), reason: UndeliveredReason::NoRoute },
         ] {
             let relays: Vec<_> = (10..10 + u32::from(HOPS_MAX)).collect();
             for relays in [&[7][..], &relays] {

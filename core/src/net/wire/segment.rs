@@ -25,7 +25,7 @@
 //! ```
 
 use super::{Reader, WireError, Write, varint_length};
-use crate::{Incarnation, Parcel};
+use crate::{GatherBuffer, Incarnation};
 use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.
@@ -57,7 +57,7 @@ pub enum Stream {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Segment {
     /// This is me; this is what I know of you.
-    Open(Open),
+    Open(OpenSegment),
     /// A part of an ordered stream.
     Data(Data),
     /// A message, or a piece of one, that is not repeated.
@@ -92,7 +92,7 @@ pub enum Segment {
 
 /// The handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Open {
+pub struct OpenSegment {
     /// The version of the session's protocol.
     pub version: u8,
     /// The sender's tag.
@@ -121,11 +121,11 @@ pub struct Data {
     /// It was sent before. Told on the redundant stream only, where copies are counted.
     pub again: bool,
     /// This is not the whole part.
-    pub piece: Option<Piece>,
+    pub piece: Option<Fragment>,
     /// What has arrived in the other direction.
     pub ack: Option<Ack>,
     /// The bytes.
-    pub payload: Parcel,
+    pub payload: GatherBuffer,
 }
 
 /// A message that is not repeated.
@@ -138,14 +138,14 @@ pub struct Datagram {
     /// Its place in its channel.
     pub sequence: u64,
     /// This is not the whole message.
-    pub piece: Option<Piece>,
+    pub piece: Option<Fragment>,
     /// The bytes.
-    pub payload: Parcel,
+    pub payload: GatherBuffer,
 }
 
 /// One of several pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Piece {
+pub struct Fragment {
     /// Which, from 0.
     pub index: u16,
     /// How many there are, 2 to [`PIECES_MAX`].
@@ -179,7 +179,7 @@ impl Segment {
     }
 
     /// The segment's bytes. What is large of what it carries is not copied.
-    pub fn parcel(&self) -> Parcel {
+    pub fn parcel(&self) -> GatherBuffer {
         match self {
             Segment::Open(open) => {
                 let mut bytes = begin(OPEN, 0, 22);
@@ -227,7 +227,7 @@ impl Segment {
             return Err(WireError::Malformed { what: "a segment's flags" });
         }
         if kind == OPEN {
-            return Open::read(reader).map(Segment::Open);
+            return OpenSegment::read(reader).map(Segment::Open);
         }
         let tag = reader.u32()?;
         match kind {
@@ -258,14 +258,14 @@ fn begin(kind: u8, flags: u8, length: usize) -> BytesMut {
     bytes
 }
 
-fn tagged(kind: u8, tag: u32) -> Parcel {
+fn tagged(kind: u8, tag: u32) -> GatherBuffer {
     let mut bytes = begin(kind, 0, 5);
     bytes.put_u32(tag);
     bytes.freeze().into()
 }
 
-impl Open {
-    fn read(mut reader: Reader) -> Result<Open, WireError> {
+impl OpenSegment {
+    fn read(mut reader: Reader) -> Result<OpenSegment, WireError> {
         let version = reader.u8()?;
         let (tag, echo) = (reader.u32()?, reader.u32()?);
         let incarnation = Incarnation(reader.u64()?);
@@ -274,12 +274,12 @@ impl Open {
         if tag == 0 {
             return Err(WireError::Malformed { what: "a tag" });
         }
-        Ok(Open { version, tag, echo, incarnation, number })
+        Ok(OpenSegment { version, tag, echo, incarnation, number })
     }
 }
 
 impl Data {
-    fn parcel(&self) -> Parcel {
+    fn parcel(&self) -> GatherBuffer {
         let (kind, lowest) = match self.stream {
             Stream::Control => (DATA, false),
             Stream::Data => (DATA, true),
@@ -293,7 +293,7 @@ impl Data {
         let mut bytes = begin(kind, flags, data_header(self.sequence) + 16 + self.payload.copied());
         bytes.put_u32(self.tag);
         bytes.varint(self.sequence);
-        Piece::put(self.piece, &mut bytes);
+        Fragment::put(self.piece, &mut bytes);
         if let Some(ack) = &self.ack {
             ack.put(&mut bytes);
         }
@@ -308,7 +308,7 @@ impl Data {
             (_, false) => (Stream::Control, false),
         };
         let sequence = reader.varint()?;
-        let piece = Piece::read(flags, &mut reader)?;
+        let piece = Fragment::read(flags, &mut reader)?;
         let ack = (flags & 8 != 0).then(|| Ack::read(&mut reader)).transpose()?;
         let (first, last) = (flags & 2 != 0, flags & 4 != 0);
         let payload = reader.rest().into();
@@ -317,13 +317,13 @@ impl Data {
 }
 
 impl Datagram {
-    fn parcel(&self) -> Parcel {
+    fn parcel(&self) -> GatherBuffer {
         let flags = u8::from(self.piece.is_some()) << 4;
         let mut bytes = begin(DATAGRAM, flags, 24 + self.payload.copied());
         bytes.put_u32(self.tag);
         bytes.varint(self.channel.into());
         bytes.varint(self.sequence);
-        Piece::put(self.piece, &mut bytes);
+        Fragment::put(self.piece, &mut bytes);
         self.payload.behind(bytes)
     }
 
@@ -331,20 +331,20 @@ impl Datagram {
         let channel = u32::try_from(reader.varint()?)
             .map_err(|_| WireError::TooLarge { what: "a channel's number" })?;
         let sequence = reader.varint()?;
-        let piece = Piece::read(flags, &mut reader)?;
+        let piece = Fragment::read(flags, &mut reader)?;
         Ok(Datagram { tag, channel, sequence, piece, payload: reader.rest().into() })
     }
 }
 
-impl Piece {
-    fn put(piece: Option<Piece>, bytes: &mut BytesMut) {
-        if let Some(Piece { index, count }) = piece {
+impl Fragment {
+    fn put(piece: Option<Fragment>, bytes: &mut BytesMut) {
+        if let Some(Fragment { index, count }) = piece {
             bytes.varint(index.into());
             bytes.varint(count.into());
         }
     }
 
-    fn read(flags: u8, reader: &mut Reader) -> Result<Option<Piece>, WireError> {
+    fn read(flags: u8, reader: &mut Reader) -> Result<Option<Fragment>, WireError> {
         if flags & 16 == 0 {
             return Ok(None);
         }
@@ -352,7 +352,7 @@ impl Piece {
         if count < 2 || count > u64::from(PIECES_MAX) || index >= count {
             return Err(WireError::Malformed { what: "a piece's place" });
         }
-        Ok(Some(Piece { index: index as u16, count: count as u16 }))
+        Ok(Some(Fragment { index: index as u16, count: count as u16 }))
     }
 }
 
@@ -406,7 +406,7 @@ mod tests {
 
     fn examples() -> Vec<(Segment, &'static [u8])> {
         let version = crate::net::session::VERSION;
-        let open = Open { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
+        let open = OpenSegment { version, tag: 7, echo: 0, incarnation: Incarnation(2), number: 3 };
         let ack = Ack { next: 5, window: 200, ranges: vec![(7, 8), (300, 300)] };
         let data = Data {
             tag: 0x01020304,
@@ -419,7 +419,7 @@ mod tests {
             ack: None,
             payload: Bytes::from_static(b"\x02hi").into(),
         };
-        let piece = Some(Piece { index: 1, count: 2 });
+        let piece = Some(Fragment { index: 1, count: 2 });
         let acking = Data { piece, ack: Some(ack.clone()), ..data.clone() };
         let copied = Data { stream: Stream::Redundant, again: true, ..data.clone() };
         let datagram = Datagram {

@@ -1,10 +1,10 @@
-//! What a recoverer does while its node is at safe rest.
+//! What a recoverer does while its node is in the safe state.
 
-use super::{Place, Recoverer, Settled};
+use super::{FaultResolution, Place, Recoverer};
 use crate::{Fault, Instant};
 
 impl Recoverer {
-    /// The node has come to safe rest. Where everything was stopped nothing is treated: what was under way is given
+    /// The node has enter the safe state. Where everything was stopped nothing is treated: what was under way is given
     /// up, and so is what comes. Links and other nodes go on being treated.
     pub fn handle_rest(&mut self, now: Instant) {
         self.resting = true;
@@ -24,7 +24,7 @@ impl Recoverer {
     }
 
     pub(super) fn tell_rest(&mut self, fault: &Fault) {
-        let reason = "the node is at safe rest, where nothing is restarted".to_owned();
-        self.tell(fault, Settled::GaveUp { reason });
+        let reason = "the node is in the safe state, where nothing is restarted".to_owned();
+        self.tell(fault, FaultResolution::GaveUp { reason });
     }
 }

@@ -41,11 +41,11 @@ fn symptom(id: u64, object: &str, root: u64) -> Fault {
     Fault { symptom_of: Some(FaultId(root)), ..fault(id, FaultKind::Silence, at(object), 1) }
 }
 
-fn works(life: u64) -> Result<Done, Failed> {
-    Ok(Done { incarnation: Some(Incarnation(life)) })
+fn works(life: u64) -> Result<RecoveryDone, RecoveryFailed> {
+    Ok(RecoveryDone { incarnation: Some(Incarnation(life)) })
 }
 
-fn fails() -> Result<Done, Failed> {
+fn fails() -> Result<RecoveryDone, RecoveryFailed> {
     Err("broken".into())
 }
 
@@ -62,23 +62,25 @@ impl Rig {
         let mut said = Vec::new();
         while let Some(action) = self.machine.poll_output() {
             said.push(match action {
-                RecovererAction::CarryOut(order) => {
-                    let Order { number, measure, fault, attempt, .. } = order;
+                RecovererOutput::CarryOut(order) => {
+                    let RecoveryOrder { number, measure, fault, attempt, .. } = order;
                     format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
                 }
-                RecovererAction::Settle { fault: FaultId(id), settled, .. } => match settled {
-                    Settled::Decided { .. } => continue,
-                    Settled::Observed => format!("{id} observed"),
-                    Settled::Recovered { incarnation: Some(life) } => {
+                RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
+                    FaultResolution::Decided { .. } => continue,
+                    FaultResolution::Observed => format!("{id} observed"),
+                    FaultResolution::Recovered { incarnation: Some(life) } => {
                         format!("{id} recovered {life}")
                     }
-                    Settled::Recovered { incarnation: None } => format!("{id} recovered"),
-                    Settled::GaveUp { reason } => format!("{id} given up: {reason}"),
-                    Settled::Contained { measure } => format!("{id} contained by {measure}"),
-                    Settled::RootSettled => format!("{id} may pass"),
+                    FaultResolution::Recovered { incarnation: None } => format!("{id} recovered"),
+                    FaultResolution::GaveUp { reason } => format!("{id} given up: {reason}"),
+                    FaultResolution::Contained { measure } => {
+                        format!("{id} contained by {measure}")
+                    }
+                    FaultResolution::RootSettled => format!("{id} may pass"),
                 },
-                RecovererAction::Release { measure } => format!("release {measure}"),
-                RecovererAction::LastResort { fault, reason } => {
+                RecovererOutput::Release { measure } => format!("release {measure}"),
+                RecovererOutput::LastResort { fault, reason } => {
                     format!("last resort for {}: {reason}", fault.id.0)
                 }
             });
@@ -91,7 +93,11 @@ impl Rig {
         self.said()
     }
 
-    fn outcome(&mut self, number: u64, outcome: Result<Done, Failed>) -> Vec<String> {
+    fn outcome(
+        &mut self,
+        number: u64,
+        outcome: Result<RecoveryDone, RecoveryFailed>,
+    ) -> Vec<String> {
         self.machine.handle_outcome(number, outcome, self.now);
         self.said()
     }
@@ -145,12 +151,12 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
     assert_eq!(rig.outcome(2, fails()), [""; 0]);
     assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against panic, 3"]);
     assert_eq!(rig.outcome(3, fails()), ["#4 safe stop here:laser against panic, 1"]);
-    assert_eq!(rig.outcome(4, Ok(Done::default())), ["1 contained by safe stop"]);
+    assert_eq!(rig.outcome(4, Ok(RecoveryDone::default())), ["1 contained by safe stop"]);
 }
 
 #[test]
 fn what_not_even_safe_stop_can_contain_is_the_nodes_to_end() {
-    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(Measure::Restart));
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Restart));
     let mut rig = Rig::with(plan, RecovererLimits::default());
     rig.find(panic_of(1, "laser", 1));
 
@@ -179,11 +185,11 @@ fn an_error_state_is_reset_first_and_restarted_when_it_comes_back() {
     let error = |id| fault(id, FaultKind::ErrorState, at("arm"), 1);
 
     assert_eq!(rig.find(error(1)), ["#1 reset here:arm against error state, 1"]);
-    assert_eq!(rig.outcome(1, Ok(Done::default())), ["1 recovered"]);
+    assert_eq!(rig.outcome(1, Ok(RecoveryDone::default())), ["1 recovered"]);
     assert_eq!(rig.find(error(2)), ["#2 restart here:arm against error state, 1"]);
     assert_eq!(rig.outcome(2, works(2)), ["2 recovered #2"]);
     assert_eq!(rig.find(error(3)), ["#3 reset here:arm against error state, 1"]);
-    rig.outcome(3, Ok(Done::default()));
+    rig.outcome(3, Ok(RecoveryDone::default()));
     rig.pass(Duration::from_secs(11));
     assert_eq!(rig.find(error(4)), ["#4 reset here:arm against error state, 1"]);
 }
@@ -205,7 +211,7 @@ fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
     rig.find(panic_of(2, "arm", 1));
 
     assert_eq!(
-        rig.outcome(1, Ok(Done::default())),
+        rig.outcome(1, Ok(RecoveryDone::default())),
         ["1 recovered", "#2 restart here:arm against panic, 1"]
     );
 
@@ -305,23 +311,23 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
     assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), [""; 0]);
     assert_eq!(rig.machine.open_cases(), 0);
 
-    let take_over = Ladder::first(Measure::Custom(Arc::from("take over")));
+    let take_over = Ladder::first(RecoveryAction::Custom(Arc::from("take over")));
     let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
     let mut rig = Rig::with(plan, RecovererLimits::default());
     assert_eq!(
         rig.find(fault(1, FaultKind::Panic, there, 1)),
         ["#1 take over there:laser against panic, 1"]
     );
-    assert_eq!(rig.outcome(1, Ok(Done::default())), [""; 0]);
+    assert_eq!(rig.outcome(1, Ok(RecoveryDone::default())), [""; 0]);
 }
 
 #[test]
 fn isolation_contains_and_does_not_recover() {
-    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(Measure::Isolate));
+    let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Isolate));
     let mut rig = Rig::with(plan, RecovererLimits::default());
     rig.find(fault(1, FaultKind::CheckFailed, at("gps"), 1));
 
-    assert_eq!(rig.outcome(1, Ok(Done::default())), ["1 contained by isolate"]);
+    assert_eq!(rig.outcome(1, Ok(RecoveryDone::default())), ["1 contained by isolate"]);
 }
 
 #[test]
@@ -330,7 +336,7 @@ fn a_strategy_without_work_is_released_and_one_at_work_is_not() {
     let mut rig = Rig::with(Plan::default(), limits);
     rig.find(panic_of(1, "laser", 1));
     rig.find(fault(2, FaultKind::ErrorState, at("arm"), 1));
-    rig.outcome(2, Ok(Done::default()));
+    rig.outcome(2, Ok(RecoveryDone::default()));
 
     assert_eq!(rig.pass(Duration::from_secs(5)), ["release reset"]);
     rig.outcome(1, works(2));
@@ -354,7 +360,7 @@ fn more_places_than_it_can_treat_are_given_up_loudly() {
 fn a_place_with_too_many_faults_gives_the_further_ones_up() {
     let kind = |id: u64| FaultKind::Custom(format!("F{id}").into());
     let ids = 1..=FAULTS_LIMIT as u64;
-    let rest = |plan: Plan, id| plan.on(kind(id), Ladder::first(Measure::SafeStop));
+    let rest = |plan: Plan, id| plan.on(kind(id), Ladder::first(RecoveryAction::SafeStop));
     let plan = ids.clone().fold(Plan::default(), rest);
     let mut rig = Rig::with(plan, RecovererLimits::default());
     for id in ids {
@@ -379,15 +385,16 @@ fn a_recoverer_that_begins_anew_takes_up_what_was_open() {
 
 #[test]
 fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
-    let ladder = Ladder::first(Measure::Custom("homing".into())).backoff(Backoff::NONE).times(2);
+    let ladder =
+        Ladder::first(RecoveryAction::Custom("homing".into())).backoff(Backoff::NONE).times(2);
     let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
     let mut rig = Rig::with(plan, RecovererLimits::default());
     let check = |id| fault(id, FaultKind::CheckFailed, at("arm"), 1);
 
     assert_eq!(rig.find(check(1)), ["#1 homing here:arm against check failed, 1"]);
-    rig.outcome(1, Ok(Done::default()));
+    rig.outcome(1, Ok(RecoveryDone::default()));
     assert_eq!(rig.find(check(2)), ["#2 homing here:arm against check failed, 2"]);
-    rig.outcome(2, Ok(Done::default()));
+    rig.outcome(2, Ok(RecoveryDone::default()));
     assert_eq!(
         rig.find(check(3)),
         [
@@ -418,7 +425,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                 for _ in 0..60 {
                     while let Some(action) = rig.machine.poll_output() {
                         match action {
-                            RecovererAction::CarryOut(order) => {
+                            RecovererOutput::CarryOut(order) => {
                                 let answer = answers % 3;
                                 answers /= 3;
                                 match answer {
@@ -429,8 +436,8 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                                     _ => {}
                                 }
                             }
-                            RecovererAction::Settle { fault, settled, .. } => match settled {
-                                Settled::Decided { .. } | Settled::RootSettled => {}
+                            RecovererOutput::Settle { fault, settled, .. } => match settled {
+                                FaultResolution::Decided { .. } | FaultResolution::RootSettled => {}
                                 _ => open.retain(|&id| id != fault.0),
                             },
                             _ => {}
@@ -476,7 +483,7 @@ fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_
 #[test]
 fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     let mut rig = Rig::new();
-    let given_up = "given up: the node is at safe rest, where nothing is restarted";
+    let given_up = "given up: the node is in the safe state, where nothing is restarted";
     rig.find(panic_of(1, "laser", 1));
     rig.find(symptom(2, "map", 1));
     rig.machine.handle_rest(rig.now);

@@ -1,16 +1,16 @@
 //! What a recoverer orders, is told, and is bounded by.
 
-use super::Measure;
+use super::RecoveryAction;
 use crate::{Fault, FaultId, Incarnation, Place};
 use std::time::Duration;
 
 /// One measure to be carried out.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Order {
+pub struct RecoveryOrder {
     /// The order's number at its recoverer.
     pub number: u64,
     /// What is to be done.
-    pub measure: Measure,
+    pub measure: RecoveryAction,
     /// Against what. Of several faults of one place it is one of the newest life: the one that says
     /// that it does not answer, or else the first.
     pub fault: Fault,
@@ -22,32 +22,32 @@ pub struct Order {
 
 /// A measure has worked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Done {
+pub struct RecoveryDone {
     /// The life that is at work because of it, if it began one.
     pub incarnation: Option<Incarnation>,
 }
 
 /// A measure has not worked.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Failed {
+pub struct RecoveryFailed {
     /// Why.
     pub reason: String,
 }
 
-impl<T: Into<String>> From<T> for Failed {
+impl<T: Into<String>> From<T> for RecoveryFailed {
     fn from(reason: T) -> Self {
-        Failed { reason: reason.into() }
+        RecoveryFailed { reason: reason.into() }
     }
 }
 
 /// What became of a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Settled {
+pub enum FaultResolution {
     /// This is being done about it.
     Decided {
         /// What.
-        measure: Measure,
+        measure: RecoveryAction,
         /// The how-manieth attempt, from 1.
         attempt: u32,
     },
@@ -66,7 +66,7 @@ pub enum Settled {
     /// Service is not restored, but the place can do no harm any more.
     Contained {
         /// Isolated, or stopped.
-        measure: Measure,
+        measure: RecoveryAction,
     },
     /// What it was a symptom of is settled. Unless it is cleared now, it is acted upon itself.
     RootSettled,
@@ -74,9 +74,9 @@ pub enum Settled {
 
 /// What a recoverer wants done.
 #[derive(Clone, Debug, PartialEq)]
-pub enum RecovererAction {
+pub enum RecovererOutput {
     /// Have this order carried out, by the strategy of the measure's name.
-    CarryOut(Order),
+    CarryOut(RecoveryOrder),
     /// Tell the detector, which has found it.
     Settle {
         /// The fault's number in its finder's record.
@@ -84,12 +84,12 @@ pub enum RecovererAction {
         /// Where it is.
         place: Place,
         /// What became of it.
-        settled: Settled,
+        settled: FaultResolution,
     },
     /// This strategy has had nothing to do for a while: let it go.
     Release {
         /// The measure that it carries out.
-        measure: Measure,
+        measure: RecoveryAction,
     },
     /// Not even safe stop could be carried out: the whole node is to come to rest.
     LastResort {

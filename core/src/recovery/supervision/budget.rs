@@ -1,6 +1,6 @@
 //! How many restarts a supervisor still allows: one count for each child, or one for all of them.
 
-use super::child::Key;
+use super::child::ChildKey;
 use crate::Instant;
 use crate::recovery::{RestartWindow, SupervisorRules};
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,9 +13,9 @@ pub(super) struct Budget {
     period: Duration,
     shared: bool,
     /// By child; under a shared count, all under one key. A child that was never restarted has none.
-    windows: BTreeMap<Key, RestartWindow>,
+    windows: BTreeMap<ChildKey, RestartWindow>,
     /// The counts that are exhausted until their windows move.
-    spent: BTreeSet<Key>,
+    spent: BTreeSet<ChildKey>,
 }
 
 impl Budget {
@@ -26,8 +26,8 @@ impl Budget {
     }
 
     /// Where a child's restarts are counted.
-    fn of(&self, child: Key) -> Key {
-        if self.shared { Key::MAX } else { child }
+    fn of(&self, child: ChildKey) -> ChildKey {
+        if self.shared { ChildKey::MAX } else { child }
     }
 
     /// All children draw from one count.
@@ -36,7 +36,7 @@ impl Budget {
     }
 
     /// Counts one restart of a child. False: the intensity is exceeded, and nothing is counted.
-    pub(super) fn add(&mut self, child: Key, now: Instant) -> bool {
+    pub(super) fn add(&mut self, child: ChildKey, now: Instant) -> bool {
         if self.left(child, now) == 0 {
             return false;
         }
@@ -51,7 +51,7 @@ impl Budget {
     }
 
     /// How many more restarts of a child are within the intensity.
-    pub(super) fn left(&self, child: Key, now: Instant) -> u32 {
+    pub(super) fn left(&self, child: ChildKey, now: Instant) -> u32 {
         self.windows.get(&self.of(child)).map_or(self.intensity, |window| window.left(now))
     }
 
@@ -68,8 +68,8 @@ impl Budget {
     }
 
     /// Moves the windows; says which of the exhausted counts allow restarts again.
-    pub(super) fn release(&mut self, now: Instant) -> BTreeSet<Key> {
-        let moved = |of: &Key| self.windows.get(of).is_none_or(|window| window.left(now) > 0);
+    pub(super) fn release(&mut self, now: Instant) -> BTreeSet<ChildKey> {
+        let moved = |of: &ChildKey| self.windows.get(of).is_none_or(|window| window.left(now) > 0);
         let (released, spent) = std::mem::take(&mut self.spent).into_iter().partition(moved);
         self.spent = spent;
         for window in self.windows.values_mut() {
@@ -79,7 +79,7 @@ impl Budget {
     }
 
     /// The child is no more.
-    pub(super) fn forget(&mut self, child: Key) {
+    pub(super) fn forget(&mut self, child: ChildKey) {
         self.windows.remove(&child);
         self.spent.remove(&child);
     }

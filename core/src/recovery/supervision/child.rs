@@ -1,13 +1,13 @@
 //! What a supervisor knows of one child.
 
-use super::Ticket;
+use super::CallId;
 use crate::recovery::{ChildRules, Restart};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 
 /// What is known of the life that is to be replaced. It decides how that life is ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Cause {
+pub enum ReplacementCause {
     /// It has ended already: there is nothing to stop. Whether that was an orderly end, the child's
     /// guard has said.
     Died,
@@ -23,16 +23,16 @@ pub enum Cause {
     Asked,
 }
 
-impl Cause {
+impl ReplacementCause {
     /// What a fault says about the life that it struck.
     pub fn of(fault: &Fault) -> Self {
         match fault.kind {
             FaultKind::Panic | FaultKind::UnexpectedExit | FaultKind::InitializationFailed => {
-                Cause::Died
+                ReplacementCause::Died
             }
-            FaultKind::Hang if fault.symptom_of.is_some() => Cause::Behind,
-            FaultKind::Hang | FaultKind::Silence => Cause::Stuck,
-            _ => Cause::Faulty,
+            FaultKind::Hang if fault.symptom_of.is_some() => ReplacementCause::Behind,
+            FaultKind::Hang | FaultKind::Silence => ReplacementCause::Stuck,
+            _ => ReplacementCause::Faulty,
         }
     }
 }
@@ -54,7 +54,7 @@ pub enum ChildState {
     Stopping,
     /// Its life has ended, and the recoverer has not yet said what is to be done.
     Failed,
-    /// It was put in safe rest.
+    /// It was put in safe state.
     Resting,
     /// Its end was final, as its rules say.
     Finished,
@@ -76,10 +76,10 @@ pub struct ChildStatus {
 }
 
 /// A child's place in the start order; never given twice.
-pub(super) type Key = u64;
+pub(super) type ChildKey = u64;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(super) enum ChildPhase {
     Down,
     Starting {
         due: Instant,
@@ -89,7 +89,7 @@ pub(super) enum State {
     Unavailable,
     Resetting {
         due: Instant,
-        ticket: Ticket,
+        ticket: CallId,
     },
     Stopping {
         due: Instant,
@@ -98,7 +98,7 @@ pub(super) enum State {
 
 /// What a child is to come to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Goal {
+pub(super) enum ChildTarget {
     Run,
     Rest,
     Finished,
@@ -106,12 +106,12 @@ pub(super) enum Goal {
 }
 
 #[derive(Clone, Debug)]
-pub(super) struct Kept {
+pub(super) struct SupervisedChild {
     pub(super) name: ObjectName,
     pub(super) rules: ChildRules,
     pub(super) incarnation: Incarnation,
-    pub(super) state: State,
-    pub(super) goal: Goal,
+    pub(super) state: ChildPhase,
+    pub(super) goal: ChildTarget,
     /// Its life ended for this reason, and nobody has decided yet.
     pub(super) failed: Option<String>,
     pub(super) restarts: u64,
@@ -123,14 +123,14 @@ pub(super) struct Kept {
     pub(super) on_the_spot: Vec<Instant>,
 }
 
-impl Kept {
+impl SupervisedChild {
     pub(super) fn new(name: ObjectName, rules: ChildRules) -> Self {
-        Kept {
+        SupervisedChild {
             name,
             rules,
             incarnation: Incarnation::default(),
-            state: State::Down,
-            goal: Goal::Run,
+            state: ChildPhase::Down,
+            goal: ChildTarget::Run,
             failed: None,
             restarts: 0,
             isolated: false,
@@ -140,15 +140,15 @@ impl Kept {
     }
 
     pub(super) fn lives(&self) -> bool {
-        self.state != State::Down
+        self.state != ChildPhase::Down
     }
 
     pub(super) fn due(&self) -> Option<Instant> {
         match self.state {
-            State::Starting { due } | State::Resetting { due, .. } | State::Stopping { due } => {
-                Some(due)
-            }
-            State::Down | State::Running | State::Unavailable => None,
+            ChildPhase::Starting { due }
+            | ChildPhase::Resetting { due, .. }
+            | ChildPhase::Stopping { due } => Some(due),
+            ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => None,
         }
     }
 
@@ -163,16 +163,16 @@ impl Kept {
 
     pub(super) fn status(&self) -> ChildStatus {
         let state = match self.state {
-            State::Starting { .. } => ChildState::Starting,
-            State::Running => ChildState::Running,
-            State::Unavailable => ChildState::Unavailable,
-            State::Resetting { .. } => ChildState::Resetting,
-            State::Stopping { .. } => ChildState::Stopping,
-            State::Down => match self.goal {
-                Goal::Run if self.failed.is_some() => ChildState::Failed,
-                Goal::Run | Goal::Leave => ChildState::Waiting,
-                Goal::Rest => ChildState::Resting,
-                Goal::Finished => ChildState::Finished,
+            ChildPhase::Starting { .. } => ChildState::Starting,
+            ChildPhase::Running => ChildState::Running,
+            ChildPhase::Unavailable => ChildState::Unavailable,
+            ChildPhase::Resetting { .. } => ChildState::Resetting,
+            ChildPhase::Stopping { .. } => ChildState::Stopping,
+            ChildPhase::Down => match self.goal {
+                ChildTarget::Run if self.failed.is_some() => ChildState::Failed,
+                ChildTarget::Run | ChildTarget::Leave => ChildState::Waiting,
+                ChildTarget::Rest => ChildState::Resting,
+                ChildTarget::Finished => ChildState::Finished,
             },
         };
         ChildStatus {

@@ -27,13 +27,13 @@ mod steps;
 mod tests;
 mod vocabulary;
 
-pub use child::{Cause, ChildState, ChildStatus};
-pub use vocabulary::{GiveUpReason, SupervisorAction, Ticket};
+pub use child::{ChildState, ChildStatus, ReplacementCause};
+pub use vocabulary::{CallId, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
-use child::{Goal, Kept, Key, State};
+use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// No supervisor keeps more: its table is read as a whole.
@@ -59,34 +59,34 @@ enum Wish {
 
 #[derive(Clone, Debug)]
 struct Pending {
-    ticket: Ticket,
-    key: Key,
+    ticket: CallId,
+    key: ChildKey,
     child: ObjectName,
     wish: Wish,
 }
 
 /// One supervisor. See the [module](self).
 #[derive(Debug)]
-pub struct Supervision {
+pub struct Supervisor {
     rules: SupervisorRules,
     incarnation: Incarnation,
     phase: Phase,
-    children: BTreeMap<Key, Kept>,
-    index: BTreeMap<ObjectName, Key>,
-    next_key: Key,
-    going: BTreeSet<Key>,
-    coming: BTreeSet<Key>,
+    children: BTreeMap<ChildKey, SupervisedChild>,
+    index: BTreeMap<ObjectName, ChildKey>,
+    next_key: ChildKey,
+    going: BTreeSet<ChildKey>,
+    coming: BTreeSet<ChildKey>,
     /// Those that have a deadline at present.
-    timed: BTreeSet<Key>,
+    timed: BTreeSet<ChildKey>,
     pending: Vec<Pending>,
     budget: Budget,
-    outputs: VecDeque<SupervisorAction>,
+    outputs: VecDeque<SupervisorOutput>,
 }
 
-impl Supervision {
+impl Supervisor {
     /// A supervisor without children that has not begun.
     pub fn new(rules: SupervisorRules) -> Self {
-        Supervision {
+        Supervisor {
             rules,
             incarnation: Incarnation::default(),
             phase: Phase::Idle,
@@ -119,7 +119,7 @@ impl Supervision {
 
     /// Its children in their start order.
     pub fn children(&self) -> impl Iterator<Item = ChildStatus> + '_ {
-        self.children.values().map(Kept::status)
+        self.children.values().map(SupervisedChild::status)
     }
 
     /// Takes in one more child, behind all others; it is started if the supervisor is at work.
@@ -141,7 +141,7 @@ impl Supervision {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        self.children.insert(key, Kept::new(name, rules));
+        self.children.insert(key, SupervisedChild::new(name, rules));
         if self.at_work() {
             self.coming.insert(key);
         }
@@ -150,9 +150,9 @@ impl Supervision {
     }
 
     /// Stops a child and forgets it.
-    pub fn handle_remove(&mut self, name: &ObjectName, ticket: Ticket, now: Instant) {
+    pub fn handle_remove(&mut self, name: &ObjectName, ticket: CallId, now: Instant) {
         let Some(key) = self.admit(name, ticket, Wish::Leave) else { return };
-        self.dismiss(key, Goal::Leave, Cause::Faulty, now);
+        self.dismiss(key, ChildTarget::Leave, ReplacementCause::Faulty, now);
         self.advance(now);
     }
 
@@ -162,10 +162,10 @@ impl Supervision {
         self.incarnation = incarnation;
         self.phase = Phase::Starting;
         self.budget.clear();
-        let keys: Vec<Key> = self.children.keys().copied().collect();
+        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             let child = self.kept(key);
-            child.goal = Goal::Run;
+            child.goal = ChildTarget::Run;
             child.failed = None;
             self.set_isolated(key, false);
             self.coming.insert(key);
@@ -196,7 +196,7 @@ impl Supervision {
         self.phase = Phase::Idle;
         self.going.clear();
         self.coming.clear();
-        let living: Vec<Key> = self.living().collect();
+        let living: Vec<ChildKey> = self.living().collect();
         for key in living.into_iter().rev() {
             self.abandon(key);
             self.after_end(key, now);
@@ -206,7 +206,7 @@ impl Supervision {
 
     /// Forbids all children to send and receive, or allows it again.
     pub fn handle_isolate_all(&mut self, isolated: bool, now: Instant) {
-        let keys: Vec<Key> = self.children.keys().copied().collect();
+        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             self.set_isolated(key, isolated);
             self.grant(key, now);
@@ -218,8 +218,8 @@ impl Supervision {
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
-        ticket: Ticket,
-        cause: Cause,
+        ticket: CallId,
+        cause: ReplacementCause,
         struck: Option<Incarnation>,
         now: Instant,
     ) {
@@ -237,8 +237,8 @@ impl Supervision {
         let child = self.kept(key);
         match struck {
             None => {
-                if child.goal != Goal::Leave {
-                    child.goal = Goal::Run;
+                if child.goal != ChildTarget::Leave {
+                    child.goal = ChildTarget::Run;
                 }
                 self.set_isolated(key, false);
             }
@@ -250,7 +250,7 @@ impl Supervision {
             }
             Some(_) => {}
         }
-        if self.kept(key).goal == Goal::Run
+        if self.kept(key).goal == ChildTarget::Run
             && let Err(why) = self.replace(key, cause, now)
         {
             self.refuse(ticket, why);
@@ -259,17 +259,17 @@ impl Supervision {
     }
 
     /// A reset is wanted.
-    pub fn handle_reset(&mut self, name: &ObjectName, ticket: Ticket, now: Instant) {
+    pub fn handle_reset(&mut self, name: &ObjectName, ticket: CallId, now: Instant) {
         let Some(&key) = self.index.get(name) else {
             return self.answer_gave_up(ticket, name.clone(), GiveUpReason::Unknown);
         };
         let child = self.kept(key);
         let (name, due) = (child.name.clone(), now + child.rules.ready_within);
-        if child.state != State::Running || self.going.contains(&key) {
+        if child.state != ChildPhase::Running || self.going.contains(&key) {
             return self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
         }
-        self.set_state(key, State::Resetting { due, ticket });
-        self.outputs.push_back(SupervisorAction::Reset { child: name });
+        self.set_state(key, ChildPhase::Resetting { due, ticket });
+        self.outputs.push_back(SupervisorOutput::Reset { child: name });
     }
 
     /// The child is to be cut off, or let in again.
@@ -277,7 +277,7 @@ impl Supervision {
         &mut self,
         name: &ObjectName,
         isolated: bool,
-        ticket: Ticket,
+        ticket: CallId,
         now: Instant,
     ) {
         let Some(&key) = self.index.get(name) else {
@@ -287,27 +287,33 @@ impl Supervision {
         self.grant(key, now);
         let child = self.kept(key);
         let incarnation = child.lives().then_some(child.incarnation);
-        if isolated && !child.lives() && child.goal == Goal::Run {
+        if isolated && !child.lives() && child.goal == ChildTarget::Run {
             // Nobody waits for a child that may not speak.
-            child.goal = Goal::Rest;
+            child.goal = ChildTarget::Rest;
             child.failed = None;
             self.coming.remove(&key);
         }
         let child = name.clone();
-        self.outputs.push_back(SupervisorAction::Recovered { ticket, child, incarnation });
+        self.outputs.push_back(SupervisorOutput::Recovered { ticket, child, incarnation });
         self.advance(now);
     }
 
-    /// The child is to be put in safe rest.
-    pub fn handle_rest(&mut self, name: &ObjectName, ticket: Ticket, cause: Cause, now: Instant) {
+    /// The child is to be put in safe state.
+    pub fn handle_rest(
+        &mut self,
+        name: &ObjectName,
+        ticket: CallId,
+        cause: ReplacementCause,
+        now: Instant,
+    ) {
         let Some(key) = self.admit(name, ticket, Wish::Rest) else { return };
         self.set_isolated(key, true);
-        self.dismiss(key, Goal::Rest, cause, now);
+        self.dismiss(key, ChildTarget::Rest, cause, now);
         let essential = self.children.get(&key).is_some_and(|child| child.rules.essential);
         let group = self.rules.strategy != Strategy::OneForOne;
-        if self.at_work() && cause != Cause::Asked {
+        if self.at_work() && cause != ReplacementCause::Asked {
             if essential {
-                self.end(Some(format!("{name} is essential, and was put to safe rest")));
+                self.end(Some(format!("{name} is essential, and was put into the safe state")));
             } else if group && self.phase == Phase::Starting {
                 self.end(Some(format!("{name} could not be started, and others depend on it")));
             }
@@ -319,12 +325,12 @@ impl Supervision {
     pub fn handle_started(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
         let state = self.kept(key).state;
-        if !matches!(state, State::Starting { .. } | State::Unavailable)
+        if !matches!(state, ChildPhase::Starting { .. } | ChildPhase::Unavailable)
             || self.going.contains(&key)
         {
             return;
         }
-        self.set_state(key, State::Running);
+        self.set_state(key, ChildPhase::Running);
         self.coming.remove(&key);
         self.grant(key, now);
         self.advance(now);
@@ -343,23 +349,23 @@ impl Supervision {
         let child = self.kept(key);
         let name = child.name.clone();
         match child.state {
-            State::Down | State::Stopping { .. } => return,
-            State::Resetting { ticket, .. } => {
+            ChildPhase::Down | ChildPhase::Stopping { .. } => return,
+            ChildPhase::Resetting { ticket, .. } => {
                 // It has taken its recovery into its own hands.
-                self.set_state(key, State::Running);
-                self.outputs.push_back(SupervisorAction::Recovered {
+                self.set_state(key, ChildPhase::Running);
+                self.outputs.push_back(SupervisorOutput::Recovered {
                     ticket,
                     child: name,
                     incarnation: Some(incarnation),
                 });
             }
-            State::Starting { .. } | State::Running | State::Unavailable => {}
+            ChildPhase::Starting { .. } | ChildPhase::Running | ChildPhase::Unavailable => {}
         }
-        self.set_state(key, State::Unavailable);
+        self.set_state(key, ChildPhase::Unavailable);
         if self.rules.strategy == Strategy::OneForOne {
             self.coming.remove(&key);
         } else if self.phase == Phase::Starting {
-            self.outputs.push_back(SupervisorAction::Unavailable { reason });
+            self.outputs.push_back(SupervisorOutput::Unavailable { reason });
         }
         self.advance(now);
     }
@@ -386,8 +392,8 @@ impl Supervision {
     /// The child has ended, as it was told.
     pub fn handle_stopped(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
-        if matches!(self.kept(key).state, State::Stopping { .. }) {
-            self.set_state(key, State::Down);
+        if matches!(self.kept(key).state, ChildPhase::Stopping { .. }) {
+            self.set_state(key, ChildPhase::Down);
             self.after_end(key, now);
             self.advance(now);
         }
@@ -402,11 +408,11 @@ impl Supervision {
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
         let child = self.kept(key);
-        let State::Resetting { ticket, .. } = child.state else { return };
+        let ChildPhase::Resetting { ticket, .. } = child.state else { return };
         let (child, life) = (child.name.clone(), child.incarnation);
-        self.set_state(key, State::Running);
+        self.set_state(key, ChildPhase::Running);
         match outcome {
-            Ok(()) => self.outputs.push_back(SupervisorAction::Recovered {
+            Ok(()) => self.outputs.push_back(SupervisorOutput::Recovered {
                 ticket,
                 child,
                 incarnation: Some(life),
@@ -449,10 +455,10 @@ impl Supervision {
         let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
         if failed
             && self.at_work()
-            && let Err(why) = self.replace(key, Cause::Died, now)
+            && let Err(why) = self.replace(key, ReplacementCause::Died, now)
         {
             let (child, reason) = (name.clone(), why.to_string());
-            self.outputs.push_back(SupervisorAction::Refused { child, incarnation, reason });
+            self.outputs.push_back(SupervisorOutput::Refused { child, incarnation, reason });
         }
         self.advance(now);
     }
@@ -464,17 +470,17 @@ impl Supervision {
         self.outputs.clear();
         self.pending.clear();
         self.going.clear();
-        let living: Vec<Key> = self.living().collect();
+        let living: Vec<ChildKey> = self.living().collect();
         for key in living {
             match self.kept(key).state {
-                State::Running => {
+                ChildPhase::Running => {
                     self.coming.remove(&key);
                 }
-                State::Resetting { .. } => self.set_state(key, State::Running),
-                State::Unavailable => {}
-                State::Starting { .. } | State::Stopping { .. } | State::Down => {
+                ChildPhase::Resetting { .. } => self.set_state(key, ChildPhase::Running),
+                ChildPhase::Unavailable => {}
+                ChildPhase::Starting { .. } | ChildPhase::Stopping { .. } | ChildPhase::Down => {
                     self.abandon(key);
-                    if self.at_work() && self.kept(key).goal == Goal::Run {
+                    if self.at_work() && self.kept(key).goal == ChildTarget::Run {
                         self.coming.insert(key);
                     }
                     self.after_end(key, now);
@@ -488,10 +494,10 @@ impl Supervision {
     }
 }
 
-impl Machine for Supervision {
-    type Output = SupervisorAction;
+impl Machine for Supervisor {
+    type Output = SupervisorOutput;
 
-    fn poll_output(&mut self) -> Option<SupervisorAction> {
+    fn poll_output(&mut self) -> Option<SupervisorOutput> {
         self.outputs.pop_front()
     }
 
@@ -501,8 +507,8 @@ impl Machine for Supervision {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        let due = |key: &&Key| self.children[key].due().is_some_and(|due| due <= now);
-        let overdue: Vec<Key> = self.timed.iter().filter(due).copied().collect();
+        let due = |key: &&ChildKey| self.children[key].due().is_some_and(|due| due <= now);
+        let overdue: Vec<ChildKey> = self.timed.iter().filter(due).copied().collect();
         for key in overdue {
             self.handle_overdue(key, now);
         }

@@ -1,13 +1,13 @@
 //! How the supervisor's children are moved: one step at a time, in order.
 
-use super::child::{Cause, Goal, Kept, Key, State};
+use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, SupervisedChild};
 use super::{
-    GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervision, SupervisorAction, Ticket, Wish,
+    CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput, Wish,
 };
-use crate::recovery::{Restart, StandingOrder, Strategy};
+use crate::recovery::{Restart, RestartGrant, Strategy};
 use crate::{Incarnation, Instant, ObjectName};
 
-impl Supervision {
+impl Supervisor {
     /// Takes the next step that is possible, and answers the requests that are decided.
     pub(super) fn advance(&mut self, now: Instant) {
         self.step(now);
@@ -20,10 +20,10 @@ impl Supervision {
         }
         if let Phase::Ending { escalation } = &self.phase {
             let (phase, action) = match escalation.clone() {
-                None => (Phase::Idle, SupervisorAction::AllStopped),
+                None => (Phase::Idle, SupervisorOutput::AllStopped),
                 Some(reason) => {
                     let phase = Phase::Escalated { reason: reason.clone() };
-                    (phase, SupervisorAction::Escalate { reason })
+                    (phase, SupervisorOutput::Escalate { reason })
                 }
             };
             self.phase = phase;
@@ -34,13 +34,13 @@ impl Supervision {
                 // One further back may have begun before this one joined.
                 let starting = self.timed.intersection(&self.coming).next().is_some();
                 let child = self.kept(first);
-                if !starting && child.state == State::Down && child.failed.is_none() {
+                if !starting && child.state == ChildPhase::Down && child.failed.is_none() {
                     self.start(first, now);
                 }
             }
             None if self.phase == Phase::Starting && self.is_up() => {
                 self.phase = Phase::Serving;
-                self.outputs.push_back(SupervisorAction::AllStarted);
+                self.outputs.push_back(SupervisorOutput::AllStarted);
             }
             None => {}
         }
@@ -48,11 +48,11 @@ impl Supervision {
 
     /// Every child that is to have a life has one at work, or one that waits for what is not there yet.
     fn is_up(&self) -> bool {
-        let up = |child: &Kept| match child.state {
-            State::Running | State::Resetting { .. } | State::Unavailable => true,
-            State::Down | State::Starting { .. } | State::Stopping { .. } => false,
+        let up = |child: &SupervisedChild| match child.state {
+            ChildPhase::Running | ChildPhase::Resetting { .. } | ChildPhase::Unavailable => true,
+            ChildPhase::Down | ChildPhase::Starting { .. } | ChildPhase::Stopping { .. } => false,
         };
-        self.children.values().all(|child| child.goal != Goal::Run || up(child))
+        self.children.values().all(|child| child.goal != ChildTarget::Run || up(child))
     }
 
     /// Answers every waiting request whose outcome is now known.
@@ -67,9 +67,9 @@ impl Supervision {
                 Some(Ok(incarnation)) => {
                     if wish == Wish::Work && incarnation.is_none() {
                         let child = child.clone();
-                        self.outputs.push_back(SupervisorAction::Retire { child });
+                        self.outputs.push_back(SupervisorOutput::Retire { child });
                     }
-                    self.outputs.push_back(SupervisorAction::Recovered {
+                    self.outputs.push_back(SupervisorOutput::Recovered {
                         ticket,
                         child,
                         incarnation,
@@ -80,20 +80,26 @@ impl Supervision {
         }
     }
 
-    fn outcome(&self, key: Key, wish: Wish) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
+    fn outcome(
+        &self,
+        key: ChildKey,
+        wish: Wish,
+    ) -> Option<Result<Option<Incarnation>, GiveUpReason>> {
         let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
         match wish {
             Wish::Leave => None,
-            Wish::Rest if child.goal != Goal::Rest => Some(Err(GiveUpReason::Forgotten)),
+            Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::Forgotten)),
             Wish::Rest => (!child.lives()).then_some(Ok(None)),
             Wish::Work => {
                 if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {
                     return Some(Err(GiveUpReason::Escalated { reason: reason.clone() }));
                 }
                 match child.goal {
-                    Goal::Finished => return (!child.lives()).then_some(Ok(None)),
-                    Goal::Rest | Goal::Leave => return Some(Err(GiveUpReason::Resting)),
-                    Goal::Run => {}
+                    ChildTarget::Finished => return (!child.lives()).then_some(Ok(None)),
+                    ChildTarget::Rest | ChildTarget::Leave => {
+                        return Some(Err(GiveUpReason::Resting));
+                    }
+                    ChildTarget::Run => {}
                 }
                 if let Some(reason) = &child.failed {
                     return Some(Err(GiveUpReason::StartFailed { reason: reason.clone() }));
@@ -104,7 +110,7 @@ impl Supervision {
                         self.going.is_empty() && (self.coming.is_empty() || self.is_held_up())
                     }
                 };
-                let up = matches!(child.state, State::Running | State::Unavailable);
+                let up = matches!(child.state, ChildPhase::Running | ChildPhase::Unavailable);
                 (up && whole).then_some(Ok(Some(child.incarnation)))
             }
         }
@@ -115,25 +121,25 @@ impl Supervision {
     /// for what is not there yet.
     fn is_held_up(&self) -> bool {
         let first = self.coming.first().and_then(|key| self.children.get(key));
-        first.is_some_and(|child| child.failed.is_some() || child.state == State::Unavailable)
+        first.is_some_and(|child| child.failed.is_some() || child.state == ChildPhase::Unavailable)
     }
 
     /// Replaces a child's life, and those of its siblings as the strategy says; or says why that is not
     /// worth it any more.
     pub(super) fn replace(
         &mut self,
-        key: Key,
-        cause: Cause,
+        key: ChildKey,
+        cause: ReplacementCause,
         now: Instant,
     ) -> Result<(), GiveUpReason> {
         if self.kept(key).rules.restart == Restart::Temporary {
-            self.dismiss(key, Goal::Finished, cause, now);
+            self.dismiss(key, ChildTarget::Finished, cause, now);
             return Ok(());
         }
         let child = self.kept(key);
-        let waits = child.state == State::Down && child.failed.is_none();
-        let stops = matches!(child.state, State::Stopping { .. }) || self.going.contains(&key);
-        if stops && !matches!(cause, Cause::Faulty | Cause::Asked) {
+        let waits = child.state == ChildPhase::Down && child.failed.is_none();
+        let stops = matches!(child.state, ChildPhase::Stopping { .. }) || self.going.contains(&key);
+        if stops && !matches!(cause, ReplacementCause::Faulty | ReplacementCause::Asked) {
             // It would not answer the stop that it was sent, or is going to be sent.
             self.end_now(key, cause);
             self.after_end(key, now);
@@ -142,7 +148,7 @@ impl Supervision {
             return Ok(());
         }
         self.end_now(key, cause);
-        let held_against = !matches!(cause, Cause::Behind | Cause::Asked);
+        let held_against = !matches!(cause, ReplacementCause::Behind | ReplacementCause::Asked);
         if held_against && !self.count_restart(key, now) {
             return self.leave_failed(key);
         }
@@ -160,7 +166,7 @@ impl Supervision {
 
     /// The restart of a child was one too many. Unless the whole supervisor ends, it is left to the
     /// recoverer's next measure.
-    fn leave_failed(&mut self, key: Key) -> Result<(), GiveUpReason> {
+    fn leave_failed(&mut self, key: ChildKey) -> Result<(), GiveUpReason> {
         if !self.at_work() {
             return Ok(());
         }
@@ -174,10 +180,10 @@ impl Supervision {
 
     /// Everybody from `first` on, in start order, is to end and to start again; but for temporary
     /// children, which only end.
-    fn renew_from(&mut self, first: Key) {
+    fn renew_from(&mut self, first: ChildKey) {
         let mut finished = Vec::new();
         for (&key, child) in self.children.range_mut(first..) {
-            if child.goal != Goal::Run {
+            if child.goal != ChildTarget::Run {
                 continue;
             }
             child.failed = None;
@@ -185,7 +191,7 @@ impl Supervision {
                 self.going.insert(key);
             }
             if child.rules.restart == Restart::Temporary {
-                child.goal = Goal::Finished;
+                child.goal = ChildTarget::Finished;
                 self.coming.remove(&key);
                 if !child.lives() {
                     finished.push(child.name.clone());
@@ -194,14 +200,20 @@ impl Supervision {
                 self.coming.insert(key);
             }
         }
-        let retire = |child| SupervisorAction::Retire { child };
+        let retire = |child| SupervisorOutput::Retire { child };
         self.outputs.extend(finished.into_iter().map(retire));
     }
 
     /// Ends a child's life for good, or until somebody asks for it again.
-    pub(super) fn dismiss(&mut self, key: Key, goal: Goal, cause: Cause, now: Instant) {
+    pub(super) fn dismiss(
+        &mut self,
+        key: ChildKey,
+        goal: ChildTarget,
+        cause: ReplacementCause,
+        now: Instant,
+    ) {
         let child = self.kept(key);
-        if child.goal != Goal::Leave {
+        if child.goal != ChildTarget::Leave {
             child.goal = goal;
         }
         child.failed = None;
@@ -215,30 +227,44 @@ impl Supervision {
     }
 
     /// Ends a life that need not, or cannot, be asked.
-    fn end_now(&mut self, key: Key, cause: Cause) {
+    fn end_now(&mut self, key: ChildKey, cause: ReplacementCause) {
         match cause {
-            Cause::Died if self.kept(key).lives() => self.set_state(key, State::Down),
-            Cause::Stuck | Cause::Behind if self.kept(key).lives() => self.abandon(key),
-            Cause::Died | Cause::Stuck | Cause::Behind | Cause::Faulty | Cause::Asked => {}
+            ReplacementCause::Died if self.kept(key).lives() => {
+                self.set_state(key, ChildPhase::Down)
+            }
+            ReplacementCause::Stuck | ReplacementCause::Behind if self.kept(key).lives() => {
+                self.abandon(key)
+            }
+            ReplacementCause::Died
+            | ReplacementCause::Stuck
+            | ReplacementCause::Behind
+            | ReplacementCause::Faulty
+            | ReplacementCause::Asked => {}
         }
     }
 
     /// A life has ended by itself, or has not come to be.
-    pub(super) fn life_ended(&mut self, key: Key, in_order: bool, reason: String, now: Instant) {
+    pub(super) fn life_ended(
+        &mut self,
+        key: ChildKey,
+        in_order: bool,
+        reason: String,
+        now: Instant,
+    ) {
         let child = self.kept(key);
-        let expected = matches!(child.state, State::Stopping { .. });
-        if child.state == State::Down {
+        let expected = matches!(child.state, ChildPhase::Stopping { .. });
+        if child.state == ChildPhase::Down {
             return;
         }
         let may_end = child.may_end(in_order);
         let expected = expected || self.going.contains(&key);
-        self.set_state(key, State::Down);
+        self.set_state(key, ChildPhase::Down);
         let child = self.kept(key);
-        if !expected && child.goal == Goal::Run {
+        if !expected && child.goal == ChildTarget::Run {
             if may_end {
-                child.goal = Goal::Finished;
+                child.goal = ChildTarget::Finished;
                 let child = child.name.clone();
-                self.outputs.push_back(SupervisorAction::Retire { child });
+                self.outputs.push_back(SupervisorOutput::Retire { child });
                 self.coming.remove(&key);
             } else {
                 child.failed = Some(reason);
@@ -248,61 +274,61 @@ impl Supervision {
     }
 
     /// What follows when a life is over.
-    pub(super) fn after_end(&mut self, key: Key, now: Instant) {
+    pub(super) fn after_end(&mut self, key: ChildKey, now: Instant) {
         self.going.remove(&key);
         let alone = !self.coming.contains(&key) && self.at_work();
         let child = self.kept(key);
         match child.goal {
-            Goal::Leave => {
+            ChildTarget::Leave => {
                 let child = self.children.remove(&key).expect("this child was just looked at");
                 self.index.remove(&child.name);
                 self.coming.remove(&key);
                 self.budget.forget(key);
-                self.outputs.push_back(SupervisorAction::Left { child: child.name });
+                self.outputs.push_back(SupervisorOutput::Left { child: child.name });
             }
-            Goal::Run if alone && child.failed.is_none() => match self.rules.strategy {
+            ChildTarget::Run if alone && child.failed.is_none() => match self.rules.strategy {
                 Strategy::OneForOne => self.start(key, now),
                 Strategy::OneForAll | Strategy::RestForOne => {
                     self.coming.insert(key);
                 }
             },
-            Goal::Run | Goal::Rest | Goal::Finished => {}
+            ChildTarget::Run | ChildTarget::Rest | ChildTarget::Finished => {}
         }
     }
 
-    pub(super) fn handle_overdue(&mut self, key: Key, now: Instant) {
+    pub(super) fn handle_overdue(&mut self, key: ChildKey, now: Instant) {
         let child = self.kept(key);
         let (name, incarnation, rules) = (child.name.clone(), child.incarnation, child.rules);
         match child.state {
-            State::Starting { .. } => {
+            ChildPhase::Starting { .. } => {
                 let limit = rules.ready_within;
-                self.outputs.push_back(SupervisorAction::Abandon { child: name.clone() });
+                self.outputs.push_back(SupervisorOutput::Abandon { child: name.clone() });
                 self.life_ended(key, false, format!("not at work within {limit:?}"), now);
-                self.outputs.push_back(SupervisorAction::Overdue {
+                self.outputs.push_back(SupervisorOutput::Overdue {
                     child: name,
                     incarnation,
                     limit,
                 });
             }
-            State::Stopping { .. } => {
+            ChildPhase::Stopping { .. } => {
                 self.abandon(key);
                 let is_awaited = self.pending.iter().any(|pending| pending.key == key);
-                if self.kept(key).goal == Goal::Finished && !is_awaited {
+                if self.kept(key).goal == ChildTarget::Finished && !is_awaited {
                     // A life that is given up cannot give back what waits for it.
-                    self.outputs.push_back(SupervisorAction::Retire { child: name });
+                    self.outputs.push_back(SupervisorOutput::Retire { child: name });
                 }
                 self.after_end(key, now);
             }
-            State::Resetting { ticket, .. } => {
+            ChildPhase::Resetting { ticket, .. } => {
                 let limit = rules.ready_within;
-                self.set_state(key, State::Running);
+                self.set_state(key, ChildPhase::Running);
                 self.answer_gave_up(ticket, name, GiveUpReason::Overdue { limit });
             }
-            State::Down | State::Running | State::Unavailable => {}
+            ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => {}
         }
     }
 
-    fn start(&mut self, key: Key, now: Instant) {
+    fn start(&mut self, key: ChildKey, now: Instant) {
         let child = self.kept(key);
         if child.incarnation != Incarnation::default() {
             child.restarts += 1;
@@ -312,17 +338,17 @@ impl Supervision {
         child.on_the_spot.clear();
         let (name, incarnation) = (child.name.clone(), child.incarnation);
         let due = now + child.rules.ready_within;
-        self.set_state(key, State::Starting { due });
-        self.outputs.push_back(SupervisorAction::Start { child: name, incarnation });
+        self.set_state(key, ChildPhase::Starting { due });
+        self.outputs.push_back(SupervisorOutput::Start { child: name, incarnation });
     }
 
-    fn ask_to_stop(&mut self, key: Key, now: Instant) {
+    fn ask_to_stop(&mut self, key: ChildKey, now: Instant) {
         let child = self.kept(key);
-        if matches!(child.state, State::Stopping { .. }) {
+        if matches!(child.state, ChildPhase::Stopping { .. }) {
             return;
         }
         let (name, due) = (child.name.clone(), now + child.rules.shutdown_within);
-        let wanted = child.goal == Goal::Run;
+        let wanted = child.goal == ChildTarget::Run;
         let again = wanted
             && match &self.phase {
                 Phase::Starting | Phase::Serving => true,
@@ -331,23 +357,25 @@ impl Supervision {
                 Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
             };
         self.withdraw(key);
-        self.set_state(key, State::Stopping { due });
-        self.outputs.push_back(SupervisorAction::Stop { child: name, again });
+        self.set_state(key, ChildPhase::Stopping { due });
+        self.outputs.push_back(SupervisorOutput::Stop { child: name, again });
     }
 
-    pub(super) fn abandon(&mut self, key: Key) {
+    pub(super) fn abandon(&mut self, key: ChildKey) {
         self.withdraw(key);
-        self.set_state(key, State::Down);
+        self.set_state(key, ChildPhase::Down);
         let child = self.kept(key).name.clone();
-        self.outputs.push_back(SupervisorAction::Abandon { child });
+        self.outputs.push_back(SupervisorOutput::Abandon { child });
     }
 
     /// Every state change goes through here, so that no deadline and no waiting reset is forgotten.
-    pub(super) fn set_state(&mut self, key: Key, state: State) {
+    pub(super) fn set_state(&mut self, key: ChildKey, state: ChildPhase) {
         let child = self.kept(key);
         let before = std::mem::replace(&mut child.state, state);
         let (timed, name) = (child.due().is_some(), child.name.clone());
-        if let (State::Resetting { ticket, .. }, false) = (before, state == State::Running) {
+        if let (ChildPhase::Resetting { ticket, .. }, false) =
+            (before, state == ChildPhase::Running)
+        {
             self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
         }
         if timed {
@@ -359,7 +387,7 @@ impl Supervision {
 
     /// Counts a restart and says whether it is within the intensity. One that is not ends everything where
     /// no child can go on without this one.
-    fn count_restart(&mut self, key: Key, now: Instant) -> bool {
+    fn count_restart(&mut self, key: ChildKey, now: Instant) -> bool {
         let within = self.budget.add(key, now);
         if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {
             let reason = self.excess_of(key);
@@ -374,22 +402,22 @@ impl Supervision {
         within
     }
 
-    fn excess_of(&self, key: Key) -> String {
+    fn excess_of(&self, key: ChildKey) -> String {
         let (intensity, period) = (self.rules.intensity, self.rules.period);
         let name = &self.children[&key].name;
         format!("{name} needed more than {intensity} restarts in {period:?}")
     }
 
-    pub(super) fn restarted_on_the_spot(&mut self, key: Key, next: Incarnation, now: Instant) {
+    pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
         let period = self.rules.period;
         let child = self.kept(key);
         child.incarnation = next;
         child.restarts += 1;
         child.on_the_spot.retain(|&at| now - at <= period);
         child.on_the_spot.push(now);
-        if let State::Resetting { .. } = child.state {
-            self.set_state(key, State::Down);
-            self.set_state(key, State::Running);
+        if let ChildPhase::Resetting { .. } = child.state {
+            self.set_state(key, ChildPhase::Down);
+            self.set_state(key, ChildPhase::Running);
         }
         if self.at_work() && self.count_restart(key, now) {
             self.grant(key, now);
@@ -406,17 +434,17 @@ impl Supervision {
             child.failed = None;
         }
         if let (Some(reason), true) = (&escalation, self.rules.root) {
-            self.outputs.push_back(SupervisorAction::GiveUp { reason: reason.clone() });
+            self.outputs.push_back(SupervisorOutput::GiveUp { reason: reason.clone() });
         }
         self.phase = Phase::Ending { escalation };
     }
 
-    pub(super) fn set_isolated(&mut self, key: Key, isolated: bool) {
+    pub(super) fn set_isolated(&mut self, key: ChildKey, isolated: bool) {
         let child = self.kept(key);
         if child.isolated != isolated {
             child.isolated = isolated;
             let child = child.name.clone();
-            self.outputs.push_back(SupervisorAction::Isolate { child, isolated });
+            self.outputs.push_back(SupervisorOutput::Isolate { child, isolated });
         }
         if isolated {
             self.withdraw(key);
@@ -424,12 +452,12 @@ impl Supervision {
     }
 
     /// Leaves what remains of the budget with a child's guard, where the rules allow it.
-    pub(super) fn grant(&mut self, key: Key, now: Instant) {
+    pub(super) fn grant(&mut self, key: ChildKey, now: Instant) {
         let (left, period) = (self.budget.left(key, now), self.rules.period);
         let allowed = self.at_work() && self.rules.strategy == Strategy::OneForOne && left > 0;
         let going = self.going.contains(&key);
         let child = self.kept(key);
-        let willing = child.state == State::Running
+        let willing = child.state == ChildPhase::Running
             && child.rules.on_the_spot
             && child.rules.restart != Restart::Temporary
             && !child.isolated
@@ -439,35 +467,40 @@ impl Supervision {
             child.on_the_spot.retain(|&at| now - at <= period);
             let made = u32::try_from(child.on_the_spot.len()).unwrap_or(u32::MAX);
             let times = left.saturating_add(made);
-            let (child, order) = (child.name.clone(), Some(StandingOrder { times, period }));
-            self.outputs.push_back(SupervisorAction::StandingOrder { child, order });
+            let (child, order) = (child.name.clone(), Some(RestartGrant { times, period }));
+            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order });
         }
     }
 
     pub(super) fn grant_all(&mut self, now: Instant) {
-        let keys: Vec<Key> = self.children.keys().copied().collect();
+        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             self.grant(key, now);
         }
     }
 
-    fn withdraw(&mut self, key: Key) {
+    fn withdraw(&mut self, key: ChildKey) {
         let child = self.kept(key);
         if std::mem::take(&mut child.ordered) {
             let child = child.name.clone();
-            self.outputs.push_back(SupervisorAction::StandingOrder { child, order: None });
+            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order: None });
         }
     }
 
     fn withdraw_all(&mut self) {
-        let keys: Vec<Key> = self.children.keys().copied().collect();
+        let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             self.withdraw(key);
         }
     }
 
     /// Notes a request; what cannot even be noted is answered at once.
-    pub(super) fn admit(&mut self, name: &ObjectName, ticket: Ticket, wish: Wish) -> Option<Key> {
+    pub(super) fn admit(
+        &mut self,
+        name: &ObjectName,
+        ticket: CallId,
+        wish: Wish,
+    ) -> Option<ChildKey> {
         let child = name.clone();
         let Some(&key) = self.index.get(name) else {
             self.answer_gave_up(ticket, child, GiveUpReason::Unknown);
@@ -482,18 +515,18 @@ impl Supervision {
     }
 
     /// Takes back what [`admit`](Self::admit) has just noted.
-    pub(super) fn refuse(&mut self, ticket: Ticket, why: GiveUpReason) {
+    pub(super) fn refuse(&mut self, ticket: CallId, why: GiveUpReason) {
         if let Some(Pending { child, .. }) = self.pending.pop() {
             self.answer_gave_up(ticket, child, why);
         }
     }
 
-    pub(super) fn answer_gave_up(&mut self, ticket: Ticket, child: ObjectName, why: GiveUpReason) {
-        self.outputs.push_back(SupervisorAction::GaveUp { ticket, child, why });
+    pub(super) fn answer_gave_up(&mut self, ticket: CallId, child: ObjectName, why: GiveUpReason) {
+        self.outputs.push_back(SupervisorOutput::GaveUp { ticket, child, why });
     }
 
     /// The child that a report is about, unless the report is about an earlier life.
-    pub(super) fn present(&mut self, name: &ObjectName, life: Incarnation) -> Option<Key> {
+    pub(super) fn present(&mut self, name: &ObjectName, life: Incarnation) -> Option<ChildKey> {
         let &key = self.index.get(name)?;
         let child = self.kept(key);
         if life < child.incarnation {
@@ -503,7 +536,7 @@ impl Supervision {
         Some(key)
     }
 
-    pub(super) fn living(&self) -> impl Iterator<Item = Key> + '_ {
+    pub(super) fn living(&self) -> impl Iterator<Item = ChildKey> + '_ {
         self.children.iter().filter(|(_, child)| child.lives()).map(|(&key, _)| key)
     }
 
@@ -511,7 +544,7 @@ impl Supervision {
         matches!(self.phase, Phase::Starting | Phase::Serving)
     }
 
-    pub(super) fn kept(&mut self, key: Key) -> &mut Kept {
+    pub(super) fn kept(&mut self, key: ChildKey) -> &mut SupervisedChild {
         self.children.get_mut(&key).expect("a key in use belongs to a child")
     }
 }

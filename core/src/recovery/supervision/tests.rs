@@ -15,7 +15,7 @@ use std::time::Duration;
 const MINUTE: Duration = Duration::from_secs(60);
 
 struct Rig {
-    machine: Supervision,
+    machine: Supervisor,
     now: Instant,
     tickets: u64,
 }
@@ -48,7 +48,7 @@ impl Rig {
     }
 
     fn of(rules: SupervisorRules, children: &[(&str, ChildRules)]) -> Self {
-        let mut machine = Supervision::new(rules);
+        let mut machine = Supervisor::new(rules);
         let now = Instant::from_millis(1000);
         for (child, rules) in children {
             machine.add_child(name(child), *rules, now).expect("a free name");
@@ -71,48 +71,48 @@ impl Rig {
         let mut said = Vec::new();
         while let Some(action) = self.machine.poll_output() {
             said.push(match action {
-                SupervisorAction::Start { child, incarnation } => {
+                SupervisorOutput::Start { child, incarnation } => {
                     format!("start {child} {incarnation}")
                 }
-                SupervisorAction::Stop { child, .. } => format!("stop {child}"),
-                SupervisorAction::Abandon { child } => format!("abandon {child}"),
-                SupervisorAction::Reset { child } => format!("reset {child}"),
-                SupervisorAction::Isolate { child, isolated: true } => format!("isolate {child}"),
-                SupervisorAction::Isolate { child, isolated: false } => format!("admit {child}"),
-                SupervisorAction::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::Stop { child, .. } => format!("stop {child}"),
+                SupervisorOutput::Abandon { child } => format!("abandon {child}"),
+                SupervisorOutput::Reset { child } => format!("reset {child}"),
+                SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),
+                SupervisorOutput::Isolate { child, isolated: false } => format!("admit {child}"),
+                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
                     format!("order {child} x{}", order.times)
                 }
-                SupervisorAction::StandingOrder { child, order: None } => {
+                SupervisorOutput::StandingOrder { child, order: None } => {
                     format!("withdraw {child}")
                 }
-                SupervisorAction::Recovered { ticket, child, incarnation: Some(life) } => {
+                SupervisorOutput::Recovered { ticket, child, incarnation: Some(life) } => {
                     format!("{} recovered {child} {life}", ticket.0)
                 }
-                SupervisorAction::Recovered { ticket, child, incarnation: None } => {
+                SupervisorOutput::Recovered { ticket, child, incarnation: None } => {
                     format!("{} let {child} go", ticket.0)
                 }
-                SupervisorAction::GaveUp { ticket, child, why } => {
+                SupervisorOutput::GaveUp { ticket, child, why } => {
                     format!("{} gave {child} up: {why}", ticket.0)
                 }
-                SupervisorAction::Refused { child, incarnation, reason } => {
+                SupervisorOutput::Refused { child, incarnation, reason } => {
                     format!("refused {child} {incarnation}: {reason}")
                 }
-                SupervisorAction::Unavailable { reason } => format!("waits: {reason}"),
-                SupervisorAction::Overdue { child, .. } => format!("overdue {child}"),
-                SupervisorAction::Retire { child } => format!("retire {child}"),
-                SupervisorAction::Left { child } => format!("left {child}"),
-                SupervisorAction::GiveUp { reason } => format!("give up: {reason}"),
-                SupervisorAction::Escalate { reason } => format!("escalate: {reason}"),
-                SupervisorAction::AllStarted => "all started".into(),
-                SupervisorAction::AllStopped => "all stopped".into(),
+                SupervisorOutput::Unavailable { reason } => format!("waits: {reason}"),
+                SupervisorOutput::Overdue { child, .. } => format!("overdue {child}"),
+                SupervisorOutput::Retire { child } => format!("retire {child}"),
+                SupervisorOutput::Left { child } => format!("left {child}"),
+                SupervisorOutput::GiveUp { reason } => format!("give up: {reason}"),
+                SupervisorOutput::Escalate { reason } => format!("escalate: {reason}"),
+                SupervisorOutput::AllStarted => "all started".into(),
+                SupervisorOutput::AllStopped => "all stopped".into(),
             });
         }
         said
     }
 
-    fn ticket(&mut self) -> Ticket {
+    fn ticket(&mut self) -> CallId {
         self.tickets += 1;
-        Ticket(self.tickets)
+        CallId(self.tickets)
     }
 
     fn begin(&mut self) -> Vec<String> {
@@ -125,7 +125,7 @@ impl Rig {
         self.said()
     }
 
-    fn restart(&mut self, child: &str, cause: Cause, life: u64) -> Vec<String> {
+    fn restart(&mut self, child: &str, cause: ReplacementCause, life: u64) -> Vec<String> {
         let ticket = self.ticket();
         let struck = Some(Incarnation(life));
         self.machine.handle_restart(&name(child), ticket, cause, struck, self.now);
@@ -134,7 +134,7 @@ impl Rig {
 
     fn restart_by_hand(&mut self, child: &str) -> Vec<String> {
         let ticket = self.ticket();
-        self.machine.handle_restart(&name(child), ticket, Cause::Asked, None, self.now);
+        self.machine.handle_restart(&name(child), ticket, ReplacementCause::Asked, None, self.now);
         self.said()
     }
 
@@ -150,7 +150,7 @@ impl Rig {
         self.said()
     }
 
-    fn rest(&mut self, child: &str, cause: Cause) -> Vec<String> {
+    fn rest(&mut self, child: &str, cause: ReplacementCause) -> Vec<String> {
         let ticket = self.ticket();
         self.machine.handle_rest(&name(child), ticket, cause, self.now);
         self.said()

@@ -1,12 +1,12 @@
 //! What a supervisor is asked, what it wants done, and why it did not do something.
 
-use crate::recovery::StandingOrder;
+use crate::recovery::RestartGrant;
 use crate::{Incarnation, ObjectName};
 use std::time::Duration;
 
 /// A request that waits for its outcome; the number is chosen by whoever asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Ticket(pub u64);
+pub struct CallId(pub u64);
 
 /// Why a supervisor did not do what it was asked.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,8 +39,8 @@ pub enum GiveUpReason {
         /// The deadline of its rules.
         limit: Duration,
     },
-    /// It is in safe rest; a person, not a fault, brings it back.
-    #[error("it is in safe rest")]
+    /// It is in safe state; a person, not a fault, brings it back.
+    #[error("it is in safe state")]
     Resting,
     /// Its end was final.
     #[error("its end was final, as its rules say")]
@@ -73,7 +73,7 @@ pub enum GiveUpReason {
 
 /// What a supervisor wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SupervisorAction {
+pub enum SupervisorOutput {
     /// Begin the child's next life.
     Start {
         /// The child.
@@ -110,12 +110,12 @@ pub enum SupervisorAction {
         /// The child.
         child: ObjectName,
         /// The decision.
-        order: Option<StandingOrder>,
+        order: Option<RestartGrant>,
     },
     /// The request is fulfilled.
     Recovered {
         /// Whose.
-        ticket: Ticket,
+        ticket: CallId,
         /// The child.
         child: ObjectName,
         /// The life at work; `None` where no life is wanted.
@@ -124,7 +124,7 @@ pub enum SupervisorAction {
     /// The request is not going to be fulfilled.
     GaveUp {
         /// Whose.
-        ticket: Ticket,
+        ticket: CallId,
         /// The child.
         child: ObjectName,
         /// Why.

@@ -117,10 +117,17 @@ impl Replica {
     }
 
     /// What the primary did has been done again.
-    pub(super) fn note_replayed(&mut self, result: Result<Bytes, Why>, void: bool, now: Instant) {
+    pub(super) fn note_replayed(
+        &mut self,
+        result: Result<Bytes, DeliveryError>,
+        void: bool,
+        now: Instant,
+    ) {
         let loads = self.jobs.iter().any(|job| matches!(job, Job::Load { .. }));
         match result {
-            Err(Why::Stopped | Why::Isolated) => self.handle_component_gone(now),
+            Err(DeliveryError::Stopped | DeliveryError::Isolated) => {
+                self.handle_component_gone(now)
+            }
             // The primary could.
             Err(_) if !void && !loads => self.lose_state(now),
             Ok(_) | Err(_) => {}

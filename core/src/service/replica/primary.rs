@@ -263,7 +263,7 @@ impl Replica {
         &mut self,
         (id, settled): (MessageId, u64),
         request: Bytes,
-        result: Result<Bytes, Why>,
+        result: Result<Bytes, DeliveryError>,
         state: Option<Bytes>,
         now: Instant,
     ) {
@@ -332,7 +332,7 @@ impl Replica {
             let outcome = match self.table.find(id) {
                 Some(served) => ServiceOutcome::Served(served.result.clone().map(Bytes::from)),
                 // Its caller has given it up meanwhile.
-                None => ServiceOutcome::Refused(Why::Expired),
+                None => ServiceOutcome::Refused(DeliveryError::Expired),
             };
             self.answer(caller, outcome);
         }

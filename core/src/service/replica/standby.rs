@@ -356,7 +356,7 @@ impl Replica {
     pub(super) fn note_late(
         &mut self,
         id: MessageId,
-        result: Result<Bytes, Why>,
+        result: Result<Bytes, DeliveryError>,
         state: Option<Bytes>,
     ) {
         if self.config.kind == StandbyKind::Cold {

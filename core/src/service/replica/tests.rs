@@ -206,7 +206,7 @@ impl Robot {
                 ReplicaOutput::Answer { caller, outcome } => {
                     let caller = &mut self.callers[caller as usize];
                     if let ServiceOutcome::Refused(why) = outcome {
-                        assert!(matches!(why, Why::ContractDiffers { .. }), "{why}");
+                        assert!(matches!(why, DeliveryError::ContractDiffers { .. }), "{why}");
                     } else if let ServiceOutcome::Served(result) = outcome {
                         let bytes = result.expect("counting does not fail");
                         let sum = u64::from_le_bytes(bytes[..].try_into().unwrap());

@@ -19,7 +19,7 @@ async fn in_its_second_epoch() -> (Robot, blastema::ServiceRef<Add>) {
 async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherwise() {
     for rule in [OnPartition::Stop, OnPartition::Continue] {
         let (mut robot, counter) = in_its_second_epoch().await;
-        assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+        assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
         let own = MEMBERS[robot.primary()];
         // Without a word.
         drop(robot.members.remove(robot.primary()));
@@ -46,13 +46,13 @@ async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherw
         };
         let (answer, ()) = tokio::join!(clone.ask(Add(1)), meanwhile);
         assert_eq!(
-            answer.map_err(|error| error.why),
+            answer.map_err(|error| error.kind),
             Ok(2),
             "{rule:?}, by {:?}",
             counter.primary()
         );
         for sum in 3..=100 {
-            let answer = clone.ask(Add(1)).await.map_err(|error| error.why);
+            let answer = clone.ask(Add(1)).await.map_err(|error| error.kind);
             assert_eq!(answer, Ok(sum), "{rule:?}, by {:?}", counter.primary());
             robot.asker.advance(5 * MS).await;
         }
@@ -62,15 +62,15 @@ async fn whoever_was_answered_is_not_answered_by_a_new_life_that_was_told_otherw
 #[blastema_testkit::test]
 async fn whoever_was_answered_follows_a_service_that_begins_again_as_a_whole() {
     let (mut robot, counter) = in_its_second_epoch().await;
-    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
     robot.members.clear();
     for own in MEMBERS {
         let again = node(own, &robot.medium).service(super::counter(StandbyKind::Warm));
         robot.members.push(TestNode::start(again).await);
     }
 
-    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.why), Ok(2));
+    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.kind), Ok(2));
     let asked_at = now();
-    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.why), Ok(4));
+    assert_eq!(counter.ask(Add(2)).await.map_err(|error| error.kind), Ok(4));
     assert!(now() - asked_at < 100 * MS, "{:?}", now() - asked_at);
 }

@@ -2,10 +2,10 @@
 
 use super::*;
 
-/// Its component dies until the node comes to safe rest.
+/// Its component dies until the node enters the safe state.
 async fn bring_to_rest(node: &TestNode) {
     for _ in 0..20 {
-        if matches!(node.state(), NodeState::AtRest { .. }) {
+        if matches!(node.state(), NodeState::InSafeState { .. }) {
             return;
         }
         let component = node.sender::<Add>("counter/replica").unwrap();

@@ -46,7 +46,7 @@ async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there
     robot.asker.advance(500 * MS).await;
     assert_eq!(row(&robot.members[last]).state, ServiceState::Resting);
     assert!(row(&robot.members[next]).unprotected);
-    let picture = robot.members[next].picture().await.to_json();
+    let picture = robot.members[next].snapshot().await.to_json();
     assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unprotected":true"#));
 }
 

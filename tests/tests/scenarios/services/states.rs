@@ -56,7 +56,7 @@ async fn a_request_that_makes_a_state_too_large_is_not_taken_however_far_it_goes
 
     for bytes in [3_500_000, 4_500_000] {
         let failed = hoard.ask(Keep(bytes)).await.unwrap_err();
-        assert_eq!(failed.why, Why::TooLarge { limit: 3 * 1024 * 1024 }, "{bytes}");
+        assert_eq!(failed.kind, DeliveryError::TooLarge { limit: 3 * 1024 * 1024 }, "{bytes}");
         assert_eq!(failed.outcome(), Outcome::NotTaken);
         assert_eq!(hoard.ask(Keep(3_000_000)).await.unwrap(), 3_000_000, "{bytes} were kept");
     }

@@ -84,7 +84,7 @@ async fn whoever_asks_a_disputed_service_is_told_at_the_deadline_why_and_what_to
     let refused = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
     let waited = now() - asked_at;
     assert!(waited >= 1000 * MS && waited < 1100 * MS, "it might have ended: {waited:?}");
-    let Why::ContractDiffers { difference } = &refused.why else { panic!("{refused}") };
+    let DeliveryError::ContractDiffers { difference } = &refused.kind else { panic!("{refused}") };
     assert!(difference.contains("its standbys are"), "{difference}");
     assert!(difference.contains("StandbyKind::Hot"), "{difference}");
 }
@@ -104,7 +104,7 @@ async fn whoever_means_another_contract_than_the_service_is_told_at_once() {
 
     let refused = counter.ask(AddParts { thousandths: 1 }).await.unwrap_err();
 
-    assert!(matches!(refused.why, Why::ContractDiffers { .. }), "{refused}");
+    assert!(matches!(refused.kind, DeliveryError::ContractDiffers { .. }), "{refused}");
     assert!(now() - asked_at < 100 * MS, "{:?}", now() - asked_at);
 }
 
@@ -129,7 +129,7 @@ async fn whoever_asks_while_nodes_are_at_odds_is_answered_when_they_agree() {
     };
     let (answered, ()) = tokio::join!(counter.ask_within(Add(1), 5000 * MS), meanwhile);
 
-    assert_eq!(answered.map_err(|error| error.why), Ok(1));
+    assert_eq!(answered.map_err(|error| error.kind), Ok(1));
     assert_eq!(add(&asker).await, Ok(2), "it took effect once");
 }
 
@@ -137,7 +137,7 @@ async fn whoever_asks_while_nodes_are_at_odds_is_answered_when_they_agree() {
 async fn where_somebody_may_have_begun_a_dispute_that_lasts_leaves_the_outcome_unknown() {
     let mut robot = Robot::start(StandbyKind::Warm).await;
     let counter = robot.asker.service::<Add>("counter").unwrap();
-    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.why), Ok(1));
+    assert_eq!(counter.ask(Add(1)).await.map_err(|error| error.kind), Ok(1));
     let first = robot.primary();
     robot.cut(first);
     for member in (0..3).filter(|member| *member != first) {
@@ -152,13 +152,13 @@ async fn where_somebody_may_have_begun_a_dispute_that_lasts_leaves_the_outcome_u
     // It asks whom it knows, and cannot know what became of it there.
     let failed = counter.ask_within(Add(1), 1000 * MS).await.unwrap_err();
 
-    let Why::OutcomeUnknown { reason } = &failed.why else { panic!("{failed}") };
+    let DeliveryError::OutcomeUnknown { reason } = &failed.kind else { panic!("{failed}") };
     assert!(reason.contains("its primary says hello every"), "{reason}");
 }
 
-async fn add(node: &TestNode) -> Result<u64, Why> {
+async fn add(node: &TestNode) -> Result<u64, DeliveryError> {
     let counter = node.service::<Add>("counter").unwrap();
-    counter.ask_within(Add(1), 500 * MS).await.map_err(|error| error.why)
+    counter.ask_within(Add(1), 500 * MS).await.map_err(|error| error.kind)
 }
 
 #[blastema_testkit::test]
@@ -271,7 +271,7 @@ async fn whoever_asks_while_a_list_is_changed_by_killing_node_after_node_is_answ
             let mut answers = vec![];
             for _ in 0..10 {
                 let answer = counter.ask_within(Add(1), 5000 * MS).await;
-                answers.push(answer.map_err(|error| error.why));
+                answers.push(answer.map_err(|error| error.kind));
             }
             answers
         };

@@ -8,8 +8,8 @@ fn everything_on_the_list_is_found_under_its_kind() {
     let reason = || "why".to_string();
     let cases: [(&str, Finding, FaultKind); 17] = [
         ("arm", exited(panicked()), FaultKind::Panic),
-        ("arm", exited(Exit::Returned), FaultKind::UnexpectedExit),
-        ("arm", exited(Exit::Aborted), FaultKind::UnexpectedExit),
+        ("arm", exited(ExitReason::Returned), FaultKind::UnexpectedExit),
+        ("arm", exited(ExitReason::Aborted), FaultKind::UnexpectedExit),
         ("arm", hangs(&[]), FaultKind::Hang),
         ("arm", Finding::Waits { during: "Scan", age }, FaultKind::Hang),
         ("arm", Finding::Stuck { oldest: age, queued: 3 }, FaultKind::Hang),
@@ -63,7 +63,7 @@ fn a_fault_that_is_found_again_is_told_in_its_newest_words() {
 #[test]
 fn what_is_no_fault_is_not_recorded() {
     let harmless = [
-        ("arm", exited(Exit::Stopped)),
+        ("arm", exited(ExitReason::Stopped)),
         ("arm", Finding::Spoke),
         ("arm", Finding::Resumed),
         ("arm", Finding::Flows),
@@ -94,7 +94,7 @@ fn a_life_that_ends_itself_is_missed_unless_it_was_known_to_end() {
         bench.see("arm", ONE, state(Lifecycle::Active));
         states.iter().for_each(|&to| bench.see("arm", ONE, state(to)));
 
-        bench.see("arm", ONE, exited(Exit::Returned));
+        bench.see("arm", ONE, exited(ExitReason::Returned));
 
         assert_eq!(bench.said(), ["Found 1", "+1"], "{states:?}");
         assert_eq!(bench.fault(1).kind, kind);

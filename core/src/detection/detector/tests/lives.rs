@@ -69,7 +69,8 @@ fn what_is_seen_of_an_older_life_is_ignored_and_counted() {
 
 #[test]
 fn a_life_that_was_over_already_ends_without_a_second_fault() {
-    for exit in [Exit::Returned, Exit::Fatal, Exit::Aborted, Exit::Stopped] {
+    for exit in [ExitReason::Returned, ExitReason::Fatal, ExitReason::Aborted, ExitReason::Stopped]
+    {
         let mut bench = Bench::new();
         bench.see("arm", ONE, state(Lifecycle::Fatal));
 

@@ -9,11 +9,15 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     bench.see("arm", ONE, exited(panicked()));
     bench.said();
 
-    let decided = Outcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
-    bench.detector.handle_outcome(FaultId(1), at(8), Outcome::Recovered);
-    bench.detector.handle_outcome(FaultId(1), at(9), Outcome::GaveUp { reason: "late".into() });
-    bench.detector.handle_outcome(FaultId(7), at(9), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
+    bench.detector.handle_outcome(
+        FaultId(1),
+        at(9),
+        RecoveryOutcome::GaveUp { reason: "late".into() },
+    );
+    bench.detector.handle_outcome(FaultId(7), at(9), RecoveryOutcome::Recovered);
 
     assert_eq!(bench.said(), ["Decided 1", "Recovered 1"]);
     let entry = &bench.entries()[0];
@@ -27,7 +31,11 @@ fn the_recoverer_s_word_is_recorded_and_told() {
 fn what_was_given_up_stays_latched_for_that_life_and_is_new_in_the_next() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, declared());
-    bench.detector.handle_outcome(FaultId(1), at(3), Outcome::GaveUp { reason: "no".into() });
+    bench.detector.handle_outcome(
+        FaultId(1),
+        at(3),
+        RecoveryOutcome::GaveUp { reason: "no".into() },
+    );
     bench.said();
 
     bench.see("arm", ONE, declared());
@@ -40,9 +48,9 @@ fn what_was_given_up_stays_latched_for_that_life_and_is_new_in_the_next() {
 fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_routed() {
     let mut bench = Bench::new();
     bench.see("-eth-n", Incarnation(0), down());
-    let decided = Outcome::Decided { measure: "re-route".into() };
+    let decided = RecoveryOutcome::Decided { measure: "re-route".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
-    bench.detector.handle_outcome(FaultId(1), at(8), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     assert_eq!(bench.said(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
 
     let entry = &bench.entries()[0];
@@ -63,7 +71,7 @@ fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_route
 fn a_restarted_component_is_recovered_and_repaired_at_once() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
-    bench.detector.handle_outcome(FaultId(1), at(8), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
 
     let entry = &bench.entries()[0];
     assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), Some(at(8))));
@@ -105,7 +113,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
     assert!(symptoms.count() >= deaths.len() - 3);
 
     let id = loops[0].fault.id.0;
-    let observed = Outcome::Decided { measure: "observe".into() };
+    let observed = RecoveryOutcome::Decided { measure: "observe".into() };
     bench.detector.handle_outcome(FaultId(id), bench.now, observed);
     assert_eq!(bench.said(), [format!("Decided {id}")]);
     assert!(bench.run_until(222_000 + 59_999).is_empty());
@@ -166,8 +174,8 @@ fn any_finding() -> impl Strategy<Value = Finding> {
     let age = Duration::from_millis(500);
     prop_oneof![
         Just(exited(panicked())),
-        Just(exited(Exit::Returned)),
-        Just(exited(Exit::Stopped)),
+        Just(exited(ExitReason::Returned)),
+        Just(exited(ExitReason::Stopped)),
         Just(Finding::Exited { exit: panicked(), restarted_as: Some(TWO) }),
         Just(silent()),
         Just(Finding::Spoke),

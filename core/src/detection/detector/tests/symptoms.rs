@@ -18,7 +18,7 @@ fn what_an_object_suffers_while_something_it_depends_on_is_down_is_a_symptom() {
 
 #[test]
 fn a_panic_and_a_hang_of_its_own_are_never_symptoms() {
-    for own in [exited(panicked()), exited(Exit::Returned), hangs(&[])] {
+    for own in [exited(panicked()), exited(ExitReason::Returned), hangs(&[])] {
         let mut bench = Bench::new();
         bench.depend("map", &["laser"]);
         bench.see("laser", ONE, exited(panicked()));
@@ -106,7 +106,7 @@ fn a_victim_that_is_lost_is_a_symptom_also_when_the_culprit_was_replaced_long_ag
     let mut bench = Bench::new();
     bench.depend("map", &[]);
     bench.see("laser", ONE, hangs(&["map"]));
-    bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(5), RecoveryOutcome::Recovered);
 
     bench.see("map", ONE, Finding::Lost { culprit: object("laser") });
 
@@ -118,7 +118,7 @@ fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_befor
     let mut bench = Bench::new();
     bench.depend("map", &[]);
     bench.see("laser", ONE, hangs(&["map"]));
-    bench.detector.handle_outcome(FaultId(1), at(5), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(5), RecoveryOutcome::Recovered);
 
     bench.see("map", ONE, silent());
 
@@ -130,13 +130,13 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
     let mut bench = Bench::new();
     bench.depend("map", &["laser"]);
     bench.see("laser", ONE, exited(panicked()));
-    let decided = Outcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.see("map", ONE, silent());
     bench.said();
     assert_eq!(bench.run_until(30_500), [""; 0]);
 
-    bench.detector.handle_outcome(FaultId(1), at(30_500), Outcome::Recovered);
+    bench.detector.handle_outcome(FaultId(1), at(30_500), RecoveryOutcome::Recovered);
 
     assert_eq!(bench.run_until(31_500), ["Recovered 1", "+2"]);
 }

@@ -23,7 +23,7 @@ impl Road {
         Road { world, kept, rounds, planner_speaks: false, beats: 3 }
     }
 
-    fn pass(&mut self, millis: u64) -> Vec<(u64, Sighting)> {
+    fn pass(&mut self, millis: u64) -> Vec<(u64, LivenessEvent)> {
         let mut seen = Vec::new();
         for _ in 0..millis / 10 {
             let look = self.world.now / 10;
@@ -44,13 +44,15 @@ impl Road {
     }
 }
 
-fn names(seen: &[(u64, Sighting)]) -> Vec<String> {
-    let text = |sighting: &Sighting| match sighting {
-        Sighting::Overloaded { object, victims, .. } => format!("{object} overloads {victims:?}"),
-        Sighting::Flows { object, .. } => format!("{object} flows"),
-        Sighting::Silent { object, .. } => format!("{object} is silent"),
-        Sighting::Spoke { object, .. } => format!("{object} spoke"),
-        Sighting::Stuck { object, .. } => format!("{object} is stuck"),
+fn names(seen: &[(u64, LivenessEvent)]) -> Vec<String> {
+    let text = |sighting: &LivenessEvent| match sighting {
+        LivenessEvent::Overloaded { object, victims, .. } => {
+            format!("{object} overloads {victims:?}")
+        }
+        LivenessEvent::Flows { object, .. } => format!("{object} flows"),
+        LivenessEvent::Silent { object, .. } => format!("{object} is silent"),
+        LivenessEvent::Spoke { object, .. } => format!("{object} spoke"),
+        LivenessEvent::Stuck { object, .. } => format!("{object} is stuck"),
         other => format!("{other:?}"),
     };
     seen.iter().map(|(_, sighting)| text(sighting)).collect()
@@ -68,7 +70,7 @@ fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_th
     let seen = road.pass(10_000);
 
     assert_eq!(names(&seen), [overloads()], "once");
-    let (when, Sighting::Overloaded { figures, .. }) = &seen[0] else { panic!("{seen:?}") };
+    let (when, LivenessEvent::Overloaded { figures, .. }) = &seen[0] else { panic!("{seen:?}") };
     assert!(*when <= 3000, "{when}");
     assert_eq!((figures.utilisation_percent, figures.queued, figures.oldest), (100, 7, ms(400)));
     assert!((14..=20).contains(&figures.missed_rounds), "16 of 50 each second: {figures:?}");
@@ -248,6 +250,6 @@ fn a_scanner_that_was_not_scheduled_counts_no_round_as_missed() {
 
     let seen = road.pass(10_000);
 
-    assert!(matches!(seen[..], [(_, Sighting::Stalled { .. })]), "{seen:?}");
+    assert!(matches!(seen[..], [(_, LivenessEvent::Stalled { .. })]), "{seen:?}");
     assert!(road.world.scanner.missed_rounds().all(|(_, missed)| missed <= 1));
 }

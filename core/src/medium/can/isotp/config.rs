@@ -1,7 +1,7 @@
 //! How messages are cut into frames, and how long everything may take.
 
 use super::super::frame::Format;
-use super::pdu::Separation;
+use super::pdu::SeparationTime;
 use std::time::Duration;
 
 /// How an [`IsoTp`](super::IsoTp) behaves. The times in brackets are called so in ISO 15765-2, which
@@ -25,7 +25,7 @@ pub struct IsoTpConfig {
     pub block_size: u8,
     /// The least time that our senders leave between frames (STmin). Larger spares a slow receiver, and
     /// slows every long message down.
-    pub separation: Separation,
+    pub separation: SeparationTime,
     /// The least time between frames to all nodes, whom nobody asks how fast they are.
     pub separation_to_all: Duration,
     /// How long a receiver may take for its word on how to go on (N_Bs). A node that is not there is
@@ -53,7 +53,7 @@ impl Default for IsoTpConfig {
             queue_messages: 64,
             receptions_max: 64,
             block_size: 0,
-            separation: Separation(0),
+            separation: SeparationTime(0),
             // Slower than a classic frame on a bus of 250 kbit/s, so that nobody's buffer overflows.
             separation_to_all: Duration::from_micros(500),
             // As the standard has them: shorter ones break transfers on a bus that is full for a while.

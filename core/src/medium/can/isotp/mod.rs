@@ -27,13 +27,15 @@ mod reception;
 mod transmission;
 
 pub use config::IsoTpConfig;
-pub use pdu::{FlowControl, FlowStatus, Pdu, PduError, SHORT_LENGTH_MAX, Separation, Writer};
-pub use reception::ReceiveError;
-pub use transmission::SendError;
+pub use pdu::{
+    FlowControl, FlowStatus, Pdu, PduError, PduWriter, SHORT_LENGTH_MAX, SeparationTime,
+};
+pub use reception::ReceptionError;
+pub use transmission::TransmissionError;
 
-use self::reception::{Heard, Reception, Terms};
-use self::transmission::{Audience, Transmission};
-use super::address::{Addressing, BusAddress, Parties};
+use self::reception::{FrameResult, Reception, ReceptionContext};
+use self::transmission::{TargetType, Transmission};
+use super::address::{AddressInfo, Addressing, BusAddress};
 use super::frame::CanFrame;
 use crate::{Instant, Machine};
 use bytes::Bytes;
@@ -42,7 +44,7 @@ use std::collections::{BTreeMap, VecDeque};
 /// Why a message is not taken to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum TakeError {
+pub enum EnqueueError {
     /// No node of this bus can have the address.
     #[error("no node on this bus can have the address {to}")]
     NoSuchAddress {
@@ -85,7 +87,7 @@ pub enum IsoTpOutput {
         /// To whom it should have gone.
         to: BusAddress,
         /// Why not.
-        error: SendError,
+        error: TransmissionError,
         /// How many others that waited for the same target are gone with it.
         with_it: u64,
     },
@@ -94,7 +96,7 @@ pub enum IsoTpOutput {
         /// From whom.
         from: BusAddress,
         /// Why not.
-        error: ReceiveError,
+        error: ReceptionError,
     },
     /// Another node speaks under our address, or the bus hands back what we said ourselves. What it says
     /// to all is received nevertheless, as from us.
@@ -104,7 +106,7 @@ pub enum IsoTpOutput {
 /// What came in and was no use, by its reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct IsoTpRefusals {
+pub struct IsoTpErrorCounts {
     /// Frames that ISO 15765-2 does not know.
     pub malformed: u64,
     /// Words on how to go on that nobody had asked for.
@@ -132,7 +134,7 @@ pub struct IsoTp {
     /// Whose frame went out last.
     last: BusAddress,
     room: bool,
-    refusals: IsoTpRefusals,
+    refusals: IsoTpErrorCounts,
     outputs: VecDeque<IsoTpOutput>,
 }
 
@@ -156,26 +158,26 @@ impl IsoTp {
             incoming: BTreeMap::new(),
             last: BusAddress::ALL,
             room: true,
-            refusals: IsoTpRefusals::default(),
+            refusals: IsoTpErrorCounts::default(),
             outputs: VecDeque::new(),
         })
     }
 
     /// What was refused so far.
-    pub fn refusals(&self) -> IsoTpRefusals {
+    pub fn refusals(&self) -> IsoTpErrorCounts {
         self.refusals
     }
 
     /// Takes a message to be sent.
     ///
     /// # Errors
-    /// [`TakeError`]; the message is dropped.
+    /// [`EnqueueError`]; the message is dropped.
     pub fn handle_message(
         &mut self,
         to: BusAddress,
         message: Bytes,
         now: Instant,
-    ) -> Result<(), TakeError> {
+    ) -> Result<(), EnqueueError> {
         self.take(to, message, false, now)
     }
 
@@ -183,13 +185,13 @@ impl IsoTp {
     /// room as for all others.
     ///
     /// # Errors
-    /// [`TakeError`]; the message is dropped.
+    /// [`EnqueueError`]; the message is dropped.
     pub fn handle_urgent(
         &mut self,
         to: BusAddress,
         message: Bytes,
         now: Instant,
-    ) -> Result<(), TakeError> {
+    ) -> Result<(), EnqueueError> {
         self.take(to, message, true, now)
     }
 
@@ -199,13 +201,13 @@ impl IsoTp {
         message: Bytes,
         urgent: bool,
         now: Instant,
-    ) -> Result<(), TakeError> {
+    ) -> Result<(), EnqueueError> {
         if to == self.own || to != BusAddress::ALL && !self.addressing.names(to) {
-            return Err(TakeError::NoSuchAddress { to });
+            return Err(EnqueueError::NoSuchAddress { to });
         }
         let (length, limit) = (message.len(), self.config.message_max);
         if length == 0 || length > limit {
-            return Err(TakeError::Length { length, limit });
+            return Err(EnqueueError::Length { length, limit });
         }
         let lane = self.outgoing.entry(to).or_default();
         if lane.current.is_none() {
@@ -214,7 +216,7 @@ impl IsoTp {
         }
         let queue = if urgent { &mut lane.urgent } else { &mut lane.waiting };
         if queue.len() >= self.config.queue_messages {
-            return Err(TakeError::Full { to });
+            return Err(EnqueueError::Full { to });
         }
         queue.push_back(message);
         Ok(())
@@ -223,7 +225,7 @@ impl IsoTp {
     /// A frame came from the bus.
     pub fn handle_frame(&mut self, frame: &CanFrame, now: Instant) {
         let parties = self.addressing.parties(frame.id()).filter(|_| !frame.is_remote());
-        let Some(Parties { source, target }) = parties else {
+        let Some(AddressInfo { source, target }) = parties else {
             self.refusals.foreign += 1;
             return;
         };
@@ -254,10 +256,10 @@ impl IsoTp {
 
     fn handle_content(&mut self, from: BusAddress, to_all: bool, pdu: Pdu<'_>, now: Instant) {
         let key = (from, to_all);
-        let audience = if to_all { Audience::All } else { Audience::One };
+        let audience = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
-        let terms = Terms { config: &self.config, room: self.room, now };
+        let terms = ReceptionContext { config: &self.config, room: self.room, now };
         let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
         let heard = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
@@ -265,12 +267,12 @@ impl IsoTp {
             Pdu::Consecutive { sequence, data } => {
                 reception.handle_consecutive(sequence, data, terms)
             }
-            Pdu::Flow(_) => Heard::default(),
+            Pdu::Flow(_) => FrameResult::default(),
         };
         if reception.is_idle() {
             self.incoming.remove(&key);
         }
-        let Heard { failed, message } = heard;
+        let FrameResult { failed, message } = heard;
         if let Some(error) = failed {
             self.fail(from, error);
         }
@@ -283,7 +285,7 @@ impl IsoTp {
     /// is in a single frame or under way already comes nevertheless.
     pub fn handle_room(&mut self, room: bool, now: Instant) {
         if room && !self.room {
-            let terms = Terms { config: &self.config, room, now };
+            let terms = ReceptionContext { config: &self.config, room, now };
             self.incoming.values_mut().for_each(|reception| reception.handle_room(terms));
         }
         self.room = room;
@@ -314,10 +316,10 @@ impl IsoTp {
     fn poll_answer(&mut self, now: Instant) -> Option<CanFrame> {
         let (&(source, to_all), reception) =
             self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
-        let id = self.addressing.id(Parties { source: self.own, target: source });
+        let id = self.addressing.id(AddressInfo { source: self.own, target: source });
         let id = id.expect("we and whoever speaks have addresses of this bus");
-        let writer = Writer { id, format: self.config.format, padding: self.config.padding };
-        let terms = Terms { config: &self.config, room: self.room, now };
+        let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
+        let terms = ReceptionContext { config: &self.config, room: self.room, now };
         let frame = reception.poll_frame(&writer, terms);
         if reception.is_idle() {
             self.incoming.remove(&(source, to_all));
@@ -337,9 +339,9 @@ impl IsoTp {
 
     fn poll_message(&mut self, now: Instant) -> Option<CanFrame> {
         let to = self.turn()?;
-        let id = self.addressing.id(Parties { source: self.own, target: to });
+        let id = self.addressing.id(AddressInfo { source: self.own, target: to });
         let id = id.expect("messages are taken for addresses of this bus only");
-        let writer = Writer { id, format: self.config.format, padding: self.config.padding };
+        let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
         let current = self.outgoing.get_mut(&to)?.current.as_mut()?;
         let frame = current.poll_frame(&writer, &self.config, now);
         self.last = to;
@@ -351,7 +353,7 @@ impl IsoTp {
     fn settle(&mut self, to: BusAddress, now: Instant) {
         let Some(lane) = self.outgoing.get_mut(&to) else { return };
         let Some(result) = lane.current.as_ref().and_then(Transmission::ended) else { return };
-        if matches!(result, Err(SendError::Unanswered | SendError::BusStuck)) {
+        if matches!(result, Err(TransmissionError::Unanswered | TransmissionError::BusStuck)) {
             let with_it = (lane.urgent.len() + lane.waiting.len()) as u64;
             let error = result.expect_err("it was one a moment ago");
             self.outgoing.remove(&to);
@@ -370,14 +372,14 @@ impl IsoTp {
         }
     }
 
-    fn fail(&mut self, from: BusAddress, error: ReceiveError) {
+    fn fail(&mut self, from: BusAddress, error: ReceptionError) {
         self.refusals.broken += 1;
         self.outputs.push_back(IsoTpOutput::NotReceived { from, error });
     }
 }
 
-fn audience(to: BusAddress) -> Audience {
-    if to == BusAddress::ALL { Audience::All } else { Audience::One }
+fn audience(to: BusAddress) -> TargetType {
+    if to == BusAddress::ALL { TargetType::All } else { TargetType::One }
 }
 
 impl Machine for IsoTp {
@@ -406,7 +408,7 @@ impl Machine for IsoTp {
             }
             self.settle(to, now);
         }
-        let terms = Terms { config: &self.config, room: self.room, now };
+        let terms = ReceptionContext { config: &self.config, room: self.room, now };
         let mut failed = Vec::new();
         self.incoming.retain(|(from, _), reception| {
             failed.extend(reception.handle_timeout(terms).map(|error| (*from, error)));

@@ -54,7 +54,7 @@ pub struct FlowControl {
     /// After so many frames the sender waits for the next word; 0 for never.
     pub block_size: u8,
     /// The least time between two frames.
-    pub separation: Separation,
+    pub separation: SeparationTime,
 }
 
 /// Whether the rest of a message is to be sent.
@@ -72,16 +72,16 @@ pub enum FlowStatus {
 
 /// STmin, the least time between two consecutive frames, as it is written in a byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Separation(pub u8);
+pub struct SeparationTime(pub u8);
 
-impl Separation {
+impl SeparationTime {
     /// The longest that can be written.
     const LONGEST: u8 = 0x7f;
 
     /// The least that is not below `span`: steps of 100 µs below a millisecond, of 1 ms up to 127.
     pub fn at_least(span: Duration) -> Self {
         let micros = span.as_micros();
-        Separation(match micros {
+        SeparationTime(match micros {
             0 => 0,
             1..=900 => 0xf0 + micros.div_ceil(100) as u8,
             901..=127_000 => micros.div_ceil(1000) as u8,
@@ -142,7 +142,7 @@ impl<'a> Pdu<'a> {
                     2 => FlowStatus::Overflow,
                     other => FlowStatus::Unknown(other),
                 };
-                let separation = Separation(separation);
+                let separation = SeparationTime(separation);
                 Ok(Pdu::Flow(FlowControl { status, block_size, separation }))
             }
             kind => Err(PduError::Kind { kind }),
@@ -187,7 +187,7 @@ impl<'a> Pdu<'a> {
 
 /// Writes frames to one target.
 #[derive(Clone, Copy, Debug)]
-pub struct Writer {
+pub struct PduWriter {
     /// What stands before the data.
     pub id: CanId,
     /// Classic or FD.
@@ -196,7 +196,7 @@ pub struct Writer {
     pub padding: Option<u8>,
 }
 
-impl Writer {
+impl PduWriter {
     /// The longest message that fits into a single frame.
     pub fn single_max(&self) -> usize {
         match self.format {
@@ -265,8 +265,8 @@ mod tests {
 
     const FD: Format = Format::Fd { fast: true };
 
-    fn writer(format: Format) -> Writer {
-        Writer { id: CanId::standard(1).unwrap(), format, padding: None }
+    fn writer(format: Format) -> PduWriter {
+        PduWriter { id: CanId::standard(1).unwrap(), format, padding: None }
     }
 
     #[test]
@@ -282,10 +282,10 @@ mod tests {
         let flow = FlowControl {
             status: FlowStatus::Wait,
             block_size: 8,
-            separation: Separation::at_least(Duration::from_millis(20)),
+            separation: SeparationTime::at_least(Duration::from_millis(20)),
         };
         assert_eq!(classic.flow(flow).data(), b"\x31\x08\x14");
-        let padded = Writer { padding: Some(0xaa), ..classic };
+        let padded = PduWriter { padding: Some(0xaa), ..classic };
         assert_eq!(padded.flow(flow).data(), b"\x31\x08\x14\xaa\xaa\xaa\xaa\xaa");
 
         let fd = writer(FD);
@@ -299,7 +299,7 @@ mod tests {
     fn what_is_written_is_read_back() {
         for format in [Format::Classic, FD] {
             for padding in [None, Some(0)] {
-                let writer = Writer { padding, ..writer(format) };
+                let writer = PduWriter { padding, ..writer(format) };
                 for length in 1..=writer.single_max() {
                     let message = vec![9; length];
                     let frame = writer.single(&message);
@@ -346,18 +346,18 @@ mod tests {
 
     #[test]
     fn a_separation_is_rounded_up_and_what_is_reserved_is_the_longest() {
-        let written = |span| Separation::at_least(span);
+        let written = |span| SeparationTime::at_least(span);
         let micros = Duration::from_micros;
-        assert_eq!(written(Duration::ZERO), Separation(0));
-        assert_eq!(written(micros(1)), Separation(0xf1));
-        assert_eq!(written(micros(900)), Separation(0xf9));
-        assert_eq!(written(micros(901)), Separation(1));
-        assert_eq!(written(micros(1001)), Separation(2));
-        assert_eq!(written(Duration::from_secs(9)), Separation(0x7f));
+        assert_eq!(written(Duration::ZERO), SeparationTime(0));
+        assert_eq!(written(micros(1)), SeparationTime(0xf1));
+        assert_eq!(written(micros(900)), SeparationTime(0xf9));
+        assert_eq!(written(micros(901)), SeparationTime(1));
+        assert_eq!(written(micros(1001)), SeparationTime(2));
+        assert_eq!(written(Duration::from_secs(9)), SeparationTime(0x7f));
         for byte in 0..=u8::MAX {
-            let span = Separation(byte).span();
+            let span = SeparationTime(byte).span();
             match byte {
-                0..=0x7f | 0xf1..=0xf9 => assert_eq!(written(span), Separation(byte)),
+                0..=0x7f | 0xf1..=0xf9 => assert_eq!(written(span), SeparationTime(byte)),
                 _ => assert_eq!(span, Duration::from_millis(127), "{byte:02x}"),
             }
         }

@@ -9,8 +9,8 @@
 //! ```
 
 use super::config::IsoTpConfig;
-use super::pdu::{FlowControl, FlowStatus, Writer};
-use super::transmission::Audience;
+use super::pdu::{FlowControl, FlowStatus, PduWriter};
+use super::transmission::TargetType;
 use crate::Instant;
 use crate::medium::can::CanFrame;
 use bytes::{Bytes, BytesMut};
@@ -18,7 +18,7 @@ use bytes::{Bytes, BytesMut};
 /// Why a message did not come in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum ReceiveError {
+pub enum ReceptionError {
     /// The sender began another message before this one was whole.
     #[error("the sender began anew before the message was whole")]
     Interrupted,
@@ -58,22 +58,22 @@ pub enum ReceiveError {
 
 /// What a frame led to.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct FrameResult {
     /// A message that will not come in any more, or a frame that belongs to none.
-    pub(super) failed: Option<ReceiveError>,
+    pub(super) failed: Option<ReceptionError>,
     /// A message that is whole.
     pub(super) message: Option<Bytes>,
 }
 
-impl Heard {
-    fn failure(error: ReceiveError) -> Self {
-        Heard { failed: Some(error), message: None }
+impl FrameResult {
+    fn failure(error: ReceptionError) -> Self {
+        FrameResult { failed: Some(error), message: None }
     }
 }
 
 /// What bears on a reception.
 #[derive(Clone, Copy)]
-pub(super) struct Terms<'a> {
+pub(super) struct ReceptionContext<'a> {
     pub(super) config: &'a IsoTpConfig,
     /// Whether whoever is to get the message could take one.
     pub(super) room: bool,
@@ -83,7 +83,7 @@ pub(super) struct Terms<'a> {
 /// What comes from one source.
 #[derive(Debug)]
 pub(super) struct Reception {
-    audience: Audience,
+    audience: TargetType,
     state: State,
 }
 
@@ -126,7 +126,7 @@ struct Partial {
 }
 
 impl Reception {
-    pub(super) fn new(audience: Audience) -> Self {
+    pub(super) fn new(audience: TargetType) -> Self {
         Reception { audience, state: State::Idle }
     }
 
@@ -136,9 +136,9 @@ impl Reception {
     }
 
     /// A whole message.
-    pub(super) fn handle_single(&mut self, data: &[u8]) -> Heard {
+    pub(super) fn handle_single(&mut self, data: &[u8]) -> FrameResult {
         let failed = self.interrupt();
-        Heard { failed, message: Some(Bytes::copy_from_slice(data)) }
+        FrameResult { failed, message: Some(Bytes::copy_from_slice(data)) }
     }
 
     /// The beginning of a message. `admitted` is whether there is a place for it.
@@ -147,18 +147,19 @@ impl Reception {
         length: u32,
         data: &[u8],
         admitted: bool,
-        terms: Terms<'_>,
-    ) -> Heard {
-        let Terms { config, now, .. } = terms;
+        terms: ReceptionContext<'_>,
+    ) -> FrameResult {
+        let ReceptionContext { config, now, .. } = terms;
         let interrupted = self.interrupt();
         let whole = length as usize;
         if whole > config.message_max || !admitted {
-            if self.audience == Audience::One {
+            if self.audience == TargetType::One {
                 self.state = State::Refusing { until: now + config.bus_timeout };
             }
             let long = whole > config.message_max;
-            let error = if long { ReceiveError::TooLong { length } } else { ReceiveError::TooMany };
-            return Heard::failure(error);
+            let error =
+                if long { ReceptionError::TooLong { length } } else { ReceptionError::TooMany };
+            return FrameResult::failure(error);
         }
         let mut bytes = BytesMut::with_capacity(whole);
         bytes.extend_from_slice(data);
@@ -166,13 +167,13 @@ impl Reception {
         let header = if whole > super::pdu::SHORT_LENGTH_MAX { 6 } else { 2 };
         let partial = Partial { bytes, length: whole, frame: data.len() + header, sequence: 1 };
         self.state = match self.audience {
-            Audience::One => answer(partial, 0, terms),
-            Audience::All => {
+            TargetType::One => answer(partial, 0, terms),
+            TargetType::All => {
                 let until = now + config.frame_timeout;
                 State::Receiving { partial, left_in_block: None, until }
             }
         };
-        Heard { failed: interrupted, message: None }
+        FrameResult { failed: interrupted, message: None }
     }
 
     /// More of a message.
@@ -180,29 +181,29 @@ impl Reception {
         &mut self,
         sequence: u8,
         data: &[u8],
-        terms: Terms<'_>,
-    ) -> Heard {
-        let Terms { config, now, .. } = terms;
+        terms: ReceptionContext<'_>,
+    ) -> FrameResult {
+        let ReceptionContext { config, now, .. } = terms;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
             // Nobody was told to go on. What is under way goes on when he is.
             other => {
                 self.state = other;
-                return Heard::failure(ReceiveError::Unexpected);
+                return FrameResult::failure(ReceptionError::Unexpected);
             }
         };
         let expected = partial.sequence;
         if sequence != expected {
-            return Heard::failure(ReceiveError::Sequence { expected, found: sequence });
+            return FrameResult::failure(ReceptionError::Sequence { expected, found: sequence });
         }
         let missing = partial.length - partial.bytes.len();
         if data.len() < missing && data.len() + 1 < partial.frame {
-            return Heard::failure(ReceiveError::ShortFrame);
+            return FrameResult::failure(ReceptionError::ShortFrame);
         }
         partial.bytes.extend_from_slice(&data[..data.len().min(missing)]);
         partial.sequence = (expected + 1) & 0x0f;
         if partial.bytes.len() == partial.length {
-            return Heard { failed: None, message: Some(partial.bytes.freeze()) };
+            return FrameResult { failed: None, message: Some(partial.bytes.freeze()) };
         }
         let left_in_block = left_in_block.map(|left| left - 1);
         self.state = if left_in_block == Some(0) {
@@ -210,11 +211,11 @@ impl Reception {
         } else {
             State::Receiving { partial, left_in_block, until: now + config.frame_timeout }
         };
-        Heard::default()
+        FrameResult::default()
     }
 
     /// There is room again: a sender that waits need not wait any longer.
-    pub(super) fn handle_room(&mut self, terms: Terms<'_>) {
+    pub(super) fn handle_room(&mut self, terms: ReceptionContext<'_>) {
         self.state = match std::mem::replace(&mut self.state, State::Idle) {
             State::Holding { partial, waits, .. } => answer(partial, waits, terms),
             other => other,
@@ -227,8 +228,12 @@ impl Reception {
     }
 
     /// Our word to the sender, if one is to go out now. It counts as sent.
-    pub(super) fn poll_frame(&mut self, writer: &Writer, terms: Terms<'_>) -> Option<CanFrame> {
-        let Terms { config, now, .. } = terms;
+    pub(super) fn poll_frame(
+        &mut self,
+        writer: &PduWriter,
+        terms: ReceptionContext<'_>,
+    ) -> Option<CanFrame> {
+        let ReceptionContext { config, now, .. } = terms;
         let (status, next) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Refusing { .. } => (FlowStatus::Overflow, State::Idle),
             State::Answering { partial, status: FlowStatus::Continue, .. } => {
@@ -260,17 +265,17 @@ impl Reception {
     }
 
     /// Gives up what takes too long.
-    pub(super) fn handle_timeout(&mut self, terms: Terms<'_>) -> Option<ReceiveError> {
-        let Terms { config, now, .. } = terms;
+    pub(super) fn handle_timeout(&mut self, terms: ReceptionContext<'_>) -> Option<ReceptionError> {
+        let ReceptionContext { config, now, .. } = terms;
         if self.poll_timeout().is_none_or(|due| due > now) {
             return None;
         }
         match std::mem::replace(&mut self.state, State::Idle) {
             State::Idle => None,
-            State::Answering { .. } | State::Refusing { .. } => Some(ReceiveError::BusStuck),
-            State::Receiving { .. } => Some(ReceiveError::Silent),
+            State::Answering { .. } | State::Refusing { .. } => Some(ReceptionError::BusStuck),
+            State::Receiving { .. } => Some(ReceptionError::Silent),
             State::Holding { waits, .. } if !terms.room && waits >= config.waits_max => {
-                Some(ReceiveError::NoRoom)
+                Some(ReceptionError::NoRoom)
             }
             State::Holding { partial, waits, .. } => {
                 self.state = answer(partial, waits, terms);
@@ -279,17 +284,17 @@ impl Reception {
         }
     }
 
-    fn interrupt(&mut self) -> Option<ReceiveError> {
+    fn interrupt(&mut self) -> Option<ReceptionError> {
         match std::mem::replace(&mut self.state, State::Idle) {
             State::Idle | State::Refusing { .. } => None,
             State::Answering { .. } | State::Holding { .. } | State::Receiving { .. } => {
-                Some(ReceiveError::Interrupted)
+                Some(ReceptionError::Interrupted)
             }
         }
     }
 }
 
-fn answer(partial: Partial, waits: u8, terms: Terms<'_>) -> State {
+fn answer(partial: Partial, waits: u8, terms: ReceptionContext<'_>) -> State {
     let status = if terms.room { FlowStatus::Continue } else { FlowStatus::Wait };
     State::Answering { partial, status, waits, until: terms.now + terms.config.bus_timeout }
 }

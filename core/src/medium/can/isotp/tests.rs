@@ -96,7 +96,7 @@ fn shape(received: &[(BusAddress, Bytes)]) -> Vec<(u8, usize)> {
 fn messages_of_every_length_arrive_over_both_formats_and_all_block_sizes() {
     for format in [Format::Classic, FD] {
         for (block_size, separation_ms) in [(0, 0), (1, 0), (8, 1), (255, 0)] {
-            let separation = Separation::at_least(Duration::from_millis(separation_ms));
+            let separation = SeparationTime::at_least(Duration::from_millis(separation_ms));
             let config = IsoTpConfig { block_size, separation, ..large(format) };
             let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
             let lengths = [1, 6, 7, 8, 9, 13, 14, 61, 62, 63, 64, 125, 126, 1000, 4095, 4096, 5000];
@@ -176,7 +176,7 @@ fn a_target_that_is_not_there_loses_what_waits_and_nobody_else_does() {
     bus.run();
 
     assert_eq!(bus.received(1).len(), 5);
-    let (to, error) = (BusAddress(9), SendError::Unanswered);
+    let (to, error) = (BusAddress(9), TransmissionError::Unanswered);
     assert!(bus.outputs.contains(&(0, IsoTpOutput::NotSent { to, error, with_it: 4 })));
     assert!(bus.now - at(1) < Duration::from_millis(1100), "the timeout is waited for once");
 }
@@ -190,7 +190,7 @@ fn a_bus_that_takes_no_frames_is_noticed() {
     assert_eq!(node.poll_timeout(), Some(at(1001)));
     node.handle_timeout(at(1001));
 
-    let (to, error) = (BusAddress(2), SendError::BusStuck);
+    let (to, error) = (BusAddress(2), TransmissionError::BusStuck);
     assert_eq!(node.poll_output(), Some(IsoTpOutput::NotSent { to, error, with_it: 1 }));
     assert_eq!((node.poll_frame(at(1001)), node.poll_timeout()), (None, None));
 }
@@ -201,13 +201,13 @@ fn what_cannot_be_sent_is_refused_with_the_reason() {
     let mut check = |to, length, expected| {
         assert_eq!(node.handle_message(BusAddress(to), message(length, 0), at(1)), expected);
     };
-    check(1, 5, Err(TakeError::NoSuchAddress { to: BusAddress(1) }));
-    check(2, 0, Err(TakeError::Length { length: 0, limit: 1024 }));
-    check(2, 1025, Err(TakeError::Length { length: 1025, limit: 1024 }));
+    check(1, 5, Err(EnqueueError::NoSuchAddress { to: BusAddress(1) }));
+    check(2, 0, Err(EnqueueError::Length { length: 0, limit: 1024 }));
+    check(2, 1025, Err(EnqueueError::Length { length: 1025, limit: 1024 }));
     check(2, 1024, Ok(())); // Under way.
     check(2, 1024, Ok(()));
     check(2, 1024, Ok(()));
-    check(2, 1024, Err(TakeError::Full { to: BusAddress(2) }));
+    check(2, 1024, Err(EnqueueError::Full { to: BusAddress(2) }));
     check(3, 1024, Ok(()));
     assert_eq!(node.handle_loss(), 4);
     assert!(IsoTp::new(BusAddress::ALL, Addressing::default(), IsoTpConfig::default()).is_none());
@@ -236,7 +236,7 @@ fn a_receiver_without_room_lets_its_sender_wait_and_go_on() {
 fn what_comes_in_wrong_is_counted_by_its_kind_and_harms_nothing() {
     let mut node = node(1, IsoTpConfig { receptions_max: 1, ..IsoTpConfig::default() });
     let mut hear = |from: u8, to: u8, data: &[u8]| {
-        let parties = Parties { source: BusAddress(from), target: BusAddress(to) };
+        let parties = AddressInfo { source: BusAddress(from), target: BusAddress(to) };
         let id = Addressing::default().id(parties).unwrap();
         node.handle_frame(&CanFrame::new(id, Format::Classic, data).unwrap(), at(1));
         std::iter::from_fn(|| node.poll_output()).collect::<Vec<_>>()
@@ -250,17 +250,17 @@ fn what_comes_in_wrong_is_counted_by_its_kind_and_harms_nothing() {
     assert_eq!(hear(1, 255, b"\x01a"), [IsoTpOutput::AddressTaken, from_us], "it may be a claim");
     assert_eq!(hear(2, 3, b"\x01a"), [], "others may talk");
     let from = BusAddress(2);
-    let unexpected = IsoTpOutput::NotReceived { from, error: ReceiveError::Unexpected };
+    let unexpected = IsoTpOutput::NotReceived { from, error: ReceptionError::Unexpected };
     assert_eq!(hear(2, 1, b"\x21abc"), [unexpected]);
     assert_eq!(hear(3, 1, b"\x10\x10abcdef"), []);
-    let many = IsoTpOutput::NotReceived { from, error: ReceiveError::TooMany };
+    let many = IsoTpOutput::NotReceived { from, error: ReceptionError::TooMany };
     assert_eq!(hear(2, 1, b"\x10\x10abcdef"), [many]);
     let foreign = CanFrame::new(CanId::standard(1).unwrap(), Format::Classic, b"\x01a").unwrap();
     node.handle_frame(&foreign, at(1));
-    let id = Addressing::default().id(Parties { source: from, target: BusAddress(1) }).unwrap();
+    let id = Addressing::default().id(AddressInfo { source: from, target: BusAddress(1) }).unwrap();
     node.handle_frame(&CanFrame::remote(id, 2).unwrap(), at(1));
 
-    let expected = IsoTpRefusals { malformed: 2, unasked: 2, forged: 2, broken: 2, foreign: 2 };
+    let expected = IsoTpErrorCounts { malformed: 2, unasked: 2, forged: 2, broken: 2, foreign: 2 };
     assert_eq!(node.refusals(), expected);
 }
 
@@ -303,7 +303,7 @@ fn any_config() -> impl Strategy<Value = IsoTpConfig> {
     (any::<bool>(), any::<u8>(), 0_u8..=3, any::<Option<u8>>()).prop_map(
         |(fd, block_size, separation, padding)| IsoTpConfig {
             block_size,
-            separation: Separation(separation),
+            separation: SeparationTime(separation),
             padding,
             ..large(if fd { FD } else { Format::Classic })
         },
@@ -361,7 +361,7 @@ proptest! {
             node.handle_timeout(now);
             let _ = node.handle_message(BusAddress(2), message(100, 0), now);
             let to = if from == 5 { BusAddress::ALL } else { BusAddress(1) };
-            let parties = Parties { source: BusAddress(from), target: to };
+            let parties = AddressInfo { source: BusAddress(from), target: to };
             let id = Addressing::default().id(parties).unwrap();
             if let Some(frame) = CanFrame::new(id, Format::Classic, &data) {
                 node.handle_frame(&frame, now);

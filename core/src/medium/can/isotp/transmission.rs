@@ -10,7 +10,7 @@
 //! ```
 
 use super::config::IsoTpConfig;
-use super::pdu::{FlowControl, FlowStatus, Separation, Writer};
+use super::pdu::{FlowControl, FlowStatus, PduWriter, SeparationTime};
 use crate::Instant;
 use crate::medium::can::CanFrame;
 use bytes::Bytes;
@@ -19,7 +19,7 @@ use std::time::Duration;
 /// Why a message did not go out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum SendError {
+pub enum TransmissionError {
     /// The receiver did not say how to go on: it is not there, or hangs.
     #[error("the receiver does not answer")]
     Unanswered,
@@ -39,7 +39,7 @@ pub enum SendError {
 
 /// Whether anybody says how to go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Audience {
+pub(super) enum TargetType {
     /// One receiver, who does.
     One,
     /// All nodes, of whom none may.
@@ -52,7 +52,7 @@ pub(super) struct Transmission {
     message: Bytes,
     sent: usize,
     sequence: u8,
-    audience: Audience,
+    audience: TargetType,
     /// How many frames may go out until the next word; `None` for any number.
     left_in_block: Option<u8>,
     separation: Duration,
@@ -68,13 +68,13 @@ enum State {
     /// The receiver is to say how to go on.
     Asking { until: Instant, waits: u8 },
     /// It is over.
-    Ended(Result<(), SendError>),
+    Ended(Result<(), TransmissionError>),
 }
 
 impl Transmission {
     pub(super) fn new(
         message: Bytes,
-        audience: Audience,
+        audience: TargetType,
         config: &IsoTpConfig,
         now: Instant,
     ) -> Self {
@@ -90,7 +90,7 @@ impl Transmission {
     }
 
     /// How it ended, once it has.
-    pub(super) fn ended(&self) -> Option<Result<(), SendError>> {
+    pub(super) fn ended(&self) -> Option<Result<(), TransmissionError>> {
         match self.state {
             State::Ended(result) => Some(result),
             _ => None,
@@ -112,13 +112,13 @@ impl Transmission {
                 State::Ready { until: now + config.bus_timeout }
             }
             FlowStatus::Wait if waits >= config.waits_max => {
-                State::Ended(Err(SendError::WaitedTooLong))
+                State::Ended(Err(TransmissionError::WaitedTooLong))
             }
             FlowStatus::Wait => {
                 State::Asking { until: now + config.flow_timeout, waits: waits + 1 }
             }
-            FlowStatus::Overflow => State::Ended(Err(SendError::Overflow)),
-            FlowStatus::Unknown(_) => State::Ended(Err(SendError::UnknownStatus)),
+            FlowStatus::Overflow => State::Ended(Err(TransmissionError::Overflow)),
+            FlowStatus::Unknown(_) => State::Ended(Err(TransmissionError::UnknownStatus)),
         };
         true
     }
@@ -131,7 +131,7 @@ impl Transmission {
     /// The next frame, if one is to go out now. It counts as sent.
     pub(super) fn poll_frame(
         &mut self,
-        writer: &Writer,
+        writer: &PduWriter,
         config: &IsoTpConfig,
         now: Instant,
     ) -> Option<CanFrame> {
@@ -152,7 +152,7 @@ impl Transmission {
         if let Some(left) = self.left_in_block.as_mut().filter(|_| !begins) {
             *left -= 1;
         }
-        let asks = begins && self.audience == Audience::One || self.left_in_block == Some(0);
+        let asks = begins && self.audience == TargetType::One || self.left_in_block == Some(0);
         self.state = if self.sent == self.message.len() {
             State::Ended(Ok(()))
         } else if asks {
@@ -176,10 +176,10 @@ impl Transmission {
     pub(super) fn handle_timeout(&mut self, config: &IsoTpConfig, now: Instant) {
         match self.state {
             State::Ready { until } if until <= now => {
-                self.state = State::Ended(Err(SendError::BusStuck));
+                self.state = State::Ended(Err(TransmissionError::BusStuck));
             }
             State::Asking { until, .. } if until <= now => {
-                self.state = State::Ended(Err(SendError::Unanswered));
+                self.state = State::Ended(Err(TransmissionError::Unanswered));
             }
             State::Paced { at } if at <= now => {
                 self.state = State::Ready { until: now + config.bus_timeout };
@@ -196,7 +196,7 @@ impl FlowControl {
             FlowStatus::Continue => {
                 FlowControl { status, block_size: config.block_size, separation: config.separation }
             }
-            _ => FlowControl { status, block_size: 0, separation: Separation(0) },
+            _ => FlowControl { status, block_size: 0, separation: SeparationTime(0) },
         }
     }
 }

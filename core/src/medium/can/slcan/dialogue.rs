@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!           a pause               done, or no answer          done, or no answer
-//! Closing ───────────► Setting ────────────────────► Opening ─────────────────► Open
+//! Closing ───────────► Setting ────────────────────► OpenedMedium ─────────────────► Open
 //!                         │ refused                     │ refused                 how is the bus?
 //!                         └──────────► Failed ◄─────────┘
 //! ```
@@ -13,7 +13,7 @@
 //! that died, is closed first, which an adapter that is closed refuses: whatever is heard in the pause
 //! after that says nothing.
 
-use super::{BitRate, Command, DataRate, Reply};
+use super::{AdapterCommand, AdapterReply, BitRate, DataRate};
 use crate::Instant;
 use crate::medium::can::{CanFrame, bits_on_bus};
 use std::time::Duration;
@@ -55,7 +55,7 @@ pub enum AdapterError {
 
 /// The machine of one adapter's state.
 #[derive(Debug)]
-pub struct Dialogue {
+pub struct AdapterControl {
     rate: BitRate,
     /// Where the bus has CAN FD.
     data_rate: Option<DataRate>,
@@ -99,10 +99,10 @@ enum Alarm {
     Told,
 }
 
-impl Dialogue {
+impl AdapterControl {
     /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN FD.
     pub fn new(rate: BitRate, data_rate: Option<DataRate>) -> Self {
-        Dialogue {
+        AdapterControl {
             rate,
             data_rate,
             state: State::Saying(Step::Close),
@@ -142,7 +142,7 @@ impl Dialogue {
     }
 
     /// The command that is to be written next, if any; it counts as written.
-    pub fn poll_command(&mut self, now: Instant) -> Option<Command> {
+    pub fn poll_command(&mut self, now: Instant) -> Option<AdapterCommand> {
         let step = match self.state {
             State::Saying(step) => step,
             State::Open => return self.ask(now),
@@ -151,15 +151,17 @@ impl Dialogue {
         let patience = if step == Step::Close { PAUSE } else { PATIENCE };
         self.state = State::Waiting { step, until: now + patience };
         Some(match step {
-            Step::Close => Command::Close,
-            Step::BitRate => Command::BitRate(self.rate),
+            Step::Close => AdapterCommand::Close,
+            Step::BitRate => AdapterCommand::BitRate(self.rate),
             // Without one there is no such step.
-            Step::DataRate => Command::DataRate(self.data_rate.unwrap_or(DataRate::TwoMegabit)),
-            Step::Open => Command::Open,
+            Step::DataRate => {
+                AdapterCommand::DataRate(self.data_rate.unwrap_or(DataRate::TwoMegabit))
+            }
+            Step::Open => AdapterCommand::Open,
         })
     }
 
-    fn ask(&mut self, now: Instant) -> Option<Command> {
+    fn ask(&mut self, now: Instant) -> Option<AdapterCommand> {
         let due = self.question?;
         if due > now {
             return None;
@@ -167,7 +169,7 @@ impl Dialogue {
         // One that answers nothing need not be asked for ever.
         self.question = (self.unanswered < QUESTIONS).then(|| now + ASKING);
         self.unanswered = self.unanswered.saturating_add(1);
-        self.question.map(|_| Command::Status)
+        self.question.map(|_| AdapterCommand::Status)
     }
 
     fn handle_status(&mut self, flags: &str) {
@@ -182,17 +184,17 @@ impl Dialogue {
     }
 
     /// The adapter has said something other than a frame.
-    pub fn handle_reply(&mut self, reply: &Reply) {
+    pub fn handle_reply(&mut self, reply: &AdapterReply) {
         let refused = match reply {
-            Reply::Refused => true,
-            Reply::Done | Reply::Sent => false,
-            Reply::Answer(text) => {
+            AdapterReply::Refused => true,
+            AdapterReply::Done | AdapterReply::Sent => false,
+            AdapterReply::Answer(text) => {
                 if let (State::Open, Some(flags)) = (self.state, text.strip_prefix('F')) {
                     self.handle_status(flags);
                 }
                 return;
             }
-            Reply::Frame { .. } => return,
+            AdapterReply::Frame { .. } => return,
         };
         match self.state {
             State::Waiting { step: Step::Close, .. } => {}
@@ -275,8 +277,8 @@ mod tests {
     }
 
     /// One in each of its states, entered at 0 ms.
-    fn all() -> [(&'static str, Dialogue); 8] {
-        let with = |state| Dialogue { state, ..Dialogue::new(rate(), None) };
+    fn all() -> [(&'static str, AdapterControl); 8] {
+        let with = |state| AdapterControl { state, ..AdapterControl::new(rate(), None) };
         let waiting = |step| with(State::Waiting { step, until: at(200) });
         [
             ("saying close", with(State::Saying(Step::Close))),
@@ -291,7 +293,7 @@ mod tests {
     }
 
     /// The states that each of the eight is in after an input.
-    fn check(input: impl Fn(&mut Dialogue), expected: [State; 8]) {
+    fn check(input: impl Fn(&mut AdapterControl), expected: [State; 8]) {
         for ((name, mut dialogue), expected) in all().into_iter().zip(expected) {
             input(&mut dialogue);
             assert_eq!(dialogue.state, expected, "{name}");
@@ -304,32 +306,37 @@ mod tests {
 
     #[test]
     fn an_adapter_that_answers_is_open_after_three_commands() {
-        let mut dialogue = Dialogue::new(rate(), None);
+        let mut dialogue = AdapterControl::new(rate(), None);
         let mut said = vec![];
 
         while !dialogue.is_open() {
             said.extend(dialogue.poll_command(at(1)));
             assert_eq!(dialogue.poll_command(at(1)), None, "one at a time");
-            dialogue.handle_reply(&Reply::Done);
+            dialogue.handle_reply(&AdapterReply::Done);
             dialogue.handle_timeout(at(21));
         }
 
-        assert_eq!(said, [Command::Close, Command::BitRate(rate()), Command::Open]);
+        assert_eq!(
+            said,
+            [AdapterCommand::Close, AdapterCommand::BitRate(rate()), AdapterCommand::Open]
+        );
     }
 
     #[test]
     fn every_reply_in_every_state() {
         let [close, pause, set, _, join, _, open, failed] = before();
-        for reply in [Reply::Done, Reply::Sent] {
+        for reply in [AdapterReply::Done, AdapterReply::Sent] {
             let expected = [close, pause, set, join, join, open, open, failed];
             check(|dialogue| dialogue.handle_reply(&reply), expected);
         }
         let rate_refused = State::Failed(AdapterError::BitRate { hz: 500_000 });
         let open_refused = State::Failed(AdapterError::Open);
         let expected = [close, pause, set, rate_refused, join, open_refused, open, failed];
-        check(|dialogue| dialogue.handle_reply(&Reply::Refused), expected);
+        check(|dialogue| dialogue.handle_reply(&AdapterReply::Refused), expected);
         let frame = CanFrame::remote(CanId::standard(1).unwrap(), 0).unwrap();
-        for reply in [Reply::Frame { frame, time_ms: None }, Reply::Answer("V1013".into())] {
+        for reply in
+            [AdapterReply::Frame { frame, time_ms: None }, AdapterReply::Answer("V1013".into())]
+        {
             check(|dialogue| dialogue.handle_reply(&reply), before());
         }
     }
@@ -375,8 +382,8 @@ mod tests {
     #[test]
     fn frames_that_are_refused_are_counted_and_commands_are_not() {
         for (name, mut dialogue) in all() {
-            dialogue.handle_reply(&Reply::Refused);
-            dialogue.handle_reply(&Reply::Sent);
+            dialogue.handle_reply(&AdapterReply::Refused);
+            dialogue.handle_reply(&AdapterReply::Sent);
             assert_eq!(dialogue.refused(), u64::from(name == "open"), "{name}");
         }
     }
@@ -386,34 +393,38 @@ mod tests {
         for (refuses, expected) in
             [(false, State::Open), (true, State::Failed(AdapterError::DataRate))]
         {
-            let mut dialogue = Dialogue::new(rate(), Some(DataRate::FiveMegabit));
+            let mut dialogue = AdapterControl::new(rate(), Some(DataRate::FiveMegabit));
             let mut said = vec![];
             for round in 0..4 {
                 said.extend(dialogue.poll_command(at(round)));
-                let refused =
-                    refuses && said.last() == Some(&Command::DataRate(DataRate::FiveMegabit));
-                dialogue.handle_reply(if refused { &Reply::Refused } else { &Reply::Done });
+                let refused = refuses
+                    && said.last() == Some(&AdapterCommand::DataRate(DataRate::FiveMegabit));
+                dialogue.handle_reply(if refused {
+                    &AdapterReply::Refused
+                } else {
+                    &AdapterReply::Done
+                });
                 dialogue.handle_timeout(at(30));
             }
 
-            assert_eq!(said[2], Command::DataRate(DataRate::FiveMegabit));
+            assert_eq!(said[2], AdapterCommand::DataRate(DataRate::FiveMegabit));
             assert_eq!(dialogue.state, expected);
         }
     }
 
-    fn open() -> Dialogue {
+    fn open() -> AdapterControl {
         let (_, dialogue) = all().into_iter().nth(6).unwrap();
         dialogue
     }
 
-    fn status(dialogue: &mut Dialogue, flags: &str) {
-        dialogue.handle_reply(&Reply::Answer(format!("F{flags}")));
+    fn status(dialogue: &mut AdapterControl, flags: &str) {
+        dialogue.handle_reply(&AdapterReply::Answer(format!("F{flags}")));
     }
 
     #[test]
     fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
         let mut dialogue = open();
-        let check = |dialogue: &mut Dialogue, flags: &str, told: bool| {
+        let check = |dialogue: &mut AdapterControl, flags: &str, told: bool| {
             status(dialogue, flags);
             assert_eq!(dialogue.poll_trouble(), told, "{flags}");
         };
@@ -429,21 +440,24 @@ mod tests {
 
     #[test]
     fn an_adapter_is_asked_ten_times_a_second_while_it_answers() {
-        let asked = |answer: Option<&Reply>| {
+        let asked = |answer: Option<&AdapterReply>| {
             let mut dialogue = open();
             let mut asked = 0;
             for millis in 0..1_000 {
                 if dialogue.poll_timeout().is_some_and(|due| due <= at(millis)) {
                     let command = dialogue.poll_command(at(millis));
-                    asked += command.iter().filter(|command| **command == Command::Status).count();
+                    asked += command
+                        .iter()
+                        .filter(|command| **command == AdapterCommand::Status)
+                        .count();
                     answer.into_iter().for_each(|answer| dialogue.handle_reply(answer));
                 }
             }
             assert_eq!(dialogue.refused(), 0);
             asked
         };
-        assert_eq!(asked(Some(&Reply::Answer("F00".into()))), 10);
-        assert_eq!(asked(Some(&Reply::Refused)), 1);
+        assert_eq!(asked(Some(&AdapterReply::Answer("F00".into()))), 10);
+        assert_eq!(asked(Some(&AdapterReply::Refused)), 1);
         assert_eq!(asked(None), 3);
     }
 }

@@ -19,7 +19,7 @@
 
 mod dialogue;
 
-pub use dialogue::{AdapterError, Dialogue};
+pub use dialogue::{AdapterControl, AdapterError};
 
 use super::frame::{CanFrame, CanId, FD_MAX, Format};
 
@@ -71,7 +71,7 @@ pub enum DataRate {
 
 /// What is said to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
+pub enum AdapterCommand {
     /// Leave the bus.
     Close,
     /// Join the bus.
@@ -94,7 +94,7 @@ pub enum Command {
 
 /// What an adapter says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Reply {
+pub enum AdapterReply {
     /// A frame came from the bus.
     Frame {
         /// Which.
@@ -114,7 +114,7 @@ pub enum Reply {
 
 /// Why a line says nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum LineError {
+pub enum ReplyError {
     /// No command or answer begins so.
     #[error("a line of SLCAN does not begin with {first:#04x}")]
     Kind {
@@ -129,20 +129,20 @@ pub enum LineError {
     Number,
 }
 
-impl Command {
+impl AdapterCommand {
     /// Writes it as a line.
     pub fn encode(&self, line: &mut Vec<u8>) {
         match self {
-            Command::Close => line.push(b'C'),
-            Command::Open => line.push(b'O'),
-            Command::Listen => line.push(b'L'),
-            Command::BitRate(BitRate(number)) => line.extend([b'S', b'0' + number]),
-            Command::DataRate(DataRate::TwoMegabit) => line.extend(b"Y2"),
-            Command::DataRate(DataRate::FiveMegabit) => line.extend(b"Y5"),
-            Command::Times(wanted) => line.extend([b'Z', b'0' + u8::from(*wanted)]),
-            Command::Version => line.push(b'V'),
-            Command::Status => line.push(b'F'),
-            Command::Send(frame) => put_frame(frame, line),
+            AdapterCommand::Close => line.push(b'C'),
+            AdapterCommand::Open => line.push(b'O'),
+            AdapterCommand::Listen => line.push(b'L'),
+            AdapterCommand::BitRate(BitRate(number)) => line.extend([b'S', b'0' + number]),
+            AdapterCommand::DataRate(DataRate::TwoMegabit) => line.extend(b"Y2"),
+            AdapterCommand::DataRate(DataRate::FiveMegabit) => line.extend(b"Y5"),
+            AdapterCommand::Times(wanted) => line.extend([b'Z', b'0' + u8::from(*wanted)]),
+            AdapterCommand::Version => line.push(b'V'),
+            AdapterCommand::Status => line.push(b'F'),
+            AdapterCommand::Send(frame) => put_frame(frame, line),
         }
         line.push(END);
     }
@@ -150,55 +150,55 @@ impl Command {
     /// Reads a line without its end, as an adapter does.
     ///
     /// # Errors
-    /// [`LineError`] for what adapters of this kind do not know.
-    pub fn decode(line: &[u8]) -> Result<Command, LineError> {
-        let (&first, rest) = line.split_first().ok_or(LineError::Length)?;
-        let none = |command| if rest.is_empty() { Ok(command) } else { Err(LineError::Length) };
+    /// [`ReplyError`] for what adapters of this kind do not know.
+    pub fn decode(line: &[u8]) -> Result<AdapterCommand, ReplyError> {
+        let (&first, rest) = line.split_first().ok_or(ReplyError::Length)?;
+        let none = |command| if rest.is_empty() { Ok(command) } else { Err(ReplyError::Length) };
         match first {
-            b'C' => none(Command::Close),
-            b'O' => none(Command::Open),
-            b'L' => none(Command::Listen),
-            b'V' => none(Command::Version),
-            b'F' => none(Command::Status),
+            b'C' => none(AdapterCommand::Close),
+            b'O' => none(AdapterCommand::Open),
+            b'L' => none(AdapterCommand::Listen),
+            b'V' => none(AdapterCommand::Version),
+            b'F' => none(AdapterCommand::Status),
             b'S' => match rest {
-                [number @ b'0'..=b'8'] => Ok(Command::BitRate(BitRate(number - b'0'))),
-                [_] => Err(LineError::Number),
-                _ => Err(LineError::Length),
+                [number @ b'0'..=b'8'] => Ok(AdapterCommand::BitRate(BitRate(number - b'0'))),
+                [_] => Err(ReplyError::Number),
+                _ => Err(ReplyError::Length),
             },
             b'Y' => match rest {
-                b"2" => Ok(Command::DataRate(DataRate::TwoMegabit)),
-                b"5" => Ok(Command::DataRate(DataRate::FiveMegabit)),
-                [_] => Err(LineError::Number),
-                _ => Err(LineError::Length),
+                b"2" => Ok(AdapterCommand::DataRate(DataRate::TwoMegabit)),
+                b"5" => Ok(AdapterCommand::DataRate(DataRate::FiveMegabit)),
+                [_] => Err(ReplyError::Number),
+                _ => Err(ReplyError::Length),
             },
             b'Z' => match rest {
-                b"0" => Ok(Command::Times(false)),
-                b"1" => Ok(Command::Times(true)),
-                [_] => Err(LineError::Number),
-                _ => Err(LineError::Length),
+                b"0" => Ok(AdapterCommand::Times(false)),
+                b"1" => Ok(AdapterCommand::Times(true)),
+                [_] => Err(ReplyError::Number),
+                _ => Err(ReplyError::Length),
             },
             _ => match read_frame(line)? {
-                (frame, []) => Ok(Command::Send(frame)),
-                _ => Err(LineError::Length),
+                (frame, []) => Ok(AdapterCommand::Send(frame)),
+                _ => Err(ReplyError::Length),
             },
         }
     }
 }
 
-impl Reply {
+impl AdapterReply {
     /// Writes it as a line, as an adapter does.
     pub fn encode(&self, line: &mut Vec<u8>) {
         match self {
-            Reply::Frame { frame, time_ms } => {
+            AdapterReply::Frame { frame, time_ms } => {
                 put_frame(frame, line);
                 if let Some(time) = time_ms {
                     put_hex((*time).into(), 4, line);
                 }
             }
-            Reply::Done => {}
-            Reply::Sent => line.push(b'z'),
-            Reply::Refused => return line.push(REFUSAL),
-            Reply::Answer(text) => line.extend(text.bytes()),
+            AdapterReply::Done => {}
+            AdapterReply::Sent => line.push(b'z'),
+            AdapterReply::Refused => return line.push(REFUSAL),
+            AdapterReply::Answer(text) => line.extend(text.bytes()),
         }
         line.push(END);
     }
@@ -206,25 +206,25 @@ impl Reply {
     /// Reads a line that ended well, without its end.
     ///
     /// # Errors
-    /// [`LineError`] for what no adapter says.
-    pub fn decode(line: &[u8]) -> Result<Reply, LineError> {
+    /// [`ReplyError`] for what no adapter says.
+    pub fn decode(line: &[u8]) -> Result<AdapterReply, ReplyError> {
         match line {
-            [] => Ok(Reply::Done),
-            b"z" | b"Z" => Ok(Reply::Sent),
+            [] => Ok(AdapterReply::Done),
+            b"z" | b"Z" => Ok(AdapterReply::Sent),
             [b'V' | b'v' | b'N' | b'F', rest @ ..] if rest.iter().all(u8::is_ascii_graphic) => {
-                Ok(Reply::Answer(line.iter().map(|byte| char::from(*byte)).collect()))
+                Ok(AdapterReply::Answer(line.iter().map(|byte| char::from(*byte)).collect()))
             }
             _ => {
                 let (frame, rest) = read_frame(line)?;
                 let time_ms = match rest {
                     [] => None,
                     digits if digits.len() == 4 => Some(read_hex(digits)? as u16),
-                    _ => return Err(LineError::Length),
+                    _ => return Err(ReplyError::Length),
                 };
                 if time_ms.is_some_and(|time| time >= MINUTE) {
-                    return Err(LineError::Number);
+                    return Err(ReplyError::Number);
                 }
-                Ok(Reply::Frame { frame, time_ms })
+                Ok(AdapterReply::Frame { frame, time_ms })
             }
         }
     }
@@ -232,7 +232,7 @@ impl Reply {
 
 /// How a line ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Line {
+pub enum LineEnd {
     /// As lines do.
     Whole(Vec<u8>),
     /// With a BEL: whatever stood before it is void.
@@ -241,31 +241,31 @@ pub enum Line {
 
 /// Parts a stream of bytes into lines.
 #[derive(Debug, Default)]
-pub struct Lines {
+pub struct LineSplitter {
     line: Vec<u8>,
     /// The line is too long: it is thrown away up to its end.
     lost: bool,
     refused: u64,
 }
 
-impl Lines {
+impl LineSplitter {
     /// How many lines were too long, or broken off.
     pub fn refused(&self) -> u64 {
         self.refused
     }
 
     /// One more byte came. Line feeds say nothing: some adapters end lines with both.
-    pub fn handle_byte(&mut self, byte: u8) -> Option<Line> {
+    pub fn handle_byte(&mut self, byte: u8) -> Option<LineEnd> {
         match byte {
             END => {
                 let line = std::mem::take(&mut self.line);
-                (!std::mem::take(&mut self.lost)).then_some(Line::Whole(line))
+                (!std::mem::take(&mut self.lost)).then_some(LineEnd::Whole(line))
             }
             REFUSAL => {
                 self.refused += u64::from(!self.line.is_empty());
                 self.line.clear();
                 self.lost = false;
-                Some(Line::Refusal)
+                Some(LineEnd::Refusal)
             }
             b'\n' => None,
             _ if self.lost => None,
@@ -285,18 +285,18 @@ impl Lines {
 
 /// Hears what an adapter says.
 #[derive(Debug, Default)]
-pub struct Listener {
-    lines: Lines,
+pub struct ReplyParser {
+    lines: LineSplitter,
     refused: u64,
 }
 
-impl Listener {
+impl ReplyParser {
     /// One more byte came from the adapter.
-    pub fn handle_byte(&mut self, byte: u8) -> Option<Reply> {
+    pub fn handle_byte(&mut self, byte: u8) -> Option<AdapterReply> {
         match self.lines.handle_byte(byte)? {
-            Line::Refusal => Some(Reply::Refused),
-            Line::Whole(line) => {
-                let reply = Reply::decode(&line).ok();
+            LineEnd::Refusal => Some(AdapterReply::Refused),
+            LineEnd::Whole(line) => {
+                let reply = AdapterReply::decode(&line).ok();
                 self.refused += u64::from(reply.is_none());
                 reply
             }
@@ -330,46 +330,46 @@ fn put_frame(frame: &CanFrame, line: &mut Vec<u8>) {
 }
 
 /// Reads a frame; what follows it is handed back.
-fn read_frame(line: &[u8]) -> Result<(CanFrame, &[u8]), LineError> {
-    let (&first, rest) = line.split_first().ok_or(LineError::Length)?;
+fn read_frame(line: &[u8]) -> Result<(CanFrame, &[u8]), ReplyError> {
+    let (&first, rest) = line.split_first().ok_or(ReplyError::Length)?;
     let (format, remote) = match first.to_ascii_lowercase() {
         b't' => (Format::Classic, false),
         b'r' => (Format::Classic, true),
         b'd' => (Format::Fd { fast: false }, false),
         b'b' => (Format::Fd { fast: true }, false),
-        _ => return Err(LineError::Kind { first }),
+        _ => return Err(ReplyError::Kind { first }),
     };
     let extended = first.is_ascii_uppercase();
     let (number, rest) = split(rest, if extended { 8 } else { 3 })?;
     let number = read_hex(number)?;
     let id = if extended { CanId::extended(number) } else { CanId::standard(number) };
-    let id = id.ok_or(LineError::Number)?;
+    let id = id.ok_or(ReplyError::Number)?;
     let (code, rest) = split(rest, 1)?;
     let code = read_hex(code)? as usize;
     let length = match code.checked_sub(9) {
         None => code,
-        Some(at) => *FD_CODES.get(at).ok_or(LineError::Number)?,
+        Some(at) => *FD_CODES.get(at).ok_or(ReplyError::Number)?,
     };
     if remote {
-        return Ok((CanFrame::remote(id, length).ok_or(LineError::Number)?, rest));
+        return Ok((CanFrame::remote(id, length).ok_or(ReplyError::Number)?, rest));
     }
     let (digits, rest) = split(rest, 2 * length)?;
     let mut bytes = [0; FD_MAX];
     for (byte, digits) in bytes.iter_mut().zip(digits.chunks(2)) {
         *byte = read_hex(digits)? as u8;
     }
-    let frame = CanFrame::new(id, format, &bytes[..length]).ok_or(LineError::Number)?;
+    let frame = CanFrame::new(id, format, &bytes[..length]).ok_or(ReplyError::Number)?;
     Ok((frame, rest))
 }
 
-fn split(bytes: &[u8], at: usize) -> Result<(&[u8], &[u8]), LineError> {
-    bytes.split_at_checked(at).ok_or(LineError::Length)
+fn split(bytes: &[u8], at: usize) -> Result<(&[u8], &[u8]), ReplyError> {
+    bytes.split_at_checked(at).ok_or(ReplyError::Length)
 }
 
 /// At most eight digits.
-fn read_hex(digits: &[u8]) -> Result<u32, LineError> {
+fn read_hex(digits: &[u8]) -> Result<u32, ReplyError> {
     digits.iter().try_fold(0, |number, digit| {
-        let digit = char::from(*digit).to_digit(16).ok_or(LineError::Number)?;
+        let digit = char::from(*digit).to_digit(16).ok_or(ReplyError::Number)?;
         Ok(number << 4 | digit)
     })
 }

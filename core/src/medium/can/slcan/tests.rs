@@ -13,111 +13,120 @@ fn frame(id: CanId, format: Format, data: &[u8]) -> CanFrame {
     CanFrame::new(id, format, data).unwrap()
 }
 
-fn hear(listener: &mut Listener, bytes: &[u8]) -> Vec<Reply> {
+fn hear(listener: &mut ReplyParser, bytes: &[u8]) -> Vec<AdapterReply> {
     bytes.iter().filter_map(|byte| listener.handle_byte(*byte)).collect()
 }
 
-fn came(frame: CanFrame) -> Reply {
-    Reply::Frame { frame, time_ms: None }
+fn came(frame: CanFrame) -> AdapterReply {
+    AdapterReply::Frame { frame, time_ms: None }
 }
 
 #[test]
 fn the_lines_are_those_of_the_adapters() {
-    let check = |command: Command, expected: &[u8]| {
+    let check = |command: AdapterCommand, expected: &[u8]| {
         let mut line = Vec::new();
         command.encode(&mut line);
         assert_eq!(line, expected, "{command:?}");
-        assert_eq!(Command::decode(&line[..line.len() - 1]), Ok(command));
+        assert_eq!(AdapterCommand::decode(&line[..line.len() - 1]), Ok(command));
     };
-    check(Command::Close, b"C\r");
-    check(Command::Open, b"O\r");
-    check(Command::Listen, b"L\r");
-    check(Command::BitRate(BitRate::of(10_000).unwrap()), b"S0\r");
-    check(Command::BitRate(BitRate::of(500_000).unwrap()), b"S6\r");
-    check(Command::DataRate(DataRate::TwoMegabit), b"Y2\r");
-    check(Command::DataRate(DataRate::FiveMegabit), b"Y5\r");
-    check(Command::Times(true), b"Z1\r");
-    check(Command::Times(false), b"Z0\r");
-    check(Command::Version, b"V\r");
-    check(Command::Status, b"F\r");
+    check(AdapterCommand::Close, b"C\r");
+    check(AdapterCommand::Open, b"O\r");
+    check(AdapterCommand::Listen, b"L\r");
+    check(AdapterCommand::BitRate(BitRate::of(10_000).unwrap()), b"S0\r");
+    check(AdapterCommand::BitRate(BitRate::of(500_000).unwrap()), b"S6\r");
+    check(AdapterCommand::DataRate(DataRate::TwoMegabit), b"Y2\r");
+    check(AdapterCommand::DataRate(DataRate::FiveMegabit), b"Y5\r");
+    check(AdapterCommand::Times(true), b"Z1\r");
+    check(AdapterCommand::Times(false), b"Z0\r");
+    check(AdapterCommand::Version, b"V\r");
+    check(AdapterCommand::Status, b"F\r");
     let fast = Format::Fd { fast: true };
     let slow = Format::Fd { fast: false };
-    check(Command::Send(frame(standard(0x123), Format::Classic, b"\x11\xab")), b"t123211AB\r");
-    check(Command::Send(frame(standard(0), Format::Classic, b"")), b"t0000\r");
-    check(Command::Send(CanFrame::remote(standard(0x7ff), 8).unwrap()), b"r7FF8\r");
-    check(Command::Send(frame(extended(0x18da_0201), Format::Classic, b"\x01")), b"T18DA0201101\r");
-    check(Command::Send(CanFrame::remote(extended(1), 0).unwrap()), b"R000000010\r");
-    check(Command::Send(frame(standard(1), slow, &[0; 12])), b"d0019000000000000000000000000\r");
-    check(Command::Send(frame(standard(1), fast, b"\xff")), b"b0011FF\r");
-    check(Command::Send(frame(extended(2), slow, b"")), b"D000000020\r");
-    check(Command::Send(frame(extended(2), fast, b"\x01\x02")), b"B0000000220102\r");
+    check(
+        AdapterCommand::Send(frame(standard(0x123), Format::Classic, b"\x11\xab")),
+        b"t123211AB\r",
+    );
+    check(AdapterCommand::Send(frame(standard(0), Format::Classic, b"")), b"t0000\r");
+    check(AdapterCommand::Send(CanFrame::remote(standard(0x7ff), 8).unwrap()), b"r7FF8\r");
+    check(
+        AdapterCommand::Send(frame(extended(0x18da_0201), Format::Classic, b"\x01")),
+        b"T18DA0201101\r",
+    );
+    check(AdapterCommand::Send(CanFrame::remote(extended(1), 0).unwrap()), b"R000000010\r");
+    check(
+        AdapterCommand::Send(frame(standard(1), slow, &[0; 12])),
+        b"d0019000000000000000000000000\r",
+    );
+    check(AdapterCommand::Send(frame(standard(1), fast, b"\xff")), b"b0011FF\r");
+    check(AdapterCommand::Send(frame(extended(2), slow, b"")), b"D000000020\r");
+    check(AdapterCommand::Send(frame(extended(2), fast, b"\x01\x02")), b"B0000000220102\r");
     let mut longest = Vec::new();
-    Command::Send(frame(extended(2), fast, &[7; 64])).encode(&mut longest);
+    AdapterCommand::Send(frame(extended(2), fast, &[7; 64])).encode(&mut longest);
     assert!(longest.starts_with(b"B00000002F0707") && longest.len() == LINE_MAX - 4 + 1);
 }
 
 #[test]
 fn an_adapters_replies_are_understood() {
-    let check = |line: &[u8], expected: Reply| {
-        let mut listener = Listener::default();
+    let check = |line: &[u8], expected: AdapterReply| {
+        let mut listener = ReplyParser::default();
         assert_eq!(hear(&mut listener, line), std::slice::from_ref(&expected), "{line:?}");
         let mut written = Vec::new();
         expected.encode(&mut written);
         assert_eq!(hear(&mut listener, &written), [expected]);
         assert_eq!(listener.refused(), 0);
     };
-    check(b"\r", Reply::Done);
-    check(b"\r\n", Reply::Done);
-    check(b"\x07", Reply::Refused);
-    check(b"z\r", Reply::Sent);
-    check(b"Z\r", Reply::Sent);
-    check(b"V1013\r", Reply::Answer("V1013".into()));
-    check(b"NA123\r", Reply::Answer("NA123".into()));
-    check(b"F00\r", Reply::Answer("F00".into()));
+    check(b"\r", AdapterReply::Done);
+    check(b"\r\n", AdapterReply::Done);
+    check(b"\x07", AdapterReply::Refused);
+    check(b"z\r", AdapterReply::Sent);
+    check(b"Z\r", AdapterReply::Sent);
+    check(b"V1013\r", AdapterReply::Answer("V1013".into()));
+    check(b"NA123\r", AdapterReply::Answer("NA123".into()));
+    check(b"F00\r", AdapterReply::Answer("F00".into()));
     check(b"t7e02aBCd\r", came(frame(standard(0x7e0), Format::Classic, b"\xab\xcd")));
     let timed = frame(standard(0x7e0), Format::Classic, b"\xab");
-    check(b"t7E01ABEA5F\r", Reply::Frame { frame: timed, time_ms: Some(59_999) });
+    check(b"t7E01ABEA5F\r", AdapterReply::Frame { frame: timed, time_ms: Some(59_999) });
     let asked = CanFrame::remote(extended(0x100), 4).unwrap();
-    check(b"R0000010040001\r", Reply::Frame { frame: asked, time_ms: Some(1) });
+    check(b"R0000010040001\r", AdapterReply::Frame { frame: asked, time_ms: Some(1) });
 }
 
 #[test]
 fn what_is_no_line_is_refused_with_the_reason() {
     let check = |line: &[u8], expected| {
-        assert_eq!(Reply::decode(line), Err(expected), "{line:?}");
+        assert_eq!(AdapterReply::decode(line), Err(expected), "{line:?}");
     };
-    check(b"?", LineError::Kind { first: b'?' });
-    check(b"\xff\x00", LineError::Kind { first: 0xff });
-    check(b"t", LineError::Length);
-    check(b"t12", LineError::Length);
-    check(b"t123", LineError::Length);
-    check(b"t1232A", LineError::Length);
-    check(b"t1232AABBC", LineError::Length);
-    check(b"t1232AABBEA60", LineError::Number); // A minute has 60,000 milliseconds.
-    check(b"t8000", LineError::Number);
-    check(b"T200000000", LineError::Number);
-    check(b"t12G0", LineError::Number);
-    check(b"t1231G0", LineError::Number);
-    check(b"t1239", LineError::Length);
-    check(b"t1239000000000000000000000000", LineError::Number); // Classic frames have 8 bytes.
-    check(b"r1239", LineError::Number);
-    check(b"V\x01", LineError::Kind { first: b'V' });
+    check(b"?", ReplyError::Kind { first: b'?' });
+    check(b"\xff\x00", ReplyError::Kind { first: 0xff });
+    check(b"t", ReplyError::Length);
+    check(b"t12", ReplyError::Length);
+    check(b"t123", ReplyError::Length);
+    check(b"t1232A", ReplyError::Length);
+    check(b"t1232AABBC", ReplyError::Length);
+    check(b"t1232AABBEA60", ReplyError::Number); // A minute has 60,000 milliseconds.
+    check(b"t8000", ReplyError::Number);
+    check(b"T200000000", ReplyError::Number);
+    check(b"t12G0", ReplyError::Number);
+    check(b"t1231G0", ReplyError::Number);
+    check(b"t1239", ReplyError::Length);
+    check(b"t1239000000000000000000000000", ReplyError::Number); // Classic frames have 8 bytes.
+    check(b"r1239", ReplyError::Number);
+    check(b"V\x01", ReplyError::Kind { first: b'V' });
     let command = |line: &[u8], expected| {
-        assert_eq!(Command::decode(line), Err(expected), "{line:?}");
+        assert_eq!(AdapterCommand::decode(line), Err(expected), "{line:?}");
     };
-    command(b"", LineError::Length);
-    command(b"O1", LineError::Length);
-    command(b"S", LineError::Length);
-    command(b"S9", LineError::Number);
-    command(b"Y3", LineError::Number);
-    command(b"Z2", LineError::Number);
-    command(b"Zz1", LineError::Length);
-    command(b"t12300001", LineError::Length);
+    command(b"", ReplyError::Length);
+    command(b"O1", ReplyError::Length);
+    command(b"S", ReplyError::Length);
+    command(b"S9", ReplyError::Number);
+    command(b"Y3", ReplyError::Number);
+    command(b"Z2", ReplyError::Number);
+    command(b"Zz1", ReplyError::Length);
+    command(b"t12300001", ReplyError::Length);
 }
 
 #[test]
 fn after_garbage_the_next_line_is_understood() {
-    let mut listener = Listener::default();
+    let mut listener = ReplyParser::default();
     let good = came(frame(standard(0x123), Format::Classic, b""));
 
     assert_eq!(hear(&mut listener, b"\x00\xff!!\rt1230\r"), std::slice::from_ref(&good));
@@ -128,7 +137,7 @@ fn after_garbage_the_next_line_is_understood() {
     assert_eq!(hear(&mut listener, b"t1230\rt1230\r"), std::slice::from_ref(&good));
     assert_eq!(listener.refused(), 2);
     // A refusal in the middle of a line voids it.
-    assert_eq!(hear(&mut listener, b"t12\x07t1230\r"), [Reply::Refused, good]);
+    assert_eq!(hear(&mut listener, b"t12\x07t1230\r"), [AdapterReply::Refused, good]);
     assert_eq!(listener.refused(), 3);
 }
 
@@ -150,10 +159,10 @@ proptest! {
     #[test]
     fn every_frame_is_read_back_with_its_time(frame in any_frame(), time in 0..MINUTE) {
         for time_ms in [None, Some(time)] {
-            let (reply, mut line) = (Reply::Frame { frame, time_ms }, Vec::new());
+            let (reply, mut line) = (AdapterReply::Frame { frame, time_ms }, Vec::new());
             reply.encode(&mut line);
             prop_assert!(line.len() <= LINE_MAX + 1);
-            prop_assert_eq!(hear(&mut Listener::default(), &line), vec![reply]);
+            prop_assert_eq!(hear(&mut ReplyParser::default(), &line), vec![reply]);
         }
     }
 
@@ -162,7 +171,7 @@ proptest! {
         garbage in prop::collection::vec(any::<u8>(), 0..400),
         frame in any_frame(),
     ) {
-        let mut listener = Listener::default();
+        let mut listener = ReplyParser::default();
         hear(&mut listener, &garbage);
         let mut line = vec![END];
         came(frame).encode(&mut line);

@@ -88,7 +88,7 @@ fn a_number_far_ahead_is_not_believed_and_a_passed_one_is_once_its_end_shows_tha
 
     // However it came about: the number that the other end has come to was believed to be passed.
     let heard = cable.ends[0].neighbour.as_mut().unwrap();
-    heard.arrivals = Arrivals::new(heard.arrivals.interval(), 1_000_000, at(cable.now));
+    heard.arrivals = ArrivalEstimator::new(heard.arrivals.interval(), 1_000_000, at(cable.now));
     cable.run_until(cable.now + 200);
 
     assert_eq!(cable.states(), [LinkState::Up; 2]);

@@ -17,8 +17,8 @@ struct Net {
     routers: BTreeMap<Who, Router>,
     /// Who has a cable to whom; its number on one's side says who is at the other.
     cables: BTreeSet<(Who, Who)>,
-    numbers: BTreeMap<(Who, &'static str), LinkNumber>,
-    wire: Vec<(Who, LinkNumber, bytes::Bytes)>,
+    numbers: BTreeMap<(Who, &'static str), LinkId>,
+    wire: Vec<(Who, LinkId, bytes::Bytes)>,
     told: Vec<String>,
 }
 
@@ -32,12 +32,12 @@ impl Net {
     }
 
     /// A link is one cable's, whichever life is at its other end.
-    fn number(&mut self, own: Who, far: &'static str) -> LinkNumber {
-        let next = LinkNumber(self.numbers.len() as u16);
+    fn number(&mut self, own: Who, far: &'static str) -> LinkId {
+        let next = LinkId(self.numbers.len() as u16);
         *self.numbers.entry((own, far)).or_insert(next)
     }
 
-    fn link(&mut self, own: Who, far: Who, health: Health) {
+    fn link(&mut self, own: Who, far: Who, health: LinkHealth) {
         let number = self.number(own, far.0);
         let neighbour =
             Neighbour { node: NodeName::new(far.0).unwrap(), incarnation: Incarnation(far.1) };
@@ -55,14 +55,14 @@ impl Net {
             self.routers.entry((name, life)).or_insert_with(|| Router::new(config, now));
         }
         self.cables.extend([(a, b), (b, a)]);
-        self.link(a, b, Health::Up);
-        self.link(b, a, Health::Up);
+        self.link(a, b, LinkHealth::Up);
+        self.link(b, a, LinkHealth::Up);
     }
 
     fn unplug(&mut self, a: Who, b: Who) {
         self.cables.retain(|cable| *cable != (a, b) && *cable != (b, a));
-        self.link(a, b, Health::Down);
-        self.link(b, a, Health::Down);
+        self.link(a, b, LinkHealth::Down);
+        self.link(b, a, LinkHealth::Down);
     }
 
     fn kill(&mut self, who: Who) {
@@ -259,8 +259,8 @@ fn whoever_disputes_and_defends_all_the_time_is_not_answered_each_time() {
     let mut said = 0;
     for n in 0..1_000_u64 {
         let contender =
-            Stamp { origin: NodeId::of(&node), incarnation: Incarnation(9), sequence: 0 };
-        let dispute = Routing::Dispute { contender, node: node.clone() }.encode();
+            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(9), sequence: 0 };
+        let dispute = RoutingMessage::Dispute { contender, node: node.clone() }.encode();
         let router = net.routers.get_mut(&A).unwrap();
         router.handle_routing(link, dispute, net.now + MS * (n as u32 / 10));
         said += std::iter::from_fn(|| router.poll_output()).count();
@@ -271,7 +271,7 @@ fn whoever_disputes_and_defends_all_the_time_is_not_answered_each_time() {
     for n in 0..1_000 {
         let node = NodeName::new(&format!("n{n}")).unwrap();
         let contender =
-            Stamp { origin: NodeId::of(&node), incarnation: Incarnation(9), sequence: 0 };
+            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(9), sequence: 0 };
         router.handle_dispute(link, contender, node);
     }
     assert!(router.disputes.len() <= 256);

@@ -2,7 +2,7 @@
 
 use super::*;
 
-const THIRD: LinkNumber = LinkNumber(2);
+const THIRD: LinkId = LinkId(2);
 
 fn copy_to(destination: &str, hops: u8, copy: u8, relays: &[&str]) -> Packet {
     let relays = relays.iter().map(|relay| id(relay)).collect();
@@ -10,7 +10,7 @@ fn copy_to(destination: &str, hops: u8, copy: u8, relays: &[&str]) -> Packet {
     Packet { payload, ..packet_to(destination, hops) }
 }
 
-fn sent(router: &mut Router) -> Vec<(LinkNumber, Packet)> {
+fn sent(router: &mut Router) -> Vec<(LinkId, Packet)> {
     let outputs = std::iter::from_fn(|| router.poll_output());
     let packets = outputs.map(|output| match output {
         RouterOutput::Packet { link, packet } => {
@@ -21,13 +21,13 @@ fn sent(router: &mut Router) -> Vec<(LinkNumber, Packet)> {
     packets.collect()
 }
 
-fn come(router: &mut Router, packet: &Packet) -> Vec<(LinkNumber, Packet)> {
+fn come(router: &mut Router, packet: &Packet) -> Vec<(LinkId, Packet)> {
     router.handle_packet(FIRST, packet.encode(), at(1020));
     sent(router)
 }
 
-fn copies_to(router: &mut Router, destination: &str) -> Vec<(LinkNumber, Payload)> {
-    router.handle_copies(id(destination), Class::Data, &"segment".into());
+fn copies_to(router: &mut Router, destination: &str) -> Vec<(LinkId, Payload)> {
+    router.handle_copies(id(destination), PacketPriority::Data, &"segment".into());
     sent(router).into_iter().map(|(link, packet)| (link, packet.payload)).collect()
 }
 
@@ -65,7 +65,7 @@ fn where_there_is_one_way_only_routes_are_followed() {
     let copies = copies_to(&mut router, "far");
 
     assert_eq!(copies, [(FIRST, Payload::Segment(Bytes::from_static(b"segment").into()))]);
-    router.handle_copies(id("nobody"), Class::Data, &Bytes::new().into());
+    router.handle_copies(id("nobody"), PacketPriority::Data, &Bytes::new().into());
     assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
 }
 
@@ -130,10 +130,10 @@ fn copies_that_must_pass_the_same_two_nodes_take_different_cables_between_them()
         })
     };
 
-    assert_eq!(links(Health::Up, b"small"), [Some(SECOND), Some(THIRD)]);
-    assert_eq!(links(Health::Suspect, b"small"), [Some(THIRD); 2]);
-    assert_eq!(links(Health::Up, &[0; MTU_MIN]), [Some(SECOND); 2]);
-    assert_eq!(links(Health::Down, &[0; MTU_MIN]), [None; 2]);
+    assert_eq!(links(LinkHealth::Up, b"small"), [Some(SECOND), Some(THIRD)]);
+    assert_eq!(links(LinkHealth::Suspect, b"small"), [Some(THIRD); 2]);
+    assert_eq!(links(LinkHealth::Up, &[0; MTU_MIN]), [Some(SECOND); 2]);
+    assert_eq!(links(LinkHealth::Down, &[0; MTU_MIN]), [None; 2]);
 }
 
 #[test]
@@ -146,7 +146,7 @@ fn a_way_that_is_too_small_or_longer_than_a_packet_may_go_is_left_out() {
     outputs(&mut router, 1030);
     assert_eq!(copies_to(&mut router, "far").len(), 2);
 
-    router.handle_copies(id("far"), Class::Data, &segment.clone().into());
+    router.handle_copies(id("far"), PacketPriority::Data, &segment.clone().into());
 
     let packet = Payload::Segment(segment.clone().into());
     assert_eq!(sent(&mut router).into_iter().map(|(_, p)| p.payload).collect::<Vec<_>>(), [packet]);

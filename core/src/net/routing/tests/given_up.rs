@@ -2,7 +2,7 @@
 
 use super::*;
 
-fn given_up(router: &mut Router, now: u64) -> Vec<LinkNumber> {
+fn given_up(router: &mut Router, now: u64) -> Vec<LinkId> {
     let told = outputs(router, now).into_iter();
     told.filter_map(|told| match told {
         RouterOutput::GivenUp { link } => Some(link),
@@ -11,7 +11,7 @@ fn given_up(router: &mut Router, now: u64) -> Vec<LinkNumber> {
     .collect()
 }
 
-fn say(router: &mut Router, link: LinkNumber, said: &Routing) {
+fn say(router: &mut Router, link: LinkId, said: &RoutingMessage) {
     router.handle_routing(link, said.encode(), at(1020));
 }
 
@@ -57,22 +57,20 @@ fn what_is_not_announced_yet_was_not_given_up_and_neither_is_what_there_was_no_r
 #[test]
 fn of_several_links_to_one_neighbour_the_one_that_it_names_is_given_up() {
     let mut router = router();
-    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkNumber(2), "right")] {
+    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkId(2), "right")] {
         router.handle_link(link, up(node, 1), at(1000));
     }
     let told = outputs(&mut router, 1010);
     for link in [FIRST, SECOND] {
-        let bytes = Routing::Numbered(link).encode();
+        let bytes = RoutingMessage::Numbered(link).encode();
         assert!(told.contains(&RouterOutput::Routing { link, bytes }), "we say what we call it");
     }
 
-    say(&mut router, SECOND, &Routing::GaveUp(FIRST));
+    say(&mut router, SECOND, &RoutingMessage::GaveUp(FIRST));
     assert_eq!(given_up(&mut router, 1020), [FIRST]);
     // Not by others, not of others' links, of none, or by the link itself.
-    for (by, link) in
-        [(LinkNumber(2), FIRST), (FIRST, LinkNumber(2)), (FIRST, LinkNumber(9)), (FIRST, FIRST)]
-    {
-        say(&mut router, by, &Routing::GaveUp(link));
+    for (by, link) in [(LinkId(2), FIRST), (FIRST, LinkId(2)), (FIRST, LinkId(9)), (FIRST, FIRST)] {
+        say(&mut router, by, &RoutingMessage::GaveUp(link));
     }
     assert_eq!(given_up(&mut router, 1020), []);
     assert_eq!(router.refusals().unexpected, 3);
@@ -81,15 +79,15 @@ fn of_several_links_to_one_neighbour_the_one_that_it_names_is_given_up() {
 #[test]
 fn a_link_that_is_down_is_named_as_the_neighbour_calls_it() {
     let mut router = router();
-    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkNumber(2), "right")] {
+    for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkId(2), "right")] {
         router.handle_link(link, up(node, 1), at(1000));
     }
-    say(&mut router, FIRST, &Routing::Numbered(LinkNumber(77)));
+    say(&mut router, FIRST, &RoutingMessage::Numbered(LinkId(77)));
     outputs(&mut router, 1020);
 
-    router.handle_link(FIRST, LinkStatus { health: Health::Down, ..up("left", 1) }, at(1030));
+    router.handle_link(FIRST, LinkStatus { health: LinkHealth::Down, ..up("left", 1) }, at(1030));
 
-    let bytes = Routing::GaveUp(LinkNumber(77)).encode();
+    let bytes = RoutingMessage::GaveUp(LinkId(77)).encode();
     let said = outputs(&mut router, 1030).into_iter();
     let said =
         said.filter(|told| matches!(told, RouterOutput::Routing { bytes: b, .. } if *b == bytes));

@@ -8,7 +8,7 @@
 //! Ways after the second share nothing with any other, or are left out.
 
 use super::Topology;
-use crate::net::routing::LinkNumber;
+use crate::net::routing::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{COPIES_MAX, RELAYS_MAX};
 use std::cmp::Reverse;
@@ -24,11 +24,11 @@ const PAIR: usize = 2;
 
 /// One way to a node.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Way {
+pub(crate) struct DisjointPath {
     /// The sum of the costs of its links.
     pub(crate) cost: u64,
     /// The link that it begins with.
-    pub(crate) link: LinkNumber,
+    pub(crate) link: LinkId,
     /// The nodes that it passes.
     pub(crate) relays: Vec<NodeId>,
     /// The largest frame that it carries, in bytes.
@@ -37,7 +37,7 @@ pub(crate) struct Way {
 
 impl Topology<'_> {
     /// Ways to `to`, the cheapest first.
-    pub(crate) fn ways(&self, to: NodeId) -> Vec<Way> {
+    pub(crate) fn ways(&self, to: NodeId) -> Vec<DisjointPath> {
         let mut flow = Flow::of(self, to);
         let mut found = 0;
         while found < COPIES_MAX {
@@ -72,7 +72,7 @@ struct Arc {
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
     /// Ours, with which a way begins.
-    link: Option<LinkNumber>,
+    link: Option<LinkId>,
     cost: u16,
     mtu: u16,
 }
@@ -186,8 +186,8 @@ impl Flow {
     }
 
     /// Takes one way out of what was found. It passes no vertex twice: a circle would only cost.
-    fn take_way(&mut self) -> Option<Way> {
-        let mut way = Way { cost: 0, link: LinkNumber(0), relays: Vec::new(), mtu: u16::MAX };
+    fn take_way(&mut self) -> Option<DisjointPath> {
+        let mut way = DisjointPath { cost: 0, link: LinkId(0), relays: Vec::new(), mtu: u16::MAX };
         let mut at = self.source;
         while at != self.sink {
             let taken = |number: &&usize| number.is_multiple_of(2) && !self.arcs[**number].open;

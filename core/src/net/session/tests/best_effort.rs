@@ -53,7 +53,7 @@ fn a_best_effort_message_of_too_many_pieces_is_refused_and_no_piece_is_larger_th
     };
 
     let refused = send(limit + 1).unwrap_err();
-    assert_eq!(refused.0, Why::TooLargeForSession { limit });
+    assert_eq!(refused.0, DeliveryError::TooLargeForSession { limit });
     assert_eq!(refused.1.len(), limit + 1);
 
     send(limit).unwrap();

@@ -100,10 +100,10 @@ fn a_full_stream_says_so_then_refuses_then_has_room_again() {
         pair.send(0, text("x"));
     }
     let refused = pair.ends[0].handle_send(Stream::Data, text("x"), at(pair.now));
-    let full = Why::WayFull { node: "right".into(), bulk: false };
+    let full = DeliveryError::WayFull { node: "right".into(), bulk: false };
     assert_eq!(refused, Err((full, text("x"))));
     pair.run(1);
-    let (stream, load) = (Stream::Data, Load::Small);
+    let (stream, load) = (Stream::Data, SizeClass::Small);
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
     pair.lose = Box::new(|_, _| false);
@@ -120,12 +120,12 @@ fn bulk_that_fills_its_room_leaves_what_is_small_its_own_and_all_arrive_in_order
     let (image, now) = (Bytes::from(vec![7; 1 << 20]), at(pair.now));
     let sent = (0..100).map(|_| pair.ends[0].handle_send(Stream::Data, image.clone(), now));
     let images = sent.take_while(Result::is_ok).count();
-    let order = Bytes::from(vec![8; Load::SMALL_MAX]);
+    let order = Bytes::from(vec![8; SizeClass::SMALL_MAX]);
     for _ in 0..200 {
         pair.send(0, order.clone());
     }
     pair.drain();
-    let (stream, load) = (Stream::Data, Load::Bulk);
+    let (stream, load) = (Stream::Data, SizeClass::Bulk);
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
     assert_eq!(images, 8, "what is on its way when it is said has room as well");
 
@@ -144,7 +144,7 @@ fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
     for _ in 0..3 {
         pair.send(0, image.clone());
     }
-    let (stream, load) = (Stream::Data, Load::Bulk);
+    let (stream, load) = (Stream::Data, SizeClass::Bulk);
     pair.drain();
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
@@ -167,7 +167,7 @@ fn bulk_has_room_again_although_small_messages_never_end() {
     for _ in 0..3000 {
         pair.send(0, text("reading"));
     }
-    let (stream, load) = (Stream::Data, Load::Bulk);
+    let (stream, load) = (Stream::Data, SizeClass::Bulk);
     pair.drain();
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
@@ -186,7 +186,7 @@ fn a_message_larger_than_the_limit_is_refused_before_it_is_sent() {
     let limit = pair.ends[0].config.message_max;
     let huge = Bytes::from(vec![0; limit + 1]);
     let refused = pair.ends[0].handle_send(Stream::Data, huge, at(pair.now)).unwrap_err();
-    assert_eq!(refused.0, Why::TooLargeForSession { limit });
+    assert_eq!(refused.0, DeliveryError::TooLargeForSession { limit });
 }
 
 #[test]

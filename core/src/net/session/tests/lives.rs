@@ -15,7 +15,7 @@ fn a_restarted_peer_is_a_new_session_and_the_old_ones_messages_come_back() {
     pair.ends[1].handle_path(1389, at(pair.now));
     pair.run(30);
 
-    let why = Why::PeerDied { incarnation: Incarnation(1) };
+    let why = DeliveryError::PeerDied { incarnation: Incarnation(1) };
     let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: why.clone() };
     assert_eq!(pair.take(0), [returned(text("a"), &why), ended, opened(2)]);
     assert_eq!(pair.take(1), [opened(1)]);
@@ -31,7 +31,7 @@ fn the_routers_word_of_a_new_life_ends_the_session_before_the_peer_says_anything
     pair.ends[0].handle_incarnation(Incarnation(2), at(pair.now));
     pair.drain();
 
-    let why = Why::PeerDied { incarnation: Incarnation(1) };
+    let why = DeliveryError::PeerDied { incarnation: Incarnation(1) };
     assert_eq!(pair.take(0), [SessionOutput::Ended { incarnation: Incarnation(1), why }]);
 }
 
@@ -87,7 +87,7 @@ fn what_was_said_to_an_earlier_session_is_never_taken_for_the_present_one() {
 fn a_session_that_lost_its_memory_makes_both_ends_begin_anew() {
     let mut pair = Pair::open();
 
-    pair.ends[0].handle_begin_anew(at(pair.now));
+    pair.ends[0].handle_restart(at(pair.now));
     pair.run(30);
 
     for end in 0..2 {
@@ -124,8 +124,8 @@ fn a_close_delivers_what_was_sent_and_ends_both() {
     let refused = pair.ends[0].handle_send(Stream::Data, text("c"), at(pair.now));
     pair.run(50);
 
-    assert_eq!(refused, Err((Why::Stopped, text("c"))));
-    let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: Why::Stopped };
+    assert_eq!(refused, Err((DeliveryError::Stopped, text("c"))));
+    let ended = SessionOutput::Ended { incarnation: Incarnation(1), why: DeliveryError::Stopped };
     assert_eq!(pair.take(1), [message(text("a")), message(text("b")), ended.clone()]);
     assert_eq!(pair.take(0), [ended]);
     assert!(pair.ends[0].is_closed());
@@ -147,7 +147,7 @@ fn another_version_is_told_once_and_nothing_opens() {
     let mut session = Session::new(config("left", 1, "right"), at(0));
     session.handle_path(1389, at(0));
     // Before 2, nothing came between the parts of a large message: such a node would end session after session.
-    let open = Open { version: 1, tag: 1, echo: 0, incarnation: Incarnation(1), number: 1 };
+    let open = OpenSegment { version: 1, tag: 1, echo: 0, incarnation: Incarnation(1), number: 1 };
 
     for _ in 0..3 {
         session.handle_segment(Segment::Open(open).encode(), at(1));
@@ -187,7 +187,7 @@ fn what_a_machine_holds_that_is_replaced_says_whether_it_was_sent() {
     pair.drain();
     pair.send(0, text("not sent"));
 
-    let held = pair.ends[0].surrender();
+    let held = pair.ends[0].take_unacknowledged();
 
     let sent = [("sent", true), ("not sent", false)];
     assert_eq!(held, sent.map(|(message, sent)| (Stream::Data, text(message), sent)));
@@ -201,7 +201,7 @@ fn a_forged_session_does_not_end_the_present_one_and_a_true_one_does() {
     }
     let forged = |incarnation, number| {
         let incarnation = Incarnation(incarnation);
-        let open = Open { version: VERSION, tag: 99, echo: 0, incarnation, number };
+        let open = OpenSegment { version: VERSION, tag: 99, echo: 0, incarnation, number };
         Segment::Open(open).encode()
     };
     for segment in [forged(1, u32::MAX), forged(u64::MAX, 1), forged(2, 1)] {

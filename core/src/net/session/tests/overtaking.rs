@@ -3,8 +3,8 @@
 use super::*;
 use crate::ObjectName;
 
-fn strand(object: &str) -> Strand {
-    Strand::to(&ObjectName::new(object).unwrap())
+fn strand(object: &str) -> OrderingKey {
+    OrderingKey::to(&ObjectName::new(object).unwrap())
 }
 
 fn send_to(pair: &mut Pair, object: &str, message: Bytes) {

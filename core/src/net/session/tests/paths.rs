@@ -196,9 +196,12 @@ fn a_line_whose_frames_take_longer_than_any_answer_before_repeats_little_until_i
 #[test]
 fn whoever_cannot_be_reached_because_packets_come_back_is_told_why_and_what_to_do() {
     let cases = [
-        (Undelivered::NoRoute, None),
-        (Undelivered::TooManyHops, Some("too many nodes have passed it on; the path is too long")),
-        (Undelivered::TooLarge, Some("larger than the next link can carry; let the links")),
+        (UndeliveredReason::NoRoute, None),
+        (
+            UndeliveredReason::TooManyHops,
+            Some("too many nodes have passed it on; the path is too long"),
+        ),
+        (UndeliveredReason::TooLarge, Some("larger than the next link can carry; let the links")),
     ];
     for (reason, expected) in cases {
         let mut pair = Pair::open();
@@ -213,8 +216,8 @@ fn whoever_cannot_be_reached_because_packets_come_back_is_told_why_and_what_to_d
             _ => None,
         });
         match (ended.expect("the session ends"), expected) {
-            (Why::Unreachable { .. }, None) => {}
-            (Why::Undelivered { node, reason }, Some(expected)) => {
+            (DeliveryError::Unreachable { .. }, None) => {}
+            (DeliveryError::Undelivered { node, reason }, Some(expected)) => {
                 assert_eq!(node, "right");
                 assert!(reason.contains(expected), "{reason}");
             }
@@ -230,7 +233,7 @@ fn over_9600_baud_what_is_small_does_not_wait_for_the_rest_of_what_is_large() {
     pair.connect_over(85);
     pair.run(1000);
     pair.take(1);
-    let [camera, motor] = ["camera", "motor"].map(|name| Strand::to(&name.parse().unwrap()));
+    let [camera, motor] = ["camera", "motor"].map(|name| OrderingKey::to(&name.parse().unwrap()));
     let image = Bytes::from(vec![7; 12_000]);
     let now = at(pair.now);
     pair.ends[0].handle_send_along((Stream::Data, camera), image.clone(), now).unwrap();

@@ -6,12 +6,12 @@ use super::*;
 fn one_restart_too_many_ends_everything_and_escalates() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     for life in 1..=3 {
-        rig.restart("b", Cause::Died, life);
+        rig.restart("b", ReplacementCause::Died, life);
         rig.started("b", life + 1);
     }
 
-    assert_eq!(rig.restart("b", Cause::Died, 4), ["stop c"]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), [""; 0]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 4), ["stop c"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), [""; 0]);
     assert_eq!(rig.stopped("c", 1), ["stop a"]);
     assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s"]);
 
@@ -24,7 +24,7 @@ fn one_restart_too_many_ends_everything_and_escalates() {
 #[test]
 fn the_end_of_the_root_is_the_end_of_hope() {
     let rules = SupervisorRules { root: true, intensity: 0, ..together() };
-    let mut machine = Supervision::new(rules);
+    let mut machine = Supervisor::new(rules);
     let now = Instant::from_millis(1);
     machine.add_child(name("a"), permanent(), now).expect("a free name");
     let mut rig = Rig { machine, now, tickets: 0 };
@@ -32,14 +32,14 @@ fn the_end_of_the_root_is_the_end_of_hope() {
     rig.started("a", 1);
 
     assert_eq!(
-        rig.restart("a", Cause::Died, 1),
+        rig.restart("a", ReplacementCause::Died, 1),
         [
             "give up: a needed more than 0 restarts in 60s",
             "escalate: a needed more than 0 restarts in 60s",
             "1 gave a up: given up: a needed more than 0 restarts in 60s"
         ]
     );
-    assert!(rig.restart("a", Cause::Died, 1)[0].starts_with("2 gave a up"));
+    assert!(rig.restart("a", ReplacementCause::Died, 1)[0].starts_with("2 gave a up"));
 }
 
 #[test]
@@ -47,7 +47,10 @@ fn old_restarts_are_forgotten() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
     for life in 1..=20 {
-        assert_eq!(rig.restart("b", Cause::Died, life), [format!("start b #{}", life + 1)]);
+        assert_eq!(
+            rig.restart("b", ReplacementCause::Died, life),
+            [format!("start b #{}", life + 1)]
+        );
         rig.started("b", life + 1);
         rig.pass(21);
     }

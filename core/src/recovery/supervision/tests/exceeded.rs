@@ -20,17 +20,17 @@ fn essential() -> ChildRules {
 #[test]
 fn each_child_has_a_count_of_its_own() {
     let mut rig = apart(1, &[("a", permanent()), ("b", permanent())]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
     rig.started("a", 2);
 
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #2"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #2"]);
     rig.started("b", 2);
     let refused = "3 gave a up: it is not restarted any more: \
                    a needed more than 1 restarts in 60s";
-    assert_eq!(rig.restart("a", Cause::Died, 2), [refused]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 2), [refused]);
 
     assert_eq!((rig.state("a"), rig.state("b")), (ChildState::Failed, ChildState::Running));
-    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "4 let a go"]);
+    assert_eq!(rig.rest("a", ReplacementCause::Faulty), ["isolate a", "4 let a go"]);
     assert_eq!(rig.state("a"), ChildState::Resting);
 }
 
@@ -38,7 +38,7 @@ fn each_child_has_a_count_of_its_own() {
 fn one_that_could_still_be_asked_is_left_to_the_next_measure() {
     let mut rig = apart(0, &[("a", permanent())]);
 
-    let refused = rig.restart("a", Cause::Faulty, 1);
+    let refused = rig.restart("a", ReplacementCause::Faulty, 1);
 
     assert_eq!(refused.len(), 1, "it is not stopped: {refused:?}");
     assert_eq!(rig.state("a"), ChildState::Running);
@@ -47,16 +47,16 @@ fn one_that_could_still_be_asked_is_left_to_the_next_measure() {
 #[test]
 fn a_child_is_worth_a_restart_again_as_its_window_moves() {
     let mut rig = apart(1, &[("a", permanent())]);
-    rig.restart("a", Cause::Died, 1);
+    rig.restart("a", ReplacementCause::Died, 1);
     rig.started("a", 2);
     for _ in 0..5 {
-        let refused = rig.restart("a", Cause::Died, 2);
+        let refused = rig.restart("a", ReplacementCause::Died, 2);
         assert!(refused[0].contains("not restarted any more"), "{refused:?}");
     }
 
     rig.pass(61);
 
-    assert_eq!(rig.restart("a", Cause::Died, 2), ["start a #3"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 2), ["start a #3"]);
 }
 
 #[test]
@@ -77,18 +77,22 @@ fn a_standing_order_draws_from_the_childs_own_count() {
 #[test]
 fn an_essential_child_takes_its_supervisor_along() {
     let mut rig = apart(0, &[("a", essential()), ("b", permanent())]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["stop b"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop b"]);
     let escalates = ["escalate: a needed more than 0 restarts in 60s"];
     assert_eq!(rig.stopped("b", 1), escalates);
 
     let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
-    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "stop a", "stop b"], "for a fault");
+    assert_eq!(
+        rig.rest("a", ReplacementCause::Faulty),
+        ["isolate a", "stop a", "stop b"],
+        "for a fault"
+    );
     assert_eq!(rig.stopped("a", 1), ["1 let a go"]);
-    let escalates = ["escalate: a is essential, and was put to safe rest"];
+    let escalates = ["escalate: a is essential, and was put into the safe state"];
     assert_eq!(rig.stopped("b", 1), escalates);
 
     let mut rig = apart(3, &[("a", essential()), ("b", permanent())]);
-    rig.rest("a", Cause::Asked);
+    rig.rest("a", ReplacementCause::Asked);
     assert_eq!(rig.stopped("a", 1), ["1 let a go"], "as a person wished");
     assert_eq!(rig.state("b"), ChildState::Running);
 }
@@ -102,7 +106,7 @@ fn who_depend_on_each_other_escalate_together() {
         rig.started("a", 1);
         rig.started("b", 1);
 
-        assert_eq!(rig.restart("a", Cause::Died, 1), ["stop b"]);
+        assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop b"]);
         let escalates = rig.stopped("b", 1);
         assert!(escalates[0].starts_with("escalate: a needed"), "{escalates:?}");
     }
@@ -116,15 +120,19 @@ fn a_group_of_which_a_member_cannot_be_started_escalates() {
     rig.begin();
     rig.start_failed("a", 1);
     let escalates = ["isolate a", "escalate: a could not be started, and others depend on it"];
-    assert_eq!(rig.rest("a", Cause::Faulty)[..2], escalates);
+    assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..2], escalates);
 
     let mut rig = Rig::serving(Strategy::RestForOne);
-    assert_eq!(rig.rest("a", Cause::Faulty), ["isolate a", "stop a"], "at work, as the plan says");
+    assert_eq!(
+        rig.rest("a", ReplacementCause::Faulty),
+        ["isolate a", "stop a"],
+        "at work, as the plan says"
+    );
     let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
     rig.begin();
     rig.start_failed("a", 1);
     let without = ["isolate a", "start b #1", "1 let a go"];
-    assert_eq!(rig.rest("a", Cause::Faulty), without, "they do without each other");
+    assert_eq!(rig.rest("a", ReplacementCause::Faulty), without, "they do without each other");
 }
 
 #[test]
@@ -145,14 +153,17 @@ fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
     let mut rig = Rig::with(Strategy::OneForAll, 0, &[("a", permanent())]);
     rig.begin();
     rig.started("a", 1);
-    let escalated = rig.restart("a", Cause::Died, 1);
+    let escalated = rig.restart("a", ReplacementCause::Died, 1);
     assert_eq!(escalated, ["escalate: a needed more than 0 restarts in 60s"], "its next life says");
 
     assert_eq!(rig.end(), ["all stopped"]);
     rig.machine.handle_retired();
 
     assert_eq!(rig.said(), ["1 gave a up: its supervisor is not at work"]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
+    assert_eq!(
+        rig.restart("a", ReplacementCause::Died, 1),
+        ["2 gave a up: its supervisor is not at work"]
+    );
 }
 
 #[test]
@@ -162,7 +173,7 @@ fn a_thousand_children_that_fail_at_once_are_all_replaced() {
     let mut rig = apart(3, &children);
 
     for name in &names {
-        assert_eq!(rig.restart(name, Cause::Died, 1), [format!("start {name} #2")]);
+        assert_eq!(rig.restart(name, ReplacementCause::Died, 1), [format!("start {name} #2")]);
     }
     for (at, name) in names.iter().enumerate() {
         assert_eq!(rig.started(name, 2), [format!("{} recovered {name} #2", at + 1)]);

@@ -5,10 +5,10 @@ use super::*;
 #[test]
 fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Died, 1);
 
     assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #3"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
 
@@ -19,9 +19,9 @@ fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
     rig.begin();
 
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
     assert_eq!(rig.start_failed("a", 2), ["1 gave a up: its next life did not start: no device"]);
-    assert_eq!(rig.rest("a", Cause::Died), ["isolate a", "start b #1", "2 let a go"]);
+    assert_eq!(rig.rest("a", ReplacementCause::Died), ["isolate a", "start b #1", "2 let a go"]);
     assert_eq!(rig.started("b", 1), ["all started"]);
     assert_eq!(rig.state("a"), ChildState::Resting);
 }
@@ -29,7 +29,7 @@ fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
 #[test]
 fn a_start_that_takes_too_long_is_given_up_and_declared() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Died, 1);
     assert_eq!(rig.machine.poll_timeout(), Some(rig.now + Duration::from_secs(5)));
 
     assert_eq!(rig.pass(4), [""; 0]);
@@ -42,7 +42,7 @@ fn a_start_that_takes_too_long_is_given_up_and_declared() {
         ]
     );
     assert_eq!(rig.started("b", 2), [""; 0]);
-    assert_eq!(rig.restart("b", Cause::Died, 2), ["start b #3"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 2), ["start b #3"]);
 }
 
 #[test]
@@ -59,18 +59,18 @@ fn a_child_that_does_not_stop_in_time_is_given_up() {
 #[test]
 fn a_fault_of_an_earlier_life_is_answered_by_the_present_one() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Died, 1);
 
-    assert_eq!(rig.restart("b", Cause::Stuck, 1), [""; 0]);
+    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 1), [""; 0]);
     assert_eq!(rig.started("b", 2), ["1 recovered b #2", "2 recovered b #2"]);
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["3 recovered b #2"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["3 recovered b #2"]);
     assert_eq!(rig.machine.restarts_left(rig.now), 2);
 }
 
 #[test]
 fn reports_of_an_earlier_life_change_nothing() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Stuck, 1);
+    rig.restart("b", ReplacementCause::Stuck, 1);
 
     assert_eq!(rig.started("b", 1), [""; 0]);
     assert_eq!(rig.start_failed("b", 1), [""; 0]);
@@ -88,7 +88,7 @@ fn a_death_is_noted_and_waits_for_the_recoverer() {
 
     assert_eq!(rig.died("b", 1), [""; 0]);
     assert_eq!(rig.state("b"), ChildState::Failed);
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #2"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #2"]);
 }
 
 #[test]
@@ -103,14 +103,14 @@ fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
 
     assert_eq!(rig.returned("t", 1), ["retire t"]);
     assert_eq!(rig.state("t"), ChildState::Finished);
-    assert_eq!(rig.restart("t", Cause::Died, 1), ["retire t", "1 let t go"]);
-    assert_eq!(rig.restart("u", Cause::Died, 1), ["retire u", "2 let u go"]);
+    assert_eq!(rig.restart("t", ReplacementCause::Died, 1), ["retire t", "1 let t go"]);
+    assert_eq!(rig.restart("u", ReplacementCause::Died, 1), ["retire u", "2 let u go"]);
     assert_eq!(rig.state("u"), ChildState::Finished);
     assert_eq!(rig.returned("p", 1), [""; 0]);
-    assert_eq!(rig.restart("p", Cause::Died, 1), ["start p #2"]);
+    assert_eq!(rig.restart("p", ReplacementCause::Died, 1), ["start p #2"]);
     assert_eq!(rig.restart_by_hand("t"), ["start t #2"]);
     assert_eq!(rig.died("t", 2), ["4 gave t up: its next life did not start: it died"]);
-    assert_eq!(rig.restart("t", Cause::Died, 2), ["start t #3"]);
+    assert_eq!(rig.restart("t", ReplacementCause::Died, 2), ["start t #3"]);
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn a_transient_child_that_could_not_go_on_did_not_end_in_order() {
     rig.started("t", 1);
     rig.died("t", 1);
 
-    assert_eq!(rig.restart("t", Cause::Faulty, 1), ["start t #2"]);
+    assert_eq!(rig.restart("t", ReplacementCause::Faulty, 1), ["start t #2"]);
 }
 
 #[test]
@@ -131,8 +131,11 @@ fn a_temporary_child_that_is_stuck_or_faulty_is_ended_and_let_go() {
     rig.started("u", 1);
     rig.started("v", 1);
 
-    assert_eq!(rig.restart("u", Cause::Stuck, 1), ["abandon u", "retire u", "1 let u go"]);
-    assert_eq!(rig.restart("v", Cause::Faulty, 1), ["stop v"]);
+    assert_eq!(
+        rig.restart("u", ReplacementCause::Stuck, 1),
+        ["abandon u", "retire u", "1 let u go"]
+    );
+    assert_eq!(rig.restart("v", ReplacementCause::Faulty, 1), ["stop v"]);
     assert_eq!(rig.stopped("v", 1), ["retire v", "2 let v go"]);
 }
 
@@ -152,7 +155,7 @@ fn a_reset_is_passed_on_and_answered() {
     assert_eq!(rig.pass(5), ["4 gave b up: it did not answer within 5s"]);
     rig.reset("b");
     assert_eq!(
-        rig.restart("b", Cause::Died, 1),
+        rig.restart("b", ReplacementCause::Died, 1),
         ["5 gave b up: it has no life that could be reset", "start b #2"]
     );
     assert_eq!(rig.reset("x"), ["7 gave x up: no such child"]);
@@ -163,20 +166,20 @@ fn a_child_is_told_whether_another_life_follows() {
     let told = |rig: &mut Rig| {
         let mut told = Vec::new();
         while let Some(action) = rig.machine.poll_output() {
-            if let SupervisorAction::Stop { child, again } = action {
+            if let SupervisorOutput::Stop { child, again } = action {
                 told.push((child.to_string(), again));
             }
         }
         told
     };
     let mut rig = Rig::serving(Strategy::OneForAll);
-    let (now, tickets) = (rig.now, [Ticket(1), Ticket(2)]);
+    let (now, tickets) = (rig.now, [CallId(1), CallId(2)]);
 
-    rig.machine.handle_restart(&name("a"), tickets[0], Cause::Died, None, now);
+    rig.machine.handle_restart(&name("a"), tickets[0], ReplacementCause::Died, None, now);
     assert_eq!(told(&mut rig), [("c".into(), true)]);
 
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.machine.handle_rest(&name("b"), tickets[1], Cause::Faulty, now);
+    rig.machine.handle_rest(&name("b"), tickets[1], ReplacementCause::Faulty, now);
     assert_eq!(told(&mut rig), [("b".into(), false)]);
     rig.machine.handle_end(now);
     rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);

@@ -1,4 +1,4 @@
-//! Children at safe rest, and isolated ones.
+//! Children in the safe state, and isolated ones.
 
 use super::*;
 
@@ -6,10 +6,10 @@ use super::*;
 fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
     let mut rig = Rig::serving(Strategy::OneForAll);
 
-    assert_eq!(rig.rest("b", Cause::Faulty), ["isolate b", "stop b"]);
+    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
     assert_eq!(rig.stopped("b", 1), ["1 let b go"]);
-    assert_eq!(rig.restart("b", Cause::Stuck, 1), ["2 gave b up: it is in safe rest"]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["stop c"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 1), ["2 gave b up: it is in safe state"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
     assert_eq!(rig.stopped("c", 1), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start c #2"]);
     assert_eq!(rig.started("c", 2), ["3 recovered a #2"]);
@@ -38,7 +38,7 @@ fn what_a_person_wants_is_counted_by_no_budget_and_needs_a_supervisor_at_work() 
 fn a_stuck_child_is_put_to_rest_without_being_asked() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    assert_eq!(rig.rest("b", Cause::Stuck), ["isolate b", "abandon b", "1 let b go"]);
+    assert_eq!(rig.rest("b", ReplacementCause::Stuck), ["isolate b", "abandon b", "1 let b go"]);
     assert_eq!(rig.state("b"), ChildState::Resting);
     assert_eq!(rig.isolate("x", true), ["2 gave x up: no such child"]);
 }

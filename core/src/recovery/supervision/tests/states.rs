@@ -14,7 +14,7 @@ fn children_come_and_go_while_it_is_at_work() {
         Err(GiveUpReason::NameTaken)
     );
     assert_eq!(rig.remove("b"), ["stop b"]);
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["2 gave b up: it is in safe rest"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["2 gave b up: it is in safe state"]);
     assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go"]);
     assert_eq!(rig.remove("b"), ["3 gave b up: no such child"]);
     assert_eq!(rig.end(), ["stop d"]);
@@ -25,11 +25,17 @@ fn children_come_and_go_while_it_is_at_work() {
 fn nothing_is_restarted_while_it_is_not_at_work() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
 
-    assert_eq!(rig.restart("a", Cause::Died, 0), ["1 gave a up: its supervisor is not at work"]);
+    assert_eq!(
+        rig.restart("a", ReplacementCause::Died, 0),
+        ["1 gave a up: its supervisor is not at work"]
+    );
     rig.begin();
     rig.started("a", 1);
     assert_eq!(rig.end(), ["stop a"]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["2 gave a up: its supervisor is not at work"]);
+    assert_eq!(
+        rig.restart("a", ReplacementCause::Died, 1),
+        ["2 gave a up: its supervisor is not at work"]
+    );
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
     assert_eq!(rig.remove("a"), ["left a", "3 let a go"]);
 }
@@ -37,7 +43,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
 #[test]
 fn being_forsaken_gives_every_life_up_and_a_new_beginning_starts_all() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Faulty, 1);
+    rig.restart("b", ReplacementCause::Faulty, 1);
     rig.remove("c");
 
     rig.machine.handle_forsake(rig.now);
@@ -58,8 +64,8 @@ fn a_second_beginning_without_an_end_leaves_no_life_twice() {
 #[test]
 fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.restart("b", Cause::Faulty, 1);
-    rig.restart("c", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Faulty, 1);
+    rig.restart("c", ReplacementCause::Died, 1);
 
     rig.machine.handle_own_restart(rig.now);
 
@@ -75,11 +81,11 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
     type Act = (&'static str, fn(&mut Rig));
     let states: [Act; 10] = [
         ("running", |_| {}),
-        ("starting", |rig| drop(rig.restart("b", Cause::Died, 1))),
-        ("stopping", |rig| drop(rig.restart("b", Cause::Faulty, 1))),
+        ("starting", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
+        ("stopping", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
         ("resetting", |rig| drop(rig.reset("b"))),
         ("failed", |rig| drop(rig.died("b", 1))),
-        ("resting", |rig| drop(rig.rest("b", Cause::Died))),
+        ("resting", |rig| drop(rig.rest("b", ReplacementCause::Died))),
         ("leaving", |rig| drop(rig.remove("b"))),
         ("isolated", |rig| drop(rig.isolate("b", true))),
         ("ending", |rig| drop(rig.end())),
@@ -87,16 +93,16 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
     ];
     let inputs: [Act; 22] = [
         ("nothing", |_| {}),
-        ("restart, died", |rig| drop(rig.restart("b", Cause::Died, 1))),
-        ("restart, stuck", |rig| drop(rig.restart("b", Cause::Stuck, 1))),
-        ("restart, behind another", |rig| drop(rig.restart("b", Cause::Behind, 1))),
-        ("restart, faulty", |rig| drop(rig.restart("b", Cause::Faulty, 1))),
-        ("restart, next life", |rig| drop(rig.restart("b", Cause::Stuck, 2))),
+        ("restart, died", |rig| drop(rig.restart("b", ReplacementCause::Died, 1))),
+        ("restart, stuck", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 1))),
+        ("restart, behind another", |rig| drop(rig.restart("b", ReplacementCause::Behind, 1))),
+        ("restart, faulty", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
+        ("restart, next life", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 2))),
         ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),
-        ("restart of a", |rig| drop(rig.restart("a", Cause::Stuck, 1))),
+        ("restart of a", |rig| drop(rig.restart("a", ReplacementCause::Stuck, 1))),
         ("reset", |rig| drop(rig.reset("b"))),
-        ("rest", |rig| drop(rig.rest("b", Cause::Faulty))),
-        ("rest, stuck", |rig| drop(rig.rest("b", Cause::Stuck))),
+        ("rest", |rig| drop(rig.rest("b", ReplacementCause::Faulty))),
+        ("rest, stuck", |rig| drop(rig.rest("b", ReplacementCause::Stuck))),
         ("isolate", |rig| drop(rig.isolate("b", true))),
         ("remove", |rig| drop(rig.remove("b"))),
         ("started", |rig| drop(rig.started("b", 2))),
@@ -135,7 +141,7 @@ fn finish(rig: &mut Rig, case: &str) {
             ChildState::Starting => drop(rig.started(name, life)),
             ChildState::Stopping => drop(rig.stopped(name, life)),
             ChildState::Resetting => drop(rig.reset_done(name, life, Ok(()))),
-            ChildState::Failed => drop(rig.restart(name, Cause::Died, life)),
+            ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, life)),
             // Either somebody else must move first, or the supervisor does not want to.
             _ if !rig.machine.at_work() => break,
             _ => {

@@ -29,14 +29,14 @@ fn a_supervisor_without_children_starts_and_stops_at_once() {
 fn one_for_one_replaces_only_the_child_that_failed() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["start b #2"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #2"]);
     assert_eq!(rig.started("b", 2), ["1 recovered b #2"]);
 
-    assert_eq!(rig.restart("b", Cause::Faulty, 2), ["stop b"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Faulty, 2), ["stop b"]);
     assert_eq!(rig.stopped("b", 2), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 
-    assert_eq!(rig.restart("b", Cause::Stuck, 3), ["abandon b", "start b #4"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 3), ["abandon b", "start b #4"]);
     assert_eq!(rig.started("b", 4), ["3 recovered b #4"]);
 }
 
@@ -48,7 +48,7 @@ fn a_life_that_stood_behind_anothers_hang_costs_no_restart() {
 
     for life in 1..5 {
         let next = life + 1;
-        let replaced = rig.restart("b", Cause::Behind, life);
+        let replaced = rig.restart("b", ReplacementCause::Behind, life);
 
         assert_eq!(replaced, ["abandon b".into(), format!("start b #{next}")]);
         rig.started("b", next);
@@ -59,8 +59,8 @@ fn a_life_that_stood_behind_anothers_hang_costs_no_restart() {
 fn independent_children_are_replaced_at_the_same_time() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    assert_eq!(rig.restart("c", Cause::Died, 1), ["start c #2"]);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("c", ReplacementCause::Died, 1), ["start c #2"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
     assert_eq!(rig.started("c", 2), ["1 recovered c #2"]);
     assert_eq!(rig.started("a", 2), ["2 recovered a #2"]);
 }
@@ -69,7 +69,7 @@ fn independent_children_are_replaced_at_the_same_time() {
 fn one_for_all_replaces_all_in_order_and_answers_when_all_are_at_work() {
     let mut rig = Rig::serving(Strategy::OneForAll);
 
-    assert_eq!(rig.restart("b", Cause::Died, 1), ["stop c"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["stop c"]);
     assert_eq!(rig.stopped("c", 1), ["stop a"]);
     assert_eq!(rig.stopped("a", 1), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2"]);
@@ -81,7 +81,7 @@ fn one_for_all_replaces_all_in_order_and_answers_when_all_are_at_work() {
 fn rest_for_one_replaces_the_child_and_those_behind_it() {
     let mut rig = Rig::serving(Strategy::RestForOne);
 
-    assert_eq!(rig.restart("b", Cause::Stuck, 1), ["abandon b", "stop c"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 1), ["abandon b", "stop c"]);
     assert_eq!(rig.stopped("c", 1), ["start b #2"]);
     assert_eq!(rig.started("b", 2), ["start c #2"]);
     assert_eq!(rig.started("c", 2), ["1 recovered b #2"]);
@@ -91,9 +91,9 @@ fn rest_for_one_replaces_the_child_and_those_behind_it() {
 #[test]
 fn a_failure_while_its_group_is_being_stopped_is_neither_lost_nor_doubled() {
     let mut rig = Rig::serving(Strategy::OneForAll);
-    rig.restart("b", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Died, 1);
 
-    assert_eq!(rig.restart("a", Cause::Died, 1), [""; 0]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), [""; 0]);
     assert_eq!(rig.stopped("c", 1), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2"]);
     assert_eq!(rig.started("b", 2), ["start c #2"]);
@@ -104,9 +104,9 @@ fn a_failure_while_its_group_is_being_stopped_is_neither_lost_nor_doubled() {
 #[test]
 fn a_child_that_hangs_while_it_should_stop_for_its_group_is_given_up() {
     let mut rig = Rig::serving(Strategy::OneForAll);
-    rig.restart("b", Cause::Died, 1);
+    rig.restart("b", ReplacementCause::Died, 1);
 
-    assert_eq!(rig.restart("c", Cause::Stuck, 1), ["abandon c", "stop a"]);
+    assert_eq!(rig.restart("c", ReplacementCause::Stuck, 1), ["abandon c", "stop a"]);
     assert_eq!(rig.stopped("c", 1), [""; 0]);
     assert_eq!(rig.stopped("a", 1), ["start a #2"]);
 }
@@ -114,12 +114,12 @@ fn a_child_that_hangs_while_it_should_stop_for_its_group_is_given_up() {
 #[test]
 fn a_failure_while_its_group_is_being_started_begins_the_group_again() {
     let mut rig = Rig::serving(Strategy::OneForAll);
-    rig.restart("c", Cause::Died, 1);
+    rig.restart("c", ReplacementCause::Died, 1);
     rig.stopped("b", 1);
     rig.stopped("a", 1);
     assert_eq!(rig.started("a", 2), ["start b #2"]);
 
-    assert_eq!(rig.restart("a", Cause::Died, 2), ["stop b"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 2), ["stop b"]);
     assert_eq!(rig.started("b", 2), [""; 0]);
     assert_eq!(rig.stopped("b", 2), ["start a #3"]);
     assert_eq!(rig.started("a", 3), ["start b #3"]);
@@ -130,7 +130,7 @@ fn a_failure_while_its_group_is_being_started_begins_the_group_again() {
 #[test]
 fn a_start_that_fails_in_a_group_waits_for_a_decision_and_then_goes_on() {
     let mut rig = Rig::serving(Strategy::OneForAll);
-    rig.restart("c", Cause::Died, 1);
+    rig.restart("c", ReplacementCause::Died, 1);
     rig.stopped("b", 1);
     rig.stopped("a", 1);
     rig.started("a", 2);
@@ -138,7 +138,7 @@ fn a_start_that_fails_in_a_group_waits_for_a_decision_and_then_goes_on() {
     assert_eq!(rig.start_failed("b", 2), [""; 0]);
     assert_eq!(rig.state("b"), ChildState::Failed);
     assert_eq!(rig.state("c"), ChildState::Waiting);
-    assert_eq!(rig.restart("b", Cause::Died, 2), ["stop a"]);
+    assert_eq!(rig.restart("b", ReplacementCause::Died, 2), ["stop a"]);
     assert_eq!(rig.stopped("a", 2), ["start a #3"]);
     assert_eq!(rig.started("a", 3), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["start c #2"]);
@@ -150,7 +150,7 @@ fn who_is_at_work_does_not_wait_for_a_sibling_that_failed_in_turn() {
     let cases = [(Strategy::OneForAll, "stop a"), (Strategy::RestForOne, "start b #3")];
     for (strategy, next) in cases {
         let mut rig = Rig::serving(strategy);
-        rig.restart("a", Cause::Died, 1);
+        rig.restart("a", ReplacementCause::Died, 1);
         rig.stopped("c", 1);
         rig.stopped("b", 1);
         assert_eq!(rig.started("a", 2), ["start b #2"]);
@@ -158,7 +158,7 @@ fn who_is_at_work_does_not_wait_for_a_sibling_that_failed_in_turn() {
         // What is done about b may wait for what is answered about a.
         assert_eq!(rig.start_failed("b", 2), ["1 recovered a #2"]);
 
-        assert_eq!(rig.restart("b", Cause::Died, 2), [next]);
+        assert_eq!(rig.restart("b", ReplacementCause::Died, 2), [next]);
     }
 }
 
@@ -173,7 +173,7 @@ fn a_temporary_member_ends_with_its_group_and_does_not_return() {
             rig.started(child, 1);
         }
 
-        assert_eq!(rig.restart("a", Cause::Died, 1), ["stop c"]);
+        assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
         assert_eq!(rig.stopped("c", 1), ["stop guest"]);
         // What waits for one that does not even stop is given back.
         assert_eq!(rig.pass(5), ["abandon guest", "retire guest", "start a #2"]);

@@ -28,7 +28,7 @@ fn a_restart_that_comes_to_wait_is_answered_and_costs_no_more() {
         let mut rig = Rig::with(strategy, 1, &[("a", permanent())]);
         rig.begin();
         rig.started("a", 1);
-        assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+        assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
 
         assert_eq!(rig.unavailable("a", 2), ["1 recovered a #2"]);
         assert_eq!(rig.unavailable("a", 2), [""; 0]);
@@ -56,7 +56,7 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
     rig.unavailable("a", 1);
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
     assert_eq!(rig.state("a"), ChildState::Failed);
-    assert_eq!(rig.restart("a", Cause::Died, 1), ["start a #2"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
     rig.unavailable("a", 2);
 
     assert_eq!(rig.end(), ["stop a"]);
@@ -67,7 +67,7 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
 #[test]
 fn a_life_that_its_guard_had_begun_is_not_taken_for_the_one_that_was_told_to_start() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    assert_eq!(rig.restart("a", Cause::Stuck, 1), ["abandon a", "start a #2"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Stuck, 1), ["abandon a", "start a #2"]);
     // Its guard had restarted it as #2 just before, so that the new one is #3.
     rig.machine.handle_begun(&name("a"), Incarnation(3));
 

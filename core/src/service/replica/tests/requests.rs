@@ -30,7 +30,7 @@ fn a_request_that_comes_again_is_answered_from_the_table_and_too_many_are_refuse
         own.replica.handle_request(request(n, id), now);
     }
     let last = std::iter::from_fn(|| own.replica.poll_output()).last();
-    let outcome = ServiceOutcome::Refused(Why::Full);
+    let outcome = ServiceOutcome::Refused(DeliveryError::Full);
     assert_eq!(last, Some(ReplicaOutput::Answer { caller: QUEUE_MAX as u64, outcome }));
 }
 
@@ -51,7 +51,7 @@ fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
     own.replica.handle_executed(Ok(Bytes::new()), None, later);
 
     let outputs: Vec<_> = std::iter::from_fn(|| own.replica.poll_output()).collect();
-    let outcome = ServiceOutcome::Refused(Why::DeadlinePassed);
+    let outcome = ServiceOutcome::Refused(DeliveryError::DeadlinePassed);
     assert!(outputs.contains(&ReplicaOutput::Answer { caller: 1, outcome }), "{outputs:?}");
     let begun = |output: &&ReplicaOutput| matches!(output, ReplicaOutput::Execute { .. });
     assert_eq!(outputs.iter().filter(begun).count(), 1, "the third, and not the second");
@@ -126,7 +126,7 @@ fn replies_are_kept_until_their_callers_have_them_and_no_longer() {
         let now = robot.clock(robot.members[0].as_ref().unwrap().drift);
         let own = robot.members[0].as_mut().unwrap();
         own.replica.handle_request(request(0, late), now);
-        let outcome = ServiceOutcome::Refused(Why::Expired);
+        let outcome = ServiceOutcome::Refused(DeliveryError::Expired);
         assert_eq!(own.replica.poll_output(), Some(ReplicaOutput::Answer { caller: 0, outcome }));
     }
 }

@@ -10,13 +10,13 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-fn with(room: bool, millis: u64, test: impl FnOnce(Terms<'_>)) {
-    test(Terms { config: &config(), room, now: at(millis) });
+fn with(room: bool, millis: u64, test: impl FnOnce(ReceptionContext<'_>)) {
+    test(ReceptionContext { config: &config(), room, now: at(millis) });
 }
 
 fn poll(reception: &mut Reception, room: bool, millis: u64) -> Option<FlowStatus> {
     let id = CanId::standard(1).unwrap();
-    let writer = Writer { id, format: Format::Classic, padding: None };
+    let writer = PduWriter { id, format: Format::Classic, padding: None };
     let mut said = None;
     with(room, millis, |terms| {
         said = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
@@ -27,19 +27,19 @@ fn poll(reception: &mut Reception, room: bool, millis: u64) -> Option<FlowStatus
     said
 }
 
-fn first(reception: &mut Reception, length: u32, room: bool) -> Heard {
-    let mut heard = Heard::default();
+fn first(reception: &mut Reception, length: u32, room: bool) -> FrameResult {
+    let mut heard = FrameResult::default();
     with(room, 0, |terms| heard = reception.handle_first(length, b"abcdef", true, terms));
     heard
 }
 
-fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> Heard {
-    let mut heard = Heard::default();
+fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> FrameResult {
+    let mut heard = FrameResult::default();
     with(true, 0, |terms| heard = reception.handle_consecutive(sequence, data, terms));
     heard
 }
 
-fn time_out(reception: &mut Reception, room: bool, millis: u64) -> Option<ReceiveError> {
+fn time_out(reception: &mut Reception, room: bool, millis: u64) -> Option<ReceptionError> {
     let mut failed = None;
     with(room, millis, |terms| failed = reception.handle_timeout(terms));
     failed
@@ -57,7 +57,7 @@ fn kind(reception: &Reception) -> &'static str {
 
 /// One in each of its states, 30 bytes under way where any are.
 fn idle() -> Reception {
-    Reception::new(Audience::One)
+    Reception::new(TargetType::One)
 }
 
 fn answering() -> Reception {
@@ -91,15 +91,15 @@ const ALL: [fn() -> Reception; 5] = [idle, answering, refusing, holding, receivi
 fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
     let mut reception = receiving();
 
-    assert_eq!(next(&mut reception, 1, b"ghijklm"), Heard::default());
-    assert_eq!(next(&mut reception, 2, b"nopqrst"), Heard::default());
+    assert_eq!(next(&mut reception, 1, b"ghijklm"), FrameResult::default());
+    assert_eq!(next(&mut reception, 2, b"nopqrst"), FrameResult::default());
     assert_eq!(kind(&reception), "answering");
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
-    assert_eq!(next(&mut reception, 3, b"uvwxyzA"), Heard::default());
+    assert_eq!(next(&mut reception, 3, b"uvwxyzA"), FrameResult::default());
     let heard = next(&mut reception, 4, b"BCD\xcc\xcc\xcc\xcc");
 
     let message = Some(Bytes::from("abcdefghijklmnopqrstuvwxyzABCD"));
-    assert_eq!(heard, Heard { failed: None, message });
+    assert_eq!(heard, FrameResult { failed: None, message });
     assert!(reception.is_idle());
 }
 
@@ -107,11 +107,11 @@ fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
 fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
     for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
         let mut reception = state();
-        let failed = interrupts.then_some(ReceiveError::Interrupted);
+        let failed = interrupts.then_some(ReceptionError::Interrupted);
 
         let heard = reception.handle_single(b"hi");
 
-        assert_eq!(heard, Heard { failed, message: Some(Bytes::from("hi")) });
+        assert_eq!(heard, FrameResult { failed, message: Some(Bytes::from("hi")) });
         assert!(reception.is_idle());
     }
 }
@@ -120,11 +120,11 @@ fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
 fn a_beginning_is_taken_in_every_state_and_ends_what_was_under_way() {
     for (state, interrupts) in ALL.into_iter().zip([false, true, false, true, true]) {
         let mut reception = state();
-        let failed = interrupts.then_some(ReceiveError::Interrupted);
+        let failed = interrupts.then_some(ReceptionError::Interrupted);
 
         let heard = first(&mut reception, 40, true);
 
-        assert_eq!(heard, Heard { failed, message: None });
+        assert_eq!(heard, FrameResult { failed, message: None });
         assert_eq!(kind(&reception), "answering");
     }
 }
@@ -137,7 +137,7 @@ fn more_is_taken_only_where_it_was_asked_for() {
 
         let heard = next(&mut reception, 1, b"ghijklm");
 
-        assert_eq!(heard, Heard::failure(ReceiveError::Unexpected));
+        assert_eq!(heard, FrameResult::failure(ReceptionError::Unexpected));
         assert_eq!(kind(&reception), before);
     }
 }
@@ -149,7 +149,7 @@ fn a_number_out_of_turn_ends_the_message() {
 
         let heard = next(&mut reception, found, b"ghijklm");
 
-        assert_eq!(heard, Heard::failure(ReceiveError::Sequence { expected: 1, found }));
+        assert_eq!(heard, FrameResult::failure(ReceptionError::Sequence { expected: 1, found }));
         assert!(reception.is_idle());
     }
 }
@@ -158,7 +158,7 @@ fn a_number_out_of_turn_ends_the_message() {
 fn a_frame_that_is_too_short_and_not_the_last_ends_the_message() {
     let mut reception = receiving();
 
-    assert_eq!(next(&mut reception, 1, b"ghi"), Heard::failure(ReceiveError::ShortFrame));
+    assert_eq!(next(&mut reception, 1, b"ghi"), FrameResult::failure(ReceptionError::ShortFrame));
     assert!(reception.is_idle());
 }
 
@@ -166,20 +166,20 @@ fn a_frame_that_is_too_short_and_not_the_last_ends_the_message() {
 fn what_is_too_long_or_one_too_many_is_refused_by_a_word() {
     let mut reception = idle();
     let heard = first(&mut reception, 101, true);
-    assert_eq!(heard, Heard::failure(ReceiveError::TooLong { length: 101 }));
+    assert_eq!(heard, FrameResult::failure(ReceptionError::TooLong { length: 101 }));
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
     assert!(reception.is_idle());
 
     with(true, 0, |terms| {
         let heard = reception.handle_first(50, b"abcdef", false, terms);
-        assert_eq!(heard, Heard::failure(ReceiveError::TooMany));
+        assert_eq!(heard, FrameResult::failure(ReceptionError::TooMany));
     });
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
 }
 
 #[test]
 fn what_goes_to_all_is_never_answered() {
-    let mut reception = Reception::new(Audience::All);
+    let mut reception = Reception::new(TargetType::All);
 
     first(&mut reception, 101, true);
     assert!(reception.is_idle());
@@ -201,10 +201,10 @@ fn every_timeout_in_every_state() {
         assert_eq!(kind(&reception), expected, "{before}");
     };
     check(idle, None, None, "idle");
-    check(answering, Some(1000), Some(ReceiveError::BusStuck), "idle");
-    check(refusing, Some(1000), Some(ReceiveError::BusStuck), "idle");
+    check(answering, Some(1000), Some(ReceptionError::BusStuck), "idle");
+    check(refusing, Some(1000), Some(ReceptionError::BusStuck), "idle");
     check(holding, Some(100), None, "answering");
-    check(receiving, Some(1000), Some(ReceiveError::Silent), "idle");
+    check(receiving, Some(1000), Some(ReceptionError::Silent), "idle");
 }
 
 #[test]
@@ -244,6 +244,6 @@ fn nobody_is_told_to_wait_for_ever() {
         told += 1;
     };
 
-    assert_eq!((failed, told), (Some(ReceiveError::NoRoom), u64::from(config().waits_max)));
+    assert_eq!((failed, told), (Some(ReceptionError::NoRoom), u64::from(config().waits_max)));
     assert!(reception.is_idle());
 }

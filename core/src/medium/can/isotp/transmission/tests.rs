@@ -5,8 +5,8 @@ fn config() -> IsoTpConfig {
     IsoTpConfig { waits_max: 2, ..IsoTpConfig::default() }
 }
 
-fn writer() -> Writer {
-    Writer { id: CanId::standard(1).unwrap(), format: Format::Classic, padding: None }
+fn writer() -> PduWriter {
+    PduWriter { id: CanId::standard(1).unwrap(), format: Format::Classic, padding: None }
 }
 
 fn at(millis: u64) -> Instant {
@@ -14,7 +14,7 @@ fn at(millis: u64) -> Instant {
 }
 
 fn word(status: FlowStatus, block_size: u8, separation_ms: u64) -> FlowControl {
-    let separation = Separation::at_least(Duration::from_millis(separation_ms));
+    let separation = SeparationTime::at_least(Duration::from_millis(separation_ms));
     FlowControl { status, block_size, separation }
 }
 
@@ -24,13 +24,13 @@ fn poll(transmission: &mut Transmission, now: Instant) -> Option<Vec<u8>> {
     transmission.poll_frame(&writer(), &config(), now).map(|frame| frame.data().to_vec())
 }
 
-fn start(length: u8, audience: Audience) -> Transmission {
+fn start(length: u8, audience: TargetType) -> Transmission {
     Transmission::new((0..length).collect(), audience, &config(), at(0))
 }
 
 /// One that is in each of its states at 0 ms.
 fn ready() -> Transmission {
-    start(100, Audience::One)
+    start(100, TargetType::One)
 }
 
 fn asking() -> Transmission {
@@ -47,14 +47,14 @@ fn paced() -> Transmission {
 }
 
 fn ended() -> Transmission {
-    let mut transmission = start(3, Audience::One);
+    let mut transmission = start(3, TargetType::One);
     assert!(poll(&mut transmission, at(0)).is_some());
     transmission
 }
 
 #[test]
 fn a_short_message_is_one_frame_and_done() {
-    let mut transmission = start(7, Audience::One);
+    let mut transmission = start(7, TargetType::One);
 
     assert_eq!(poll(&mut transmission, at(0)).unwrap(), b"\x07\0\x01\x02\x03\x04\x05\x06");
     assert_eq!(transmission.ended(), Some(Ok(())));
@@ -63,7 +63,7 @@ fn a_short_message_is_one_frame_and_done() {
 
 #[test]
 fn a_long_message_waits_for_the_word_and_goes_in_blocks() {
-    let mut transmission = start(30, Audience::One);
+    let mut transmission = start(30, TargetType::One);
     assert_eq!(poll(&mut transmission, at(0)).unwrap(), b"\x10\x1e\0\x01\x02\x03\x04\x05");
     assert_eq!(poll(&mut transmission, at(1)), None);
 
@@ -90,7 +90,7 @@ fn frames_keep_the_distance_that_the_receiver_asks_for() {
 
 #[test]
 fn the_number_goes_round_after_fifteen() {
-    let mut transmission = start(200, Audience::One);
+    let mut transmission = start(200, TargetType::One);
     poll(&mut transmission, at(0));
     transmission.handle_flow(word(GO_ON, 0, 0), &config(), at(0));
 
@@ -103,7 +103,7 @@ fn the_number_goes_round_after_fifteen() {
 
 #[test]
 fn to_all_nobody_is_asked_and_the_pace_is_ours() {
-    let mut transmission = start(20, Audience::All);
+    let mut transmission = start(20, TargetType::All);
     let mut numbers = vec![];
 
     let mut now = at(0);
@@ -137,8 +137,8 @@ fn every_word_in_every_state() {
     let expected = [
         State::Ready { until: later + config().bus_timeout },
         State::Asking { until: later + config().flow_timeout, waits: 1 },
-        State::Ended(Err(SendError::Overflow)),
-        State::Ended(Err(SendError::UnknownStatus)),
+        State::Ended(Err(TransmissionError::Overflow)),
+        State::Ended(Err(TransmissionError::UnknownStatus)),
     ];
     for (flow, expected) in words.into_iter().zip(expected) {
         let mut transmission = asking();
@@ -161,8 +161,8 @@ fn every_timeout_in_every_state() {
         transmission.handle_timeout(&config(), far);
         assert_eq!(transmission.state, expected.unwrap_or(before));
     };
-    check(ready, Some(1000), Some(State::Ended(Err(SendError::BusStuck))));
-    check(asking, Some(1000), Some(State::Ended(Err(SendError::Unanswered))));
+    check(ready, Some(1000), Some(State::Ended(Err(TransmissionError::BusStuck))));
+    check(asking, Some(1000), Some(State::Ended(Err(TransmissionError::Unanswered))));
     let again = State::Ready { until: at(9_000) + config().bus_timeout };
     check(paced, Some(20), Some(again));
     check(ended, None, None);
@@ -189,5 +189,5 @@ fn nobody_can_make_us_wait_for_ever() {
     }
 
     assert_eq!(told, u64::from(config().waits_max) + 1);
-    assert_eq!(transmission.ended(), Some(Err(SendError::WaitedTooLong)));
+    assert_eq!(transmission.ended(), Some(Err(TransmissionError::WaitedTooLong)));
 }

@@ -2,9 +2,9 @@
 
 use super::*;
 use crate::net::link::Neighbour;
-use crate::net::routing::Health;
-use crate::net::routing::topology::Adjacent;
-use crate::net::wire::advertisement::{Advertisement, Edge as Announced, Stamp};
+use crate::net::routing::LinkHealth;
+use crate::net::routing::topology::Adjacency;
+use crate::net::wire::advertisement::{Advertisement, AdvertisementId, Edge as Announced};
 use crate::random::Random;
 use crate::{Incarnation, Instant, NodeName};
 use std::collections::BTreeSet;
@@ -33,8 +33,8 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
     let links: BTreeMap<_, _> = at_end(0)
         .map(|(number, (far, cost))| {
             let neighbour = Neighbour { node: name(far), incarnation: Incarnation(1) };
-            let (health, pending, compare_at) = (Health::Up, BTreeMap::new(), Instant::ORIGIN);
-            let link = Adjacent {
+            let (health, pending, compare_at) = (LinkHealth::Up, BTreeMap::new(), Instant::ORIGIN);
+            let link = Adjacency {
                 neighbour,
                 id: id(far),
                 cost,
@@ -44,12 +44,13 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
                 pending,
                 compare_at,
             };
-            (LinkNumber(number as u16), link)
+            (LinkId(number as u16), link)
         })
         .collect();
     let known: Vec<_> = (1..nodes)
         .map(|node| {
-            let stamp = Stamp { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
+            let stamp =
+                AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
             let edges = at_end(node).map(|(_, (far, cost))| Announced {
                 to: id(far),
                 life: 1,
