@@ -60,7 +60,7 @@ enum Seat {
 /// What is to be done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SnapshotServerOutput {
-    /// Take a picture, and say [when it is there](Audience::handle_taken).
+    /// Take a picture, and say [when it is there](SnapshotServer::handle_taken).
     Take(SnapshotId),
     /// Close his connection; he is gone.
     Close(ClientId),

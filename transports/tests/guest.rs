@@ -230,7 +230,7 @@ fn a_usb_device_without_a_line_is_not_held_to_the_speed_that_was_set() {
 fn a_driver_of_a_real_port_that_cannot_turn_rs485_says_so() {
     in_real_time(async {
         let mut config = SerialConfig::new("/dev/ttyS1");
-        config.rs485 = Turning::Driver(Rs485::default());
+        config.rs485 = DirectionControl::Driver(Rs485::default());
         let reason = End::new(SerialLine::new(config, now)).closed().await;
         assert!(reason.contains("does not turn the line"), "{reason}");
     });
@@ -276,7 +276,7 @@ impl Ours {
     fn new(format: Format, block_size: u8, separation_ms: u64) -> Self {
         let mut config = IsoTpConfig::default();
         (config.format, config.block_size, config.message_max) = (format, block_size, 10_000);
-        config.separation = Separation::at_least(Duration::from_millis(separation_ms));
+        config.separation = SeparationTime::at_least(Duration::from_millis(separation_ms));
         let machine = IsoTp::new(BusAddress(1), Addressing::default(), config).unwrap();
         let socket = CanFdSocket::open("vcan0").unwrap();
         socket.set_read_timeout(Duration::from_millis(1)).unwrap();
@@ -401,13 +401,13 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     let bus = CanFdSocket::open("vcan0").unwrap();
     bus.set_nonblocking(true).unwrap();
-    let mut lines = Lines::default();
+    let mut lines = LineSplitter::default();
     let mut buffer = [0; 1024];
     loop {
         let mut answers = Vec::new();
         while let Ok(frame) = bus.read_frame() {
             if let Some(frame) = from_socket(&frame) {
-                Reply::Frame { frame, time_ms: None }.encode(&mut answers);
+                AdapterReply::Frame { frame, time_ms: None }.encode(&mut answers);
             }
         }
         let heard = tokio::time::timeout(
@@ -417,20 +417,20 @@ async fn serve(mut port: tokio_serial::SerialStream, said: actix::Recipient<Said
         .await;
         let heard = heard.map_or(0, |read| read.unwrap());
         for byte in &buffer[..heard] {
-            let Some(slcan::Line::Whole(line)) = lines.handle_byte(*byte) else {
+            let Some(slcan::LineEnd::Whole(line)) = lines.handle_byte(*byte) else {
                 continue;
             };
             match Line::decode(&line) {
                 Ok(Line::Send(frame)) => {
                     let id = ExtendedId::new(frame.id().number()).unwrap();
                     bus.write_frame(&CanDataFrame::new(id, frame.data()).unwrap()).unwrap();
-                    Reply::Sent.encode(&mut answers);
+                    AdapterReply::Sent.encode(&mut answers);
                 }
                 Ok(command) => {
                     said.do_send(Said(command));
-                    Reply::Done.encode(&mut answers);
+                    AdapterReply::Done.encode(&mut answers);
                 }
-                Err(_) => Reply::Refused.encode(&mut answers),
+                Err(_) => AdapterReply::Refused.encode(&mut answers),
             }
         }
         AsyncWriteExt::write_all(&mut port, &answers).await.unwrap();

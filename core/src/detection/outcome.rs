@@ -37,7 +37,7 @@ pub enum FaultTransition {
         measure: String,
     },
     /// Service is restored. Of an object, the fault is over; of a link or a node it stands until
-    /// [`Cleared`](Turn::Cleared): see [`Fault::is_repaired_by_recovery`].
+    /// [`Cleared`](FaultTransition::Cleared): see [`Fault::is_repaired_by_recovery`].
     Recovered,
     /// Nothing more will be tried.
     GaveUp {
@@ -87,8 +87,8 @@ impl FaultNotice {
 /// A fault and what became of it, with the instants.
 ///
 /// That service is restored and that the part is repaired are two facts. A cable that is out stays
-/// a standing fault while its traffic takes another path: [`recovered_at`](Entry::recovered_at) is
-/// set, [`repaired_at`](Entry::repaired_at) is not. See [`Fault::is_repaired_by_recovery`].
+/// a standing fault while its traffic takes another path: [`recovered_at`](FaultEntry::recovered_at) is
+/// set, [`repaired_at`](FaultEntry::repaired_at) is not. See [`Fault::is_repaired_by_recovery`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultEntry {
     /// The fault; [`Fault::found_at`] is when it was found.

@@ -8,7 +8,7 @@ use std::time::Duration;
 /// What is known of one object, link or node, each fact with its age.
 ///
 /// A row is a picture of the moment in which it was read. Nothing in it is an instant, so that it can
-/// be sent to another node, and nothing old in it looks current: see [`last_sign`](Row::last_sign).
+/// be sent to another node, and nothing old in it looks current: see [`last_sign`](MonitorRow::last_sign).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MonitorRow {

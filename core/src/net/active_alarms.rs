@@ -30,7 +30,7 @@ impl<K: Ord + Clone> ActiveAlarms<K> {
         self.last.insert(what, Some(now));
     }
 
-    /// It is found, and lasts until it is [ended](Latch::end).
+    /// It is found, and lasts until it is [ended](ActiveAlarms::clear).
     pub fn raise_until_cleared(&mut self, what: K) {
         self.last.insert(what, None);
     }

@@ -3,10 +3,7 @@
 
 #![no_main]
 
-use blastema_core::contract::codec::decode;
-use blastema_core::contract::codec::decode_reply;
-use blastema_core::contract::codec::encode;
-use blastema_core::contract::codec::encode_reply;
+use blastema_core::contract::codec::{decode, decode_reply, encode, encode_reply};
 use blastema_macros::{Event, Request, Structure};
 use libfuzzer_sys::fuzz_target;
 use std::collections::{BTreeMap, VecDeque};

@@ -3,15 +3,10 @@
 
 #![no_main]
 
-use blastema_core::medium::can::isotp::Separation;
-use blastema_core::medium::can::Addressing;
-use blastema_core::medium::can::BusAddress;
-use blastema_core::medium::can::CanFrame;
-use blastema_core::medium::can::Format;
-use blastema_core::medium::can::IsoTp;
-use blastema_core::medium::can::IsoTpConfig;
-use blastema_core::medium::can::IsoTpOutput;
-use blastema_core::medium::can::Parties;
+use blastema_core::medium::can::isotp::SeparationTime;
+use blastema_core::medium::can::{
+    AddressInfo, Addressing, BusAddress, CanFrame, Format, IsoTp, IsoTpConfig, IsoTpOutput,
+};
 use blastema_core::{Instant, Machine};
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
@@ -23,7 +18,7 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
     let (block_size, separation, fd, script) = script;
     let mut config = IsoTpConfig::default();
     config.format = if fd { Format::Fd { fast: true } } else { Format::Classic };
-    (config.block_size, config.separation) = (block_size, Separation(separation));
+    (config.block_size, config.separation) = (block_size, SeparationTime(separation));
     (config.message_max, config.receptions_max) = (LIMIT, 2);
     let own = BusAddress(1);
     let mut now = Instant::from_millis(1);
@@ -53,7 +48,7 @@ fuzz_target!(|script: (u8, u8, bool, Vec<(u8, u16, Vec<u8>)>)| {
             let _ = node.handle_message(BusAddress(who & 7), Bytes::from(data), now);
         } else {
             let target = if who & 0x40 != 0 { BusAddress::ALL } else { own };
-            let parties = Parties { source: BusAddress(who & 7), target };
+            let parties = AddressInfo { source: BusAddress(who & 7), target };
             own_to_all |= parties.source == own && target == BusAddress::ALL;
             let id = Addressing::default().id(parties).expect("addresses of this bus");
             let format = if who & 0x20 != 0 { Format::Fd { fast: false } } else { Format::Classic };

@@ -2,10 +2,9 @@
 
 #![no_main]
 
+use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::wire::packet::Packet;
-use blastema_core::net::routing::Health;
-use blastema_core::net::routing::LinkStatus;
-use blastema_core::net::{LinkNumber, Neighbour, Router, RouterConfig, RouterOutput};
+use blastema_core::net::{LinkId, Neighbour, Router, RouterConfig, RouterOutput};
 use blastema_core::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
@@ -22,13 +21,13 @@ fuzz_target!(|script: Vec<(u8, u16, bool, Vec<u8>)>| {
     let mut router = Router::new(config, now);
     for (number, neighbour) in [(0, "m2"), (1, "m3")] {
         let neighbour = Neighbour { node: name(neighbour), incarnation: Incarnation(9) };
-        let status = LinkStatus { neighbour, health: Health::Up, cost: 10, mtu: 1400 };
-        router.handle_link(LinkNumber(number), status, now);
+        let status = LinkStatus { neighbour, health: LinkHealth::Up, cost: 10, mtu: 1400 };
+        router.handle_link(LinkId(number), status, now);
     }
     for (link, wait_ms, routing, bytes) in script {
         now = now + Duration::from_millis(wait_ms.into());
         router.handle_timeout(now);
-        let link = LinkNumber((link % 3).into());
+        let link = LinkId((link % 3).into());
         let bytes = Bytes::from(bytes);
         if routing {
             router.handle_routing(link, bytes, now);

@@ -2,12 +2,12 @@
 
 #![no_main]
 
-use blastema_core::net::wire::advertisement::Routing;
+use blastema_core::net::wire::advertisement::RoutingMessage;
 use bytes::Bytes;
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    if let Ok(taken) = Routing::decode(Bytes::copy_from_slice(bytes)) {
-        assert_eq!(Routing::decode(taken.encode()), Ok(taken));
+    if let Ok(taken) = RoutingMessage::decode(Bytes::copy_from_slice(bytes)) {
+        assert_eq!(RoutingMessage::decode(taken.encode()), Ok(taken));
     }
 });

@@ -89,7 +89,7 @@ enum Silence {
 }
 
 /// The judge. Shown pulses often and stamps less often, each time between
-/// [`handle_look`](Scanner::handle_look) and draining the outputs.
+/// [`handle_look`](HangDetector::handle_look) and draining the outputs.
 #[derive(Debug)]
 pub struct HangDetector {
     config: HangDetectorConfig,

@@ -62,7 +62,7 @@ impl AddressClaimed {
         bytes.freeze()
     }
 
-    /// Reads one; `None` for anything that [`encode`](Claim::encode) does not write.
+    /// Reads one; `None` for anything that [`encode`](AddressClaimed::encode) does not write.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&[FORM, held @ 0..=1], rest) = bytes.split_first_chunk()? else { return None };
         let (number, name) = rest.split_first_chunk()?;

@@ -89,7 +89,7 @@ pub enum PeerProtocolOutput {
         /// What.
         message: GatherBuffer,
     },
-    /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::Exchange::handle_bound).
+    /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
     Bind {
         /// Who asks.
         peer: NodeId,
@@ -103,7 +103,7 @@ pub enum PeerProtocolOutput {
         identity: Box<PeerIdentity>,
     },
     /// Give this message to the object that is bound; answer a request with
-    /// [`Exchange::handle_answer`](super::Exchange::handle_answer).
+    /// [`Exchange::handle_answer`](super::PeerProtocol::handle_answer).
     Serve {
         /// From whom.
         peer: NodeId,
@@ -174,7 +174,7 @@ pub enum PeerProtocolOutput {
         difference: String,
     },
     /// Send what is published here to this peer, unless the contract differs; then tell with
-    /// [`Exchange::handle_subscribe_refused`](super::Exchange::handle_subscribe_refused).
+    /// [`Exchange::handle_subscribe_refused`](super::PeerProtocol::handle_subscribe_refused).
     Subscribe {
         /// Who wants it.
         peer: NodeId,
@@ -204,7 +204,7 @@ pub enum PeerProtocolOutput {
         /// The event.
         payload: Bytes,
     },
-    /// Another node's fault for our recoverer; confirm with [`Exchange::handle_noticed`](super::Exchange::handle_noticed).
+    /// Another node's fault for our recoverer; confirm with [`Exchange::handle_noticed`](super::PeerProtocol::handle_noticed).
     Notice {
         /// Whose.
         peer: NodeId,
@@ -217,7 +217,7 @@ pub enum PeerProtocolOutput {
     },
     /// A fault that we told a peer of has arrived, or its session has ended before it had.
     Noticed {
-        /// The number that was given to [`Exchange::handle_notice`](super::Exchange::handle_notice).
+        /// The number that was given to [`Exchange::handle_notice`](super::PeerProtocol::handle_notice).
         number: u64,
         /// It has arrived.
         arrived: bool,

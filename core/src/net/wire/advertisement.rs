@@ -233,7 +233,7 @@ impl RoutingMessage {
     /// Reads what a neighbour's router said.
     ///
     /// # Errors
-    /// [`WireError`] for anything that [`encode`](Routing::encode) does not write.
+    /// [`WireError`] for anything that [`encode`](RoutingMessage::encode) does not write.
     pub fn decode(bytes: Bytes) -> Result<RoutingMessage, WireError> {
         let mut reader = Reader::new(bytes);
         match reader.u8()? {

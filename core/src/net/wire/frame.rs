@@ -61,7 +61,7 @@ pub enum Frame {
 /// A part of something of the router's.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RoutingFragment {
-    /// Which, from 0 to [`INDEX_MAX`](RoutingPart::INDEX_MAX).
+    /// Which, from 0 to [`INDEX_MAX`](RoutingFragment::INDEX_MAX).
     pub index: u8,
     /// It is the last.
     pub last: bool,
@@ -185,7 +185,7 @@ pub fn is_hello(frame: &GatherBuffer) -> bool {
 }
 
 /// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
-/// each other, and packets of the class [`Control`](crate::net::Class::Control), such as acknowledgements.
+/// each other, and packets of the class [`Control`](crate::net::PacketPriority::Control), such as acknowledgements.
 pub fn is_urgent(frame: &GatherBuffer) -> bool {
     let [head, body] = frame.pieces();
     match head {

@@ -283,7 +283,7 @@ impl PeerMessage {
     /// Reads a message.
     ///
     /// # Errors
-    /// [`WireError`] for anything that [`encode`](Message::encode) does not write.
+    /// [`WireError`] for anything that [`encode`](PeerMessage::encode) does not write.
     pub fn decode(bytes: Bytes) -> Result<PeerMessage, WireError> {
         let mut reader = Reader::new(bytes);
         let what = "a message";

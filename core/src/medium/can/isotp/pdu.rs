@@ -205,7 +205,7 @@ impl PduWriter {
         }
     }
 
-    /// A message in one frame. It is at most [`single_max`](Writer::single_max) long.
+    /// A message in one frame. It is at most [`single_max`](PduWriter::single_max) long.
     pub fn single(&self, message: &[u8]) -> CanFrame {
         let length = message.len() as u8;
         if message.len() < CLASSIC_MAX {
