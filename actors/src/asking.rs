@@ -16,8 +16,8 @@ pub(crate) async fn ask_by<M: Contract>(
     pursue(inlet, message, rule, |_| true).await
 }
 
-/// Asks once; where the receiver has died of something else's fault while it served the request, and
-/// that does no harm, the next life is asked.
+/// Asks once; where the receiver has died of something else's fault while it served the request,
+/// and that does no harm, the next life is asked.
 pub(crate) async fn ask_idempotent<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     message: M,

@@ -10,9 +10,9 @@ use std::future::Future;
 
 /// An application's object: a struct with a life cycle.
 ///
-/// Every hook is optional. A hook that fails ends the component's work: `on_aborting` is called, the
-/// component is in error, and the fault is reported. After a panic, or at the next life, the component
-/// is built anew by the factory of its `ChildSpec`.
+/// Every hook is optional. A hook that fails ends the component's work: `on_aborting` is called,
+/// the component is in error, and the fault is reported. After a panic, or at the next life, the
+/// component is built anew by the factory of its `ChildSpec`.
 ///
 /// ```text
 /// built ─ on_initialize ─► Initialized ─ on_startup, on_activated ─► Active ─ on_execute, handlers …
@@ -131,7 +131,8 @@ pub struct Failure {
     pub reason: String,
     /// This life cannot be saved by a reset.
     pub fatal: bool,
-    /// Something that it needs is not there yet: a life that begins, or resets itself, tries again later.
+    /// Something that it needs is not there yet: a life that begins, or resets itself, tries again
+    /// later.
     pub unavailable: bool,
 }
 
@@ -141,13 +142,14 @@ impl Failure {
         Failure { reason: reason.into(), fatal: true, unavailable: false }
     }
 
-    /// Something outside of the component that it needs is not there yet: a device that is not plugged in,
-    /// a server that is still starting.
+    /// Something outside of the component that it needs is not there yet: a device that is not
+    /// plugged in, a server that is still starting.
     ///
-    /// From `on_initialize`, `on_startup`, `on_activated` and `on_reset` it is no error of the component: the
-    /// same hook of the same life is called again, after 100 ms and then ever later, up to five seconds apart,
-    /// for as long as that takes. The fault *unavailable* (`B22`) stands meanwhile, and no restart is counted.
-    /// From anywhere else it is a failure like any other, which the plan answers by a reset first.
+    /// From `on_initialize`, `on_startup`, `on_activated` and `on_reset` it is no error of the
+    /// component: the same hook of the same life is called again, after 100 ms and then ever later,
+    /// up to five seconds apart, for as long as that takes. The fault *unavailable* (`B22`) stands
+    /// meanwhile, and no restart is counted. From anywhere else it is a failure like any other,
+    /// which the plan answers by a reset first.
     ///
     /// ```
     /// use blastema::prelude::*;

@@ -72,8 +72,9 @@ impl<C: Component> Context<C> {
     /// `module2:arm/left` on another node.
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object, [`DeliveryError::NotServed`] if it does not
-    /// serve the contract, [`DeliveryError::ContractDiffers`] if it knows another contract by this name.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object,
+    /// [`DeliveryError::NotServed`] if it does not serve the contract,
+    /// [`DeliveryError::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
         self.anchor.record.environment.registry.sender(name)
     }
@@ -82,8 +83,8 @@ impl<C: Component> Context<C> {
     /// another node.
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
-    /// owns no variables.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         variable::find(&self.anchor.record.environment.registry, object)
     }
@@ -105,12 +106,12 @@ impl<C: Component> Context<C> {
         ServiceRef::new(registry, services, name)
     }
 
-    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task of
-    /// this life: it ends with the life, and when the component hangs.
+    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
+    /// of this life: it ends with the life, and when the component hangs.
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
-    /// is no actuator.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it is no actuator.
     pub fn commander<M: Contract>(
         &mut self,
         actuator: &str,
@@ -123,8 +124,8 @@ impl<C: Component> Context<C> {
         Ok(commander)
     }
 
-    /// A sender for threads and blocking tasks that this life starts: what they still send after the
-    /// life has ended is refused as [`DeliveryError::Fenced`].
+    /// A sender for threads and blocking tasks that this life starts: what they still send after
+    /// the life has ended is refused as [`DeliveryError::Fenced`].
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
         let detached = DetachedSender { inner: sender.clone(), life: self.life.token.clone() };
         Sender(Arc::new(detached))
@@ -135,27 +136,28 @@ impl<C: Component> Context<C> {
         platform::now()
     }
 
-    /// When the data in the message that is served, or was served last, was captured: as its publisher
-    /// said by [`publish_captured_at`](Self::publish_captured_at), else when the message was sent, to
-    /// the precision of 10 ms unless its contract has a `max_age`. `None` before the first message.
+    /// When the data in the message that is served, or was served last, was captured: as its
+    /// publisher said by [`publish_captured_at`](Self::publish_captured_at), else when the message
+    /// was sent, to the precision of 10 ms unless its contract has a `max_age`. `None` before the
+    /// first message.
     ///
-    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way nor
-    /// the queue of a message counts as a change of what it tells.
+    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
+    /// nor the queue of a message counts as a change of what it tells.
     pub fn captured_at(&self) -> Option<Instant> {
         self.life.captured_at.get()
     }
 
-    /// Publishes an event on the topic that has its contract's name. Never waits. While the component
-    /// is fenced off or isolated, events are not published but counted among the dead letters under the
-    /// topic's name.
+    /// Publishes an event on the topic that has its contract's name. Never waits. While the
+    /// component is fenced off or isolated, events are not published but counted among the dead
+    /// letters under the topic's name.
     #[track_caller]
     pub fn publish<E: Event>(&self, event: E) {
         self.publish_stamped(event, None);
     }
 
-    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an image:
-    /// `max_age` counts from there, and listeners read it by [`captured_at`](Self::captured_at). A time
-    /// that is still to come counts as now.
+    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an
+    /// image: `max_age` counts from there, and listeners read it by
+    /// [`captured_at`](Self::captured_at). A time that is still to come counts as now.
     #[track_caller]
     pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
         self.publish_stamped(event, Some(captured_at));
@@ -179,11 +181,12 @@ impl<C: Component> Context<C> {
     }
 
     /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
-    /// publishes after that has ended, on whichever thread, is refused as [`DeliveryError::Fenced`].
+    /// publishes after that has ended, on whichever thread, is refused as
+    /// [`DeliveryError::Fenced`].
     ///
     /// # Errors
-    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's name; the text names
-    /// both, where each was said, and what differs.
+    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
+    /// name; the text names both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         let topics = &self.anchor.record.environment.topics;
@@ -297,8 +300,8 @@ impl<C: Component> Context<C> {
 
     /// Reports a fault that the component found in itself or in its data. It goes on working.
     ///
-    /// A code of the application's own that the plan has no answer to is reported with the codes that it
-    /// has, and only observed: see [the manual](crate::manual::faults).
+    /// A code of the application's own that the plan has no answer to is reported with the codes
+    /// that it has, and only observed: see [the manual](crate::manual::faults).
     pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
         if pulse::send_refusal() == Some(DeliveryError::Fenced) {
             return;
@@ -341,8 +344,8 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Ends this life in order, when the present handler has ended. What is queued waits for the next
-    /// life, if its supervisor begins one.
+    /// Ends this life in order, when the present handler has ended. What is queued waits for the
+    /// next life, if its supervisor begins one.
     pub fn stop(&mut self) {
         self.life.defer(|wishes| wishes.stop = true);
     }
@@ -353,14 +356,14 @@ impl<C: Component> Context<C> {
         self.life.defer(|wishes| wishes.failure = Some(failure));
     }
 
-    /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not live
-    /// now, or is unknown, that is told at once. The object is a component, a supervisor or one of the
-    /// middleware's own, here or, as `module2:arm`, on another node; of such a one it is also told when
-    /// its node is lost, and it is watched further when that is back.
+    /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not
+    /// live now, or is unknown, that is told at once. The object is a component, a supervisor or
+    /// one of the middleware's own, here or, as `module2:arm`, on another node; of such a one it is
+    /// also told when its node is lost, and it is watched further when that is back.
     ///
-    /// What is told comes before the messages that wait, and though the queue is full. Of an object that
-    /// ended twice before the component had its turn the last end is told. The watch ends with the present
-    /// life, and so does what it has not taken.
+    /// What is told comes before the messages that wait, and though the queue is full. Of an object
+    /// that ended twice before the component had its turn the last end is told. The watch ends with
+    /// the present life, and so does what it has not taken.
     ///
     /// # Errors
     /// The name does not parse.

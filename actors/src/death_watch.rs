@@ -49,8 +49,8 @@ pub enum Ending {
     NotAlive,
     /// No object of this name is known.
     Unknown,
-    /// Its node has ended, has left, or cannot be reached any more. What became of the object is not
-    /// known; its incarnation is given as 0.
+    /// Its node has ended, has left, or cannot be reached any more. What became of the object is
+    /// not known; its incarnation is given as 0.
     NodeLost {
         /// What is known of the node.
         reason: String,
@@ -110,7 +110,8 @@ impl Watchers {
     }
 }
 
-/// The ends of objects that are not components: supervisors, and the middleware's own. Clones share it.
+/// The ends of objects that are not components: supervisors, and the middleware's own. Clones share
+/// it.
 #[derive(Clone, Default)]
 pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
 

@@ -1,7 +1,8 @@
 //! What answers a contract at an object's name without being its component.
 //!
-//! Variables and leases are kept by the node, so that they outlive the lives of the component that they
-//! belong to, and can be reached while it hangs. They are served on the thread of whoever asks.
+//! Variables and leases are kept by the node, so that they outlive the lives of the component that
+//! they belong to, and can be reached while it hangs. They are served on the thread of whoever
+//! asks.
 
 use crate::host::pulse;
 use crate::platform;
@@ -91,6 +92,7 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
     }
 
     fn declare(&self, _: FaultKind, _: String) {
-        // The node's own contracts differ only between nodes of different versions, which sessions tell.
+        // The node's own contracts differ only between nodes of different versions, which sessions
+        // tell.
     }
 }

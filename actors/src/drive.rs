@@ -79,11 +79,13 @@ pub(crate) struct WakeTimer {
     has_soon: bool,
 }
 
-/// So many inputs may wait for [`MachineActor::drive_soon`]: an actor whose mailbox never empties is driven too.
+/// So many inputs may wait for [`MachineActor::drive_soon`]: an actor whose mailbox never empties
+/// is driven too.
 const BATCH: usize = 64;
 
-/// Drives when the mailbox is empty, if there were inputs. actix polls it after each batch of messages; one that
-/// is spawned for each costs as much as the message, since the actor's other futures are polled again with it.
+/// Drives when the mailbox is empty, if there were inputs. actix polls it after each batch of
+/// messages; one that is spawned for each costs as much as the message, since the actor's other
+/// futures are polled again with it.
 struct Soon;
 
 impl<B: MachineActor> ActorFuture<B> for Soon {

@@ -1,9 +1,9 @@
 //! The reflex that keeps the middleware's own actors alive.
 //!
 //! Components are hosted; the objects of the middleware itself are plain actors, and this is what
-//! stands between their panics and actix. A panic is caught around each poll, so that actix never sees
-//! it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox live on.
-//! Only the message that it was serving is lost.
+//! stands between their panics and actix. A panic is caught around each poll, so that actix never
+//! sees it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox
+//! live on. Only the message that it was serving is lost.
 
 use crate::death_watch::{Deaths, Ending};
 use crate::{panics, platform};
@@ -80,8 +80,8 @@ impl Guardian {
         guardian
     }
 
-    /// From now on every death, survived or not, is reported to `deaths`. The monitor, which is told,
-    /// is itself guarded: that is why this cannot be said when the guardian is made.
+    /// From now on every death, survived or not, is reported to `deaths`. The monitor, which is
+    /// told, is itself guarded: that is why this cannot be said when the guardian is made.
     pub(crate) fn report_to(&self, deaths: Recipient<Exited>) {
         // A second monitor would be a second master; the first stays.
         let _ = self.deaths.set(deaths);

@@ -1,7 +1,7 @@
 //! The data lane: a queue that is bounded for real.
 //!
-//! It belongs to the reference, not to the life that serves it, so that it outlives panics and even a
-//! hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
+//! It belongs to the reference, not to the life that serves it, so that it outlives panics and even
+//! a hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
 //! stated policy, [`WhenFull`].
 
 use crate::sync::atomic::Ordering::Relaxed;
@@ -58,8 +58,8 @@ pub(crate) struct BoundedQueue<T> {
 
 struct Inner<T> {
     queue: VecDeque<T>,
-    /// Notices for the owner, each under what it is about. They are taken before the queue and need no
-    /// room in it; they end with the owner. At most one for each thing that the owner watches.
+    /// Notices for the owner, each under what it is about. They are taken before the queue and need
+    /// no room in it; they end with the owner. At most one for each thing that the owner watches.
     notices: VecDeque<(Box<str>, T)>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
@@ -147,9 +147,9 @@ impl<T> BoundedQueue<T> {
         Ok(Pushed { displaced, parked: lane.parked.take() })
     }
 
-    /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A notice
-    /// about the same thing that still waits is replaced. Returned is what is not going to be served: the
-    /// replaced notice, or this one if the lane belongs to another life.
+    /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A
+    /// notice about the same thing that still waits is replaced. Returned is what is not going to
+    /// be served: the replaced notice, or this one if the lane belongs to another life.
     pub(crate) fn notify(&self, owner: Incarnation, about: &str, notice: T) -> Option<T> {
         let mut lane = self.lock();
         if lane.owner != Some(owner) {
@@ -207,8 +207,9 @@ impl<T> BoundedQueue<T> {
         Popped::Got(item)
     }
 
-    /// From now on only this life may take: `life`, or the one after the last that has owned the lane, so
-    /// that no two have one number. Says which. A life that lost the lane is cut off from its input.
+    /// From now on only this life may take: `life`, or the one after the last that has owned the
+    /// lane, so that no two have one number. Says which. A life that lost the lane is cut off from
+    /// its input.
     pub(crate) fn begin(&self, life: Incarnation) -> Incarnation {
         let mut lane = self.lock();
         let life = life.max(lane.newest.next());

@@ -1,10 +1,10 @@
 //! A message on its way, type-erased towards its receiver.
 //!
-//! A letter is plain data and crosses threads sealed. Its handler's future is built on the receiving
-//! thread, in a nest: a pinned place that is kept per component and contract and filled again and
-//! again, so that a message costs one allocation, the letter. The future owns a share of the
-//! component's home and borrows the component for as long as it runs. The guard owns the other share,
-//! so that an unwinding handler never drops the component.
+//! A letter is plain data and crosses threads sealed. Its handler's future is built on the
+//! receiving thread, in a nest: a pinned place that is kept per component and contract and filled
+//! again and again, so that a message costs one allocation, the letter. The future owns a share of
+//! the component's home and borrows the component for as long as it runs. The guard owns the other
+//! share, so that an unwinding handler never drops the component.
 
 use crate::component::{Component, Handle};
 use crate::host::pulse;
@@ -72,7 +72,8 @@ pub(crate) trait Envelope<C: Component> {
     fn contents(&mut self) -> &mut dyn Any;
 }
 
-/// A pinned place, on the arbiter only, in which one contract's handler futures run one after another.
+/// A pinned place, on the arbiter only, in which one contract's handler futures run one after
+/// another.
 pub(crate) trait FutureSlot<C: Component> {
     fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool;
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;

@@ -1,12 +1,12 @@
 //! Fault-tolerant middleware for robots: typed actors that grow back.
 //!
-//! A robot is made of [components](Component), which send each other [messages](Contract) and live on
-//! [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema finds the
-//! fault, names it, and recovers from it in bounded time, or brings the robot to the safe state. The
-//! application says what its parts are and what depends on what.
+//! A robot is made of [components](Component), which send each other [messages](Contract) and live
+//! on [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema
+//! finds the fault, names it, and recovers from it in bounded time, or brings the robot to the safe
+//! state. The application says what its parts are and what depends on what.
 //!
-//! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the scanner's
-//! next life:
+//! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the
+//! scanner's next life:
 //!
 //! ```
 //! use blastema::prelude::*;
@@ -54,8 +54,8 @@
 //! }
 //! ```
 //!
-//! The [manual] begins with [getting started](manual::start); it has a page on every subject, with all
-//! [guarantees](manual::guarantees) and all [limits](manual::limits).
+//! The [manual] begins with [getting started](manual::start); it has a page on every subject, with
+//! all [guarantees](manual::guarantees) and all [limits](manual::limits).
 //!
 //! | to | see |
 //! | --- | --- |
@@ -216,7 +216,8 @@ pub mod detection {
     };
 }
 
-/// The machines behind all of it; for those who work on the middleware, and for what the derives write.
+/// The machines behind all of it; for those who work on the middleware, and for what the derives
+/// write.
 pub use blastema_core as core;
 
 /// Everything that an application usually needs.
@@ -239,8 +240,8 @@ pub mod program {
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.
 ///
-/// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone, as
-/// `head` does, ends with the status 141 and without a word, like other programs.
+/// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone,
+/// as `head` does, ends with the status 141 and without a word, like other programs.
 pub fn run<F: Future>(future: F) -> F::Output {
     panics::install_hook();
     let running = AssertUnwindSafe(|| actix_rt::System::new().block_on(future));

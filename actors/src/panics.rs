@@ -1,8 +1,8 @@
 //! What is known of a panic: its text and its place, without the cost of a backtrace.
 //!
 //! The standard hook symbolises a backtrace on the spot and stalls the whole arbiter for a tenth to
-//! half a second. Where a guard is going to catch the panic, our hook notes the place instead; every
-//! other panic goes to the hook that was there before.
+//! half a second. Where a guard is going to catch the panic, our hook notes the place instead;
+//! every other panic goes to the hook that was there before.
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};
@@ -40,7 +40,8 @@ pub(crate) fn install_hook() {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
             if GUARDED.try_with(Cell::get).unwrap_or(0) == 0 {
-                // Whoever read has gone on purpose, as `head` does: `end_of_program` says so by its status.
+                // Whoever read has gone on purpose, as `head` does: `end_of_program` says so by its
+                // status.
                 if !is_reader_gone(info.payload()) {
                     previous(info);
                 }
@@ -60,7 +61,8 @@ fn is_reader_gone(payload: &(dyn Any + Send)) -> bool {
     })
 }
 
-/// What a panic that ends a program becomes: the end of a Unix program whose reader has gone, or itself.
+/// What a panic that ends a program becomes: the end of a Unix program whose reader has gone, or
+/// itself.
 pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
     /// 128 and the number of SIGPIPE, as a shell says it.
     const READER_GONE: i32 = 141;

@@ -1,7 +1,8 @@
 //! The parameters of a node's components: read from a file at the start, set while they run.
 //!
-//! They are a variable of their component, so that they are read, written and watched as variables are;
-//! this adds where their first values come from, and that the component is told of every change.
+//! They are a variable of their component, so that they are read, written and watched as variables
+//! are; this adds where their first values come from, and that the component is told of every
+//! change.
 
 use crate::component::{Component, Handle};
 use crate::host::anchor::ComponentCell;
@@ -121,8 +122,9 @@ impl<P: Parameters> VariableRef<P> {
     /// Sets one parameter and leaves the others as they are. Answers the revision.
     ///
     /// # Errors
-    /// As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] says what is wrong with the value:
-    /// its range, its type, or that there is no such parameter, with the nearest name.
+    /// As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] says what is wrong
+    /// with the value: its range, its type, or that there is no such parameter, with the nearest
+    /// name.
     pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, DeliveryError> {
         loop {
             let reading = self.read().await?;

@@ -42,8 +42,8 @@ fn origin() -> &'static Origin {
         let monotonic = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
         let nanos = monotonic.tv_sec * 1_000_000_000 + monotonic.tv_nsec;
         Origin {
-            // Not the runtime's own reading: a test that has paused and advanced its clock may be the
-            // first to ask, and others of the process must not depend on how far it had come.
+            // Not the runtime's own reading: a test that has paused and advanced its clock may be
+            // the first to ask, and others of the process must not depend on how far it had come.
             runtime: std::time::Instant::now().into(),
             monotonic_nanos: u64::try_from(nanos).unwrap_or_default(),
         }
@@ -52,8 +52,8 @@ fn origin() -> &'static Origin {
 
 /// The time on this thread's clock.
 ///
-/// It is the system's monotonic clock, so that instants of two processes of one machine compare, and
-/// it stands still and leaps as tokio's clock does where a test has paused that.
+/// It is the system's monotonic clock, so that instants of two processes of one machine compare,
+/// and it stands still and leaps as tokio's clock does where a test has paused that.
 pub fn now() -> Instant {
     let origin = origin();
     let (now, both) = (tokio::time::Instant::now(), Instant::from_nanos(origin.monotonic_nanos));
@@ -64,7 +64,8 @@ pub fn now() -> Instant {
     }
 }
 
-/// The system's coarse clock, in nanoseconds: a few nanoseconds to read, and it ticks every 1 to 10 ms.
+/// The system's coarse clock, in nanoseconds: a few nanoseconds to read, and it ticks every 1 to 10
+/// ms.
 #[inline]
 pub(crate) fn tick() -> u64 {
     let coarse = rustix::time::clock_gettime(rustix::time::ClockId::MonotonicCoarse);
@@ -101,18 +102,20 @@ fn before(at: Instant, span: Duration) -> Instant {
     Instant::from_nanos(at.as_nanos().saturating_sub(nanos))
 }
 
-/// The incarnation of a node whose process starts now: milliseconds of the wall clock, so that it is
-/// larger than that of any earlier process unless the clock was set back in between.
+/// The incarnation of a node whose process starts now: milliseconds of the wall clock, so that it
+/// is larger than that of any earlier process unless the clock was set back in between.
 pub(crate) fn node_incarnation() -> Incarnation {
     let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     Incarnation(u64::try_from(since.as_millis()).unwrap_or(u64::MAX))
 }
 
-/// Has the allocator keep the memory of large messages for the next ones: from a kernel that hands out
-/// each page of four kibibytes by itself, fresh memory costs as much as all else that is done with them.
+/// Has the allocator keep the memory of large messages for the next ones: from a kernel that hands
+/// out each page of four kibibytes by itself, fresh memory costs as much as all else that is done
+/// with them.
 ///
-/// What glibc has once mapped and freed, it takes from its heaps from then on, and gives their ends back
-/// when they are twice as large (mallopt(3), `M_MMAP_THRESHOLD`). Other allocators see a block come and go.
+/// What glibc has once mapped and freed, it takes from its heaps from then on, and gives their ends
+/// back when they are twice as large (mallopt(3), `M_MMAP_THRESHOLD`). Other allocators see a block
+/// come and go.
 pub(crate) fn keep_freed_memory() {
     /// What is on its way between a sender and its peer, 5 MiB, and some of other sizes.
     const KEPT: usize = 8 << 20;

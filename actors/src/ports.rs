@@ -81,10 +81,11 @@ impl<C: Component> Ports<C> {
         self
     }
 
-    /// Has parameters, with the values that the [configuration](crate::NodeBuilder::parameters_from) gives
-    /// them, or their defaults. The component reads them by
-    /// [`Context::parameters`](crate::Context::parameters) in `on_initialize`, and is handed them anew by its
-    /// handler whenever one is set. A component has one set of parameters.
+    /// Has parameters, with the values that the
+    /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
+    /// component reads them by [`Context::parameters`](crate::Context::parameters) in
+    /// `on_initialize`, and is handed them anew by its handler whenever one is set. A component has
+    /// one set of parameters.
     pub fn parameters<P: Parameters>(&mut self) -> &mut Self
     where
         C: Handle<P>,
@@ -93,8 +94,8 @@ impl<C: Component> Ports<C> {
         self
     }
 
-    /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes, the
-    /// component gets the safe command.
+    /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes,
+    /// the component gets the safe command.
     pub fn actuator<M: Contract>(&mut self, spec: ActuatorSpec<M>) -> &mut Self
     where
         C: Handle<M>,

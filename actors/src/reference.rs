@@ -10,7 +10,8 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending means.
+/// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending
+/// means.
 pub struct ActorRef<C: Component>(pub(crate) Arc<ComponentCell<C>>);
 
 impl<C: Component> Clone for ActorRef<C> {
@@ -98,7 +99,8 @@ impl<C: Component> ActorRef<C> {
         self.order(HostCommand::Activate(false));
     }
 
-    /// Asks the component to return to work. Without effect unless it is initialised and not active.
+    /// Asks the component to return to work. Without effect unless it is initialised and not
+    /// active.
     pub fn activate(&self) {
         self.order(HostCommand::Activate(true));
     }

@@ -1,25 +1,27 @@
 //! Who is called what on this node, and what they take.
 //!
-//! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract but
-//! not the type behind it. Both compare the contract's identity first.
+//! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract
+//! but not the type behind it. Both compare the contract's identity first.
 
+mod skeleton;
+
+pub(crate) use self::skeleton::encoded_reply;
+
+use self::skeleton::{LocalSkeleton, encoding};
 use crate::claim::{GlobalNameSender, GlobalNameTable};
 use crate::component::Handle;
 use crate::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
 use crate::desk::ServiceFn;
 use crate::host::anchor::ComponentCell;
 use crate::host::injection::Injection;
-use crate::letter::arrived_posting_time;
 use crate::panics;
 use crate::reply::{ReplyFuture, Responder};
 use crate::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
-use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
-    Lifecycle, MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, PreviousVersion,
-    suggestion,
+    MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
@@ -61,10 +63,11 @@ pub(crate) type CapacityFuture = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Skeleton: Send + Sync {
-    /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case; the
-    /// error then repeats what it was told. Where it is not, and there is [`room`](Self::room) to wait
-    /// for, a message that is refused as [`DeliveryError::Full`] or [`DeliveryError::Restarting`] remains the caller's: to be
-    /// tried again, or [buried](Self::bury).
+    /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case;
+    /// the error then repeats what it was told. Where it is not, and there is [`room`](Self::room)
+    /// to wait for, a message that is refused as [`DeliveryError::Full`] or
+    /// [`DeliveryError::Restarting`] remains the caller's: to be tried again, or
+    /// [buried](Self::bury).
     fn deliver(
         &self,
         message: &Bytes,
@@ -105,8 +108,8 @@ pub(crate) trait StubFactory: Send + Sync {
 
 /// The way to one object of another node, for one contract.
 pub(crate) trait RemoteStub: Send + Sync {
-    /// Ships one encoded message. Where it is a request and was taken, its `reply_to` is called once.
-    /// Never waits.
+    /// Ships one encoded message. Where it is a request and was taken, its `reply_to` is called
+    /// once. Never waits.
     ///
     /// # Errors
     /// Why the message was not taken.
@@ -137,7 +140,7 @@ impl ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(Sender::<M>(anchor.clone())),
-            doorway: Arc::new(LocalDoor::<C, M> { anchor: anchor.clone(), former: None }),
+            doorway: Arc::new(LocalSkeleton::<C, M> { anchor: anchor.clone(), former: None }),
         }
     }
 }
@@ -171,133 +174,6 @@ impl ContractPort {
     /// The same, where it matters which node says it: what comes from others goes by `doorway`.
     pub(crate) fn of_peers<M: Contract>(desk: ServiceFn<M>, doorway: Arc<dyn Skeleton>) -> Self {
         ContractPort { doorway, ..ContractPort::of_desk(desk) }
-    }
-}
-
-struct LocalDoor<C: Handle<M>, M: Contract> {
-    anchor: Arc<ComponentCell<C>>,
-    /// The version that the sender holds, where it is an earlier one.
-    former: Option<Arc<PreviousVersion<M>>>,
-}
-
-impl<C: Handle<M>, M: Contract> LocalDoor<C, M> {
-    fn hand_over(
-        &self,
-        message: M,
-        MessageMetadata { id, age, until, .. }: MessageMetadata,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), DeliveryError> {
-        match reply_to {
-            // Its sender is elsewhere, and has been told that it was sent.
-            None => {
-                let posted_at = arrived_posting_time::<M>(age);
-                self.anchor.tell_at(message, posted_at).map_err(
-                    |SendError { kind: why, .. }| {
-                        // For want of room it may wait.
-                        if !matches!(why, DeliveryError::Full | DeliveryError::Restarting) {
-                            self.anchor.record.record_dead_letter(M::NAME, &why);
-                        }
-                        why
-                    },
-                )
-            }
-            Some(reply_to) => {
-                let (former, anchor) = (self.former.clone(), self.anchor.clone());
-                let callback = move |result: Result<M::Reply, DeliveryError>| {
-                    // The asker is not to wait for its deadline where the conversion panics.
-                    let converted = |reply| {
-                        let what = || format!("the conversion of a reply to {}", M::NAME);
-                        let encode = || encoded_reply(reply, former.as_deref());
-                        let encoded = anchor.record.guard(what, encode);
-                        encoded.unwrap_or_else(|reason| Err(DeliveryError::Undecodable { reason }))
-                    };
-                    reply_to(result.and_then(converted));
-                };
-                let answer = Responder::called_back(Box::new(callback), until);
-                self.anchor.post(message, answer, id).map_err(|error| error.kind)
-            }
-        }
-    }
-}
-
-pub(crate) fn encoded_reply<M: Contract>(
-    reply: M::Reply,
-    former: Option<&PreviousVersion<M>>,
-) -> Result<GatherBuffer, DeliveryError> {
-    let encoded = match former {
-        None => codec::encode_parcel_reply::<M>(reply),
-        Some(former) => former.answer(reply),
-    };
-    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
-        DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
-        other => other,
-    })
-}
-
-fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
-    match error {
-        codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
-        other => DeliveryError::Undecodable { reason: other.to_string() },
-    }
-}
-
-impl<C: Handle<M>, M: Contract> Skeleton for LocalDoor<C, M> {
-    fn deliver(
-        &self,
-        message: &Bytes,
-        postmark: MessageMetadata,
-        reply_to: Option<ReplyTo>,
-    ) -> Result<(), DeliveryError> {
-        // To read it runs what is the user's, on the network's thread.
-        let what = || format!("to read a message of {}", M::NAME);
-        let read = || match &self.former {
-            None => codec::decode_shared::<M>(message),
-            Some(former) => former.read(message),
-        };
-        let read = self.anchor.record.guard(what, read);
-        match read.and_then(|read| read.map_err(|error| error.to_string())) {
-            Ok(message) => self.hand_over(message, postmark, reply_to),
-            Err(reason) => {
-                let why = DeliveryError::Undecodable { reason };
-                self.anchor.record.record_dead_letter(M::NAME, &why);
-                if let Some(reply_to) = reply_to {
-                    reply_to(Err(why.clone()));
-                }
-                Err(why)
-            }
-        }
-    }
-
-    fn room(&self) -> Option<CapacityFuture> {
-        let anchor = self.anchor.clone();
-        Some(Box::pin(async move { anchor.lane.room().await }))
-    }
-
-    fn bury(&self, why: &DeliveryError) {
-        self.anchor.record.record_dead_letter(M::NAME, why);
-    }
-
-    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
-        let mut former = M::previous_versions().into_iter();
-        let former = former.find(|former| former.identity().check(theirs).is_ok())?;
-        let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
-        Some(Arc::new(LocalDoor::<C, M> { anchor, former }))
-    }
-
-    fn is_at_work(&self) -> bool {
-        self.anchor.record.state() == Lifecycle::Active
-    }
-
-    fn declare(&self, kind: FaultKind, detail: String) {
-        self.anchor.record.declare(kind, detail);
-    }
-
-    fn mend(&self, kind: FaultKind) {
-        let record = &self.anchor.record;
-        if let Some(mended) = &record.environment.reports.mended {
-            let (object, incarnation) = (record.name.clone(), record.incarnation());
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
     }
 }
 

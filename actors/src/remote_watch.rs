@@ -6,10 +6,10 @@
 //!        └──────────── Watched(ends, ended) ◄───────┘
 //! ```
 //!
-//! The watcher asks, and is answered when the object ends; then it asks for the next end. The task that
-//! asks belongs to the watcher's life, so nothing is left when that ends. The desk counts the ends of what
-//! is watched, so that none between two questions is missed. That the object's node is lost is seen by the
-//! session, which resolves the request.
+//! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
+//! that asks belongs to the watcher's life, so nothing is left when that ends. The desk counts the
+//! ends of what is watched, so that none between two questions is missed. That the object's node is
+//! lost is seen by the session, which resolves the request.
 
 use crate::death_watch::{Down, Ending, Watcher};
 use crate::desk::ServiceFn;
@@ -46,8 +46,8 @@ struct AwaitEnd {
     seen: Option<u64>,
 }
 
-/// How an object stands: how many ends the desk has counted, and the last of them, or why it does not
-/// live.
+/// How an object stands: how many ends the desk has counted, and the last of them, or why it does
+/// not live.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 struct Watched {
@@ -73,8 +73,8 @@ impl From<Down> for Ended {
     }
 }
 
-/// Tells of every end of that object, and of the loss of its node, for as long as it is polled. Completes
-/// when the node knows no such object.
+/// Tells of every end of that object, and of the loss of its node, for as long as it is polled.
+/// Completes when the node knows no such object.
 pub(crate) fn follow(
     registry: Registry,
     ObjectAddress { node, object }: ObjectAddress,
@@ -122,7 +122,8 @@ async fn ask_on(
         };
         match why {
             DeliveryError::DeadlinePassed => continue, // No life has ended.
-            // Of no concern to the object: for want of room, or because the watcher itself is fenced.
+            // Of no concern to the object: for want of room, or because the watcher itself is
+            // fenced.
             DeliveryError::Full
             | DeliveryError::WayFull { .. }
             | DeliveryError::Restarting

@@ -1,8 +1,8 @@
 //! The place where the answer to one request is put.
 //!
-//! A slot belongs to the asker's side. The callee holds a way to fill it, and whoever watches over the
-//! callee holds a way to revoke it, so that a callee which hangs cannot keep its askers waiting, and
-//! what it says after it was given up is refused. A slot takes one result, the first.
+//! A slot belongs to the asker's side. The callee holds a way to fill it, and whoever watches over
+//! the callee holds a way to revoke it, so that a callee which hangs cannot keep its askers
+//! waiting, and what it says after it was given up is refused. A slot takes one result, the first.
 
 use crate::host::pulse::{ArbiterHeartbeat, Deadline};
 use crate::platform;

@@ -66,8 +66,8 @@ impl fmt::Display for Receiver {
     }
 }
 
-/// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and remote
-/// receivers are alike.
+/// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and
+/// remote receivers are alike.
 ///
 /// Messages from one sender to one receiver arrive in order. What was accepted is served unless the
 /// receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these are
@@ -96,12 +96,12 @@ impl<M: Contract> Sender<M> {
         self.0.tell(message).map_err(|error| error.at(|| self.0.receiver()))
     }
 
-    /// Hands the message to the receiver's queue, and waits while it has no room. What goes to another
-    /// node waits there, once it has been accepted here, until the receiver has room.
+    /// Hands the message to the receiver's queue, and waits while it has no room. What goes to
+    /// another node waits there, once it has been accepted here, until the receiver has room.
     ///
     /// # Errors
-    /// The reason, and the message as it was; never [`DeliveryError::Full`], [`DeliveryError::WayFull`] or
-    /// [`DeliveryError::Restarting`].
+    /// The reason, and the message as it was; never [`DeliveryError::Full`],
+    /// [`DeliveryError::WayFull`] or [`DeliveryError::Restarting`].
     pub async fn deliver(&self, message: M) -> Result<(), SendError<M>> {
         deliver(&*self.0, message).await.map_err(|error| error.at(|| self.0.receiver()))
     }
@@ -114,8 +114,9 @@ impl<M: Contract> Sender<M> {
     ///
     /// A receiver on another node does not begin a request whose deadline has passed. Where the way
     /// to it was lost after the request had been sent, the outcome is not known, which is said by
-    /// [`DeliveryError::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked again by itself
-    /// as soon as there is a way, and where the receiver died while it served it, within the deadline.
+    /// [`DeliveryError::OutcomeUnknown`]; a contract that is declared `idempotent` is then asked
+    /// again by itself as soon as there is a way, and where the receiver died while it served it,
+    /// within the deadline.
     pub async fn ask(&self, message: M) -> Result<M::Reply, RequestError<M>> {
         self.ask_within(message, DEFAULT_DEADLINE).await
     }
@@ -163,9 +164,9 @@ impl<M: Contract> Sender<M> {
     }
 
     /// Prepares a request that may be sent more than once and stays the same message: if it has
-    /// killed three lives of the receiver, it is quarantined. A receiver on another node serves it once,
-    /// and answers with the same reply for a minute, as long as its node lives; a request that failed
-    /// is not remembered.
+    /// killed three lives of the receiver, it is quarantined. A receiver on another node serves it
+    /// once, and answers with the same reply for a minute, as long as its node lives; a request
+    /// that failed is not remembered.
     pub fn repeatable(&self, message: M) -> Repeatable<M>
     where
         M: Clone,
@@ -240,7 +241,8 @@ pub(crate) async fn deliver<M: Contract>(
     }
 }
 
-/// A sender for a thread of the component's own: it is refused once the life that made it has ended.
+/// A sender for a thread of the component's own: it is refused once the life that made it has
+/// ended.
 pub(crate) struct DetachedSender<M: Contract> {
     pub(crate) inner: Sender<M>,
     pub(crate) life: Arc<IncarnationToken>,

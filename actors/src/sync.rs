@@ -1,5 +1,5 @@
-//! What threads share state through, where the order of their steps matters: the lane, the reply slot,
-//! the token of an incarnation, the stamp. These files name it here, so that `tests/tests/interleavings`
-//! can build them with the types of a model checker instead.
+//! What threads share state through, where the order of their steps matters: the lane, the reply
+//! slot, the token of an incarnation, the stamp. These files name it here, so that
+//! `tests/tests/interleavings` can build them with the types of a model checker instead.
 
 pub(crate) use std::sync::{Mutex, MutexGuard, atomic};

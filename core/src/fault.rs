@@ -40,22 +40,24 @@ pub enum FaultKind {
     /// Another node does harm: what it sends must be refused, or it dies again and again. Or it was
     /// isolated by others.
     NodeFaulty,
-    /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two nodes have
-    /// one address on a bus.
+    /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two
+    /// nodes have one address on a bus.
     NameTaken,
     /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
     CommanderGone,
-    /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it serves.
+    /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it
+    /// serves.
     NodeAtRest,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
     Unprotected,
-    /// A service went on without a part of its state that somebody had been answered for: nobody who held it
-    /// was left.
+    /// A service went on without a part of its state that somebody had been answered for: nobody
+    /// who held it was left.
     StateLost,
-    /// A service has no primary, as far as a node knows that carries it, for longer than a takeover takes.
+    /// A service has no primary, as far as a node knows that carries it, for longer than a takeover
+    /// takes.
     NotServed,
-    /// Something that a component needs to begin its work, such as its device, is not there yet. It tries
-    /// again by itself, for as long as that takes.
+    /// Something that a component needs to begin its work, such as its device, is not there yet. It
+    /// tries again by itself, for as long as that takes.
     Unavailable,
     /// Another node's process dies and is started again, over and over.
     CrashLoop,
@@ -244,8 +246,8 @@ pub struct Fault {
     pub place: Place,
     /// Which life of the place it struck.
     pub incarnation: Incarnation,
-    /// The particulars: a panic's text and source line, a check's value and limit. Of one that was found again
-    /// while it stood, those of the last time.
+    /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
+    /// found again while it stood, those of the last time.
     pub detail: String,
     /// When it was found, on the finder's clock.
     pub found_at: Instant,

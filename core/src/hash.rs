@@ -1,7 +1,8 @@
 //! One hash for whatever must be the same in every build and on every platform: FNV-1a. It finds
 //! accidents, and stops nobody who means to make two things look alike.
 
-/// The hash of these bytes, by the offset basis and the prime for 64 bits, as published by its authors.
+/// The hash of these bytes, by the offset basis and the prime for 64 bits, as published by its
+/// authors.
 pub(crate) fn of(bytes: impl IntoIterator<Item = u8>) -> u64 {
     const BASIS: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;

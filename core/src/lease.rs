@@ -8,9 +8,10 @@
 //!    └───────────────────────────────────────────────────────┘
 //! ```
 //!
-//! The lease is counted where the actuator is, on its clock alone: whatever becomes of the commander,
-//! its process or the cable, the safe outputs are applied there when the lease is over. Every claim
-//! that is granted has a greater epoch than any before; what comes under an older one is refused.
+//! The lease is counted where the actuator is, on its clock alone: whatever becomes of the
+//! commander, its process or the cable, the safe outputs are applied there when the lease is over.
+//! Every claim that is granted has a greater epoch than any before; what comes under an older one
+//! is refused.
 
 use crate::{DeliveryError, Incarnation, Instant, Machine};
 use std::collections::VecDeque;
@@ -132,8 +133,9 @@ impl Lease {
     /// Somebody wants to command.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes over from the
-    /// one before. [`DeliveryError::Restarting`] while safe outputs are being applied.
+    /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes
+    /// over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
+    /// applied.
     pub fn handle_claim(
         &mut self,
         commander: CommanderId,
@@ -157,7 +159,8 @@ impl Lease {
     /// The commander lives, or commands: the lease begins anew.
     ///
     /// # Errors
-    /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where none does.
+    /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where
+    /// none does.
     pub fn handle_renewal(&mut self, epoch: u64, now: Instant) -> Result<(), DeliveryError> {
         self.handle_timeout(now);
         let span = self.span;

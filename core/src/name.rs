@@ -41,8 +41,8 @@ pub enum NameError {
         /// The longest that is taken, in bytes.
         limit: usize,
     },
-    /// A part that means something else where names become paths of files and words of command lines.
-    /// Begin it with a letter, a digit or `_`.
+    /// A part that means something else where names become paths of files and words of command
+    /// lines. Begin it with a letter, a digit or `_`.
     #[error(
         "{text:?} has the part {part:?} at byte {at}, {why}: begin it with a letter, a digit or '_'"
     )]
@@ -58,8 +58,8 @@ pub enum NameError {
     },
 }
 
-/// For what a part of a name would be taken where names become paths of files (`.` and `..` are folders)
-/// or words of command lines (`-x` is an option).
+/// For what a part of a name would be taken where names become paths of files (`.` and `..` are
+/// folders) or words of command lines (`-x` is an option).
 fn mistaken(part: &str) -> Option<&'static str> {
     match part {
         "." | ".." => Some("which is a folder wherever names become paths"),
@@ -154,8 +154,8 @@ macro_rules! name {
 }
 
 name! {
-    /// The name of a node: one process of the robot. At most 32 bytes, neither `.` nor `..`, and without a
-    /// `-` at its beginning.
+    /// The name of a node: one process of the robot. At most 32 bytes, neither `.` nor `..`, and
+    /// without a `-` at its beginning.
     ///
     /// ```
     /// use blastema_core::NodeName;
@@ -166,8 +166,8 @@ name! {
 }
 
 name! {
-    /// The name of an object within its node, such as `arm/left/elbow`. At most 128 bytes; no part is `.` or
-    /// `..`, or begins with `-`.
+    /// The name of an object within its node, such as `arm/left/elbow`. At most 128 bytes; no part
+    /// is `.` or `..`, or begins with `-`.
     ///
     /// ```
     /// use blastema_core::ObjectName;

@@ -1,4 +1,5 @@
-//! Parameters: settings of a component with a default, a unit and a range, read and checked by name.
+//! Parameters: settings of a component with a default, a unit and a range, read and checked by
+//! name.
 //!
 //! `#[derive(Parameters)]` writes the impl; what it calls stands here.
 

@@ -29,8 +29,8 @@ impl Random {
         mixed(self.0.wrapping_add(STEP.wrapping_mul(n as u64)))
     }
 
-    /// The next number, at least 0 and below `limit`, which is not 0. Small limits are what it is for:
-    /// a bias of `limit` in 2^64 is accepted.
+    /// The next number, at least 0 and below `limit`, which is not 0. Small limits are what it is
+    /// for: a bias of `limit` in 2^64 is accepted.
     pub const fn below(&mut self, limit: u64) -> u64 {
         self.next() % limit
     }

@@ -7,10 +7,10 @@
 //!                          while others want in
 //! ```
 //!
-//! Everybody is served at once, and whoever is in no hurry has seconds. When the room is full, the one who
-//! has been given his picture longest ago goes, as soon as he has had the time that anybody needs who reads.
-//! So whoever reads is served at once, whatever all the others do, and nobody is turned away at the door:
-//! those who do not fit in wait there in order.
+//! Everybody is served at once, and whoever is in no hurry has seconds. When the room is full, the
+//! one who has been given his picture longest ago goes, as soon as he has had the time that anybody
+//! needs who reads. So whoever reads is served at once, whatever all the others do, and nobody is
+//! turned away at the door: those who do not fit in wait there in order.
 
 use crate::{Instant, Machine};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -18,7 +18,8 @@ use std::time::Duration;
 
 /// A descriptor each, of which a process often has a thousand.
 const SEATS: usize = 64;
-/// A picture of ten thousand components has five megabytes, and lives as long as somebody is given it.
+/// A picture of ten thousand components has five megabytes, and lives as long as somebody is given
+/// it.
 const PICTURES: usize = 8;
 /// A picture costs the node some milliseconds; strangers must not have it do nothing else.
 const APART: Duration = Duration::from_millis(100);

@@ -1,11 +1,11 @@
 //! The variables of one node's objects: values that any node may read, write and watch.
 //!
-//! A variable belongs to an object and outlives its lives; what becomes of the value when a life ends
-//! is the owner's choice. Several are written together or not at all. Values are bytes here: what they
-//! mean is for those who read and write.
+//! A variable belongs to an object and outlives its lives; what becomes of the value when a life
+//! ends is the owner's choice. Several are written together or not at all. Values are bytes here:
+//! what they mean is for those who read and write.
 //!
-//! Every change has a revision, which rises over all variables and over the lives of the node, so that
-//! "has it changed since?" has an answer whatever happened in between.
+//! Every change has a revision, which rises over all variables and over the lives of the node, so
+//! that "has it changed since?" has an answer whatever happened in between.
 
 use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
@@ -41,8 +41,8 @@ pub enum ValueState {
     Current,
     /// It was written before a life of its owner ended, and not since.
     Held,
-    /// It is the last one that was written before a life of its owner ended; whether it is to be used
-    /// awaits a decision.
+    /// It is the last one that was written before a life of its owner ended; whether it is to be
+    /// used awaits a decision.
     Undecided,
 }
 
@@ -153,8 +153,8 @@ impl Variables {
         self.outputs.pop_front()
     }
 
-    /// An object has this variable from now on. `kept` is its value from before the node's process began:
-    /// what is left of it is what a life's end would have left.
+    /// An object has this variable from now on. `kept` is its value from before the node's process
+    /// began: what is left of it is what a life's end would have left.
     pub fn handle_declared(
         &mut self,
         variable: VariableKey,
@@ -279,7 +279,8 @@ impl Variables {
     /// Somebody has decided what a variable is to be.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not any more.
+    /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not
+    /// any more.
     pub fn handle_choice(
         &mut self,
         variable: &VariableKey,

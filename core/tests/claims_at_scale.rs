@@ -1,5 +1,5 @@
-//! Fifty nodes with ten thousand names: how soon a node that joins knows all of them and is known, and
-//! what keeping them costs. Run with `--nocapture` for the figures.
+//! Fifty nodes with ten thousand names: how soon a node that joins knows all of them and is known,
+//! and what keeping them costs. Run with `--nocapture` for the figures.
 #![allow(clippy::print_stdout, reason = "the figures are the point")]
 
 use blastema_core::global_name::{
@@ -16,8 +16,8 @@ const NAMES: usize = 10_000;
 const LEASE: Duration = Duration::from_secs(1);
 /// What one node can send: a tenth of Ethernet's 100 Mbit/s.
 const BYTES_PER_SECOND: u64 = 1_250_000;
-/// What the layers below put before each message: frame, packet, segment, contract, and its share of
-/// acknowledgements.
+/// What the layers below put before each message: frame, packet, segment, contract, and its share
+/// of acknowledgements.
 const OVERHEAD: usize = 60;
 
 /// Nodes whose messages take from 1 to 5 ms, and leave one after the other.

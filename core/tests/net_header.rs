@@ -1,5 +1,5 @@
-//! How many bytes stand before a small message on the wire. The page on networks and the module `net`
-//! state these numbers.
+//! How many bytes stand before a small message on the wire. The page on networks and the module
+//! `net` state these numbers.
 
 use blastema_core::net::wire::frame::Frame;
 use blastema_core::net::wire::message::PeerMessage;

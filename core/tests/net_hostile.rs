@@ -1,5 +1,5 @@
-//! Bytes from outside: garbage, and messages that were true once and were changed on the way. Nothing
-//! panics, everything is counted, and nothing grows without bound.
+//! Bytes from outside: garbage, and messages that were true once and were changed on the way.
+//! Nothing panics, everything is counted, and nothing grows without bound.
 
 use blastema_core::net::link::LinkConfig;
 use blastema_core::net::peer_protocol::PeerProtocolOutput;

@@ -1,9 +1,9 @@
 //! The supervision machine against a simple model of the world: children that start, stop, die and
 //! hang at random, and a recoverer that asks for a restart of whatever has failed.
 //!
-//! The model sees only what the machine says. It knows which lives are present, and holds against it:
-//! no child has two lives, a group starts in order, the budget is kept, every request is answered
-//! once, and when the world calms down, all that should be at work is.
+//! The model sees only what the machine says. It knows which lives are present, and holds against
+//! it: no child has two lives, a group starts in order, the budget is kept, every request is
+//! answered once, and when the world calms down, all that should be at work is.
 
 use blastema_core::recovery::{
     CallId, ChildRules, ChildState, ReplacementCause, Restart, Strategy, Supervisor,

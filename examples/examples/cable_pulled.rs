@@ -1,8 +1,8 @@
-//! A cable is pulled while an arm is being commanded, and the arm does not notice: the other cable takes
-//! over, and every step of the movement arrives, once and in order.
+//! A cable is pulled while an arm is being commanded, and the arm does not notice: the other cable
+//! takes over, and every step of the movement arrives, once and in order.
 //!
-//! On a real network the interface tells of the pulled cable (`Network::udp` finds it by its address), and
-//! hellos find whatever it does not tell of; here a faulty medium stands in for both.
+//! On a real network the interface tells of the pulled cable (`Network::udp` finds it by its
+//! address), and hellos find whatever it does not tell of; here a faulty medium stands in for both.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

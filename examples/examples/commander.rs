@@ -1,5 +1,5 @@
-//! Wheels on one node, their commander on another: when the cable between them is cut, the wheels stop by
-//! themselves, within their lease; what the commander still says is not carried out.
+//! Wheels on one node, their commander on another: when the cable between them is cut, the wheels
+//! stop by themselves, within their lease; what the commander still says is not carried out.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

@@ -1,5 +1,5 @@
-//! Anyone may ask to be told when a life of an object ends: here the tool changer, which must not let go
-//! while the arm that holds it is down.
+//! Anyone may ask to be told when a life of an object ends: here the tool changer, which must not
+//! let go while the arm that holds it is down.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

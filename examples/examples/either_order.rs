@@ -1,5 +1,6 @@
-//! A planner that starts before the motors which it commands, and outlives their restart: it claims them in a task,
-//! which waits until they are there, and claims them again whenever the lease has ended.
+//! A planner that starts before the motors which it commands, and outlives their restart: it claims
+//! them in a task, which waits until they are there, and claims them again whenever the lease has
+//! ended.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::ActuatorSpec;

@@ -1,5 +1,5 @@
-//! A flooded component: its queue is bounded, its policy says what gives way, what was lost is counted,
-//! and the control lane still gets through.
+//! A flooded component: its queue is bounded, its policy says what gives way, what was lost is
+//! counted, and the control lane still gets through.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::DeadReason;
@@ -61,7 +61,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let lost = node.dead_letters().count(newest.name(), DeadReason::Full);
     println!("newest: some gave way: {}", lost > 0);
 
-    // For orders, each of which counts: the sender gets back what does not fit, and may wait for room.
+    // For orders, each of which counts: the sender gets back what does not fit, and may wait for
+    // room.
     let careful: Sender<Reading> = node.sender("careful")?;
     let refused = (1..=1000).find_map(|number| careful.tell(Reading { number }).err());
     if let Some(refused) = refused {
@@ -70,7 +71,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("careful: it was taken when there was room");
     }
 
-    // Orders of the framework do not queue behind messages: a flooded component ends when it is told to.
+    // Orders of the framework do not queue behind messages: a flooded component ends when it is
+    // told to.
     for number in 1..=1000 {
         newest.tell(Reading { number })?;
     }

@@ -1,5 +1,5 @@
-//! The program of the README: a component is killed by a request, and the same sender reaches its next
-//! life.
+//! The program of the README: a component is killed by a request, and the same sender reaches its
+//! next life.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

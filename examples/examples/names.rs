@@ -1,8 +1,9 @@
-//! Names without a node: two of three nodes can draw the map, and who asks for it need not know which one
-//! does. The nodes also find each other by themselves: the asker has only described the first.
+//! Names without a node: two of three nodes can draw the map, and who asks for it need not know
+//! which one does. The nodes also find each other by themselves: the asker has only described the
+//! first.
 //!
-//! All nodes live in one process here, so that the example is one program; as three programs they would
-//! be the same.
+//! All nodes live in one process here, so that the example is one program; as three programs they
+//! would be the same.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

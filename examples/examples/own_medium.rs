@@ -1,5 +1,5 @@
-//! A medium of one's own, in one file: frames over two FIFOs of the file system. Everything above it is as
-//! over any other medium: links, routes, sessions, faults.
+//! A medium of one's own, in one file: frames over two FIFOs of the file system. Everything above
+//! it is as over any other medium: links, routes, sessions, faults.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::medium::{Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
@@ -49,7 +49,8 @@ impl FrameMedium for Fifos {
     }
 
     fn open(&mut self) -> io::Result<OpenedMedium> {
-        // For reading and writing, so that neither end must be there first, nor notices the other go.
+        // For reading and writing, so that neither end must be there first, nor notices the other
+        // go.
         let mut options = pipe::OpenOptions::new();
         options.read_write(true);
         self.open = Some((options.open_receiver(&self.own)?, options.open_sender(&self.far)?));

@@ -1,5 +1,5 @@
-//! A recovery strategy of the application's own, handed over by name: a gripper that has lost its grip is
-//! told to grasp anew, and is restarted only if that does not help.
+//! A recovery strategy of the application's own, handed over by name: a gripper that has lost its
+//! grip is told to grasp anew, and is restarted only if that does not help.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

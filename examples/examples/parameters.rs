@@ -1,5 +1,5 @@
-//! Parameters: defaults, units and ranges in one struct, values from a configuration, and changes while the
-//! component runs. What a parameter does not take is refused with the reason.
+//! Parameters: defaults, units and ranges in one struct, values from a configuration, and changes
+//! while the component runs. What a parameter does not take is refused with the reason.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::ParameterValue;

@@ -1,5 +1,6 @@
-//! Code that is written for actix takes part: a plain actor is sent to by components, and sends to them.
-//! What is promised of components is not promised of it: nobody restarts it, and nobody watches it.
+//! Code that is written for actix takes part: a plain actor is sent to by components, and sends to
+//! them. What is promised of components is not promised of it: nobody restarts it, and nobody
+//! watches it.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use actix::prelude::{Actor, Handler, Recipient};

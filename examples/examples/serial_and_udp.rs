@@ -1,8 +1,8 @@
-//! One robot over a serial line and UDP at once: whichever cable is pulled, the arm gets every order once,
-//! and notices nothing.
+//! One robot over a serial line and UDP at once: whichever cable is pulled, the arm gets every
+//! order once, and notices nothing.
 //!
-//! The serial line is a pair of ptys here, so that the example runs anywhere; on a robot it is a path such
-//! as `/dev/serial/by-id/…`.
+//! The serial line is a pair of ptys here, so that the example runs anywhere; on a robot it is a
+//! path such as `/dev/serial/by-id/…`.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

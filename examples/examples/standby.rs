@@ -1,5 +1,5 @@
-//! A service on three nodes: the one that serves is cut off while it is being asked, and another one goes on
-//! counting where it was; when the first returns, it stands by.
+//! A service on three nodes: the one that serves is cut off while it is being asked, and another
+//! one goes on counting where it was; when the first returns, it stands by.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

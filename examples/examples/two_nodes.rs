@@ -1,8 +1,8 @@
-//! Two nodes on two networks: the same code reaches components here and there, and when a cable is cut,
-//! what was sent goes the other way, once and in order.
+//! Two nodes on two networks: the same code reaches components here and there, and when a cable is
+//! cut, what was sent goes the other way, once and in order.
 //!
-//! Both nodes live in one process here, so that the example is one program; as two programs they would
-//! be the same.
+//! Both nodes live in one process here, so that the example is one program; as two programs they
+//! would be the same.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

@@ -1,5 +1,5 @@
-//! Variables of another node: they are read, watched and written as if they were here, several together
-//! or not at all, and the owner says what its restart leaves of them.
+//! Variables of another node: they are read, watched and written as if they were here, several
+//! together or not at all, and the owner says what its restart leaves of them.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

@@ -271,6 +271,7 @@ fn a_node_comes_to_rest_although_its_safe_outputs_block() {
             .fault_kind("OIL")
             .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Restart)))
             .intensity(0, Duration::from_secs(60))
+            .when_exceeded(WhenExceeded::Escalate)
             .safe_outputs(move |_| outputs.block());
         let node = builder.start().await.unwrap();
 

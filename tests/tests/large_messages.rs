@@ -82,7 +82,8 @@ fn free() -> SocketAddr {
     UdpSocket::bind(address).map_or_else(|_| free(), |_| address)
 }
 
-/// All of them are given to the sender before the other node has heard of any; and orders are asked beside them.
+/// All of them are given to the sender before the other node has heard of any; and orders are asked
+/// beside them.
 fn images_arrive_over(medium: fn(&'static str, SocketAddr) -> Network) {
     blastema::run(async {
         let [here, there] = [free(), free()];

@@ -1,5 +1,5 @@
-//! What a node that cannot start says, and what it leaves behind. One test at a time counts threads, so
-//! they stand in one function.
+//! What a node that cannot start says, and what it leaves behind. One test at a time counts
+//! threads, so they stand in one function.
 
 use blastema::prelude::*;
 use std::time::{Duration, Instant};

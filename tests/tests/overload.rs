@@ -1,5 +1,5 @@
-//! Components that keep their thread by real work, on real threads. Everything is judged by counts and
-//! order: a busy machine makes these tests slower, and changes nothing else.
+//! Components that keep their thread by real work, on real threads. Everything is judged by counts
+//! and order: a busy machine makes these tests slower, and changes nothing else.
 
 use blastema::core::detection::{FaultEntry, FaultRecord};
 use blastema::core::recovery::{Ladder, Plan, RecoveryAction};

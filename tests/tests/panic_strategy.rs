@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::process::Command;
 
-/// What the compiler says to the facade's own source under a panic strategy. Nothing that the facade
-/// depends on is given to it, so it complains of much besides: only the refusal is looked for.
+/// What the compiler says to the facade's own source under a panic strategy. Nothing that the
+/// facade depends on is given to it, so it complains of much besides: only the refusal is looked
+/// for.
 fn compile(strategy: &str) -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let output = Command::new("rustc")

@@ -1,7 +1,7 @@
 //! Nodes that are processes of their own, and are killed without a word.
 //!
-//! This test starts itself again for them: a process that finds a role in its environment plays it, and
-//! is killed when its part is over.
+//! This test starts itself again for them: a process that finds a role in its environment plays it,
+//! and is killed when its part is over.
 
 use blastema::prelude::*;
 use blastema::{

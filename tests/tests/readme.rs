@@ -1,4 +1,5 @@
-//! What the README shows is what runs: its programs are compared with the files from which they come.
+//! What the README shows is what runs: its programs are compared with the files from which they
+//! come.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! What a description says that cannot be meant is refused at start, with the wrong part and what to write.
+//! What a description says that cannot be meant is refused at start, with the wrong part and what
+//! to write.
 
 use blastema::core::detection::Push;
 use blastema::core::recovery::{Backoff, RecoveryDone, RecoveryFailed, RecoveryOrder};

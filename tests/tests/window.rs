@@ -209,7 +209,8 @@ fn a_path_that_can_be_no_window_is_refused_at_start_with_what_to_do() {
             (&file, "no socket: remove it, or choose another path"),
             (&file.join("window"), "what should be its folder is none: choose another"),
             (&long, "choose a shorter one"),
-            // Not even root may create anything there, whether it is forbidden or cannot be written to.
+            // Not even root may create anything there, whether it is forbidden or cannot be written
+            // to.
             (Path::new("/sys/module1.window"), "choose another"),
         ];
         for (path, advice) in cases {

@@ -4,14 +4,14 @@
 //! frame ─► frame, CRC-32C ─► ISO 15765-2 ─► CAN frames ─► socket or adapter ─► bus
 //! ```
 //!
-//! ISO 15765-2 checks no message as a whole, only each of its CAN frames: after a loss, parts of two
-//! messages can come to look like one. So each frame is followed by its checksum. It also gives an empty
-//! frame some bytes, without which the standard cannot send it.
+//! ISO 15765-2 checks no message as a whole, only each of its CAN frames: after a loss, parts of
+//! two messages can come to look like one. So each frame is followed by its checksum. It also gives
+//! an empty frame some bytes, without which the standard cannot send it.
 //!
 //! A frame to [`BusAddress::ALL`] goes to all nodes, once, with nobody's confirmation.
 //!
-//! Before it is open, a node claims its address for a quarter of a second ([`AddressClaim`]). Claims are
-//! messages to all whose checksum is inverted, so that nobody takes them for frames.
+//! Before it is open, a node claims its address for a quarter of a second ([`AddressClaim`]).
+//! Claims are messages to all whose checksum is inverted, so that nobody takes them for frames.
 
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
@@ -61,8 +61,8 @@ pub trait CanPort: Send + 'static {
         Poll::Ready(Ok(()))
     }
 
-    /// Gives one frame to the bus. Where the answer is `Pending`, the task is woken when it is worth
-    /// another attempt, and the frame is offered again.
+    /// Gives one frame to the bus. Where the answer is `Pending`, the task is woken when it is
+    /// worth another attempt, and the frame is offered again.
     ///
     /// # Errors
     /// It is lost: it is closed, and opened again.
@@ -316,8 +316,8 @@ impl<P: CanPort> CanNode<P> {
         Ok(true)
     }
 
-    /// Lets the machine act on what is due, and leaves a timer for what will be. Says whether anything
-    /// was due.
+    /// Lets the machine act on what is due, and leaves a timer for what will be. Says whether
+    /// anything was due.
     fn keep_time(&mut self, task: &mut Context<'_>) -> bool {
         let (Some(machine), Some(claim)) = (&mut self.machine, &mut self.claim) else {
             return false;
@@ -352,14 +352,14 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     }
 
     fn queue(&self) -> QueueLimits {
-        // Frames wait in the machine, for each target on its own, so that one which is not there keeps
-        // nobody waiting.
+        // Frames wait in the machine, for each target on its own, so that one which is not there
+        // keeps nobody waiting.
         QueueLimits { frames: self.config.queue_frames, ..QueueLimits::default() }
     }
 
     fn bytes_per_second(&self) -> Option<u64> {
-        // Of each part of a message all but one byte is the message's. A faster rate for the data of
-        // CAN FD is not counted on.
+        // Of each part of a message all but one byte is the message's. A faster rate for the data
+        // of CAN FD is not counted on.
         let part = self.format.capacity();
         let bits = bits_on_bus(!self.config.short_ids, part);
         Some((part as u64 - 1) * u64::from(self.port.bitrate()) / bits)

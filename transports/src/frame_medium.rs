@@ -1,4 +1,5 @@
-//! What a medium must be able to do, for a [`FrameTransport`](crate::FrameTransport) to do the rest.
+//! What a medium must be able to do, for a [`FrameTransport`](crate::FrameTransport) to do the
+//! rest.
 
 use blastema_contract::transport::MediumAddress;
 use bytes::Bytes;
@@ -7,9 +8,9 @@ use std::task::{Context, Poll};
 
 /// A medium that moves whole frames: all that is to be written for one more kind of it.
 ///
-/// Queueing, counting, opening again with back-off, recovery after a panic, and the contract with links
-/// are done by [`FrameTransport`](crate::FrameTransport). Nothing here may block: it is polled on a thread
-/// that others share, within a tokio runtime.
+/// Queueing, counting, opening again with back-off, recovery after a panic, and the contract with
+/// links are done by [`FrameTransport`](crate::FrameTransport). Nothing here may block: it is
+/// polled on a thread that others share, within a tokio runtime.
 pub trait FrameMedium: Send + 'static {
     /// How people call it, such as `serial /dev/ttyUSB0`; it stands at the beginning of errors.
     fn name(&self) -> String;
@@ -19,14 +20,14 @@ pub trait FrameMedium: Send + 'static {
         QueueLimits::default()
     }
 
-    /// How much it carries in a second, both ways together, where that is little: hellos are said less
-    /// often then, and it is dearer to use than others.
+    /// How much it carries in a second, both ways together, where that is little: hellos are said
+    /// less often then, and it is dearer to use than others.
     fn bytes_per_second(&self) -> Option<u64> {
         None
     }
 
-    /// The address that reaches all nodes at once, where the medium is a bus that all of them hear: one
-    /// hello is said there for all.
+    /// The address that reaches all nodes at once, where the medium is a bus that all of them hear:
+    /// one hello is said there for all.
     fn to_all(&self) -> Option<MediumAddress> {
         None
     }
@@ -34,12 +35,12 @@ pub trait FrameMedium: Send + 'static {
     /// Opens it, or opens it again after it was lost or closed.
     ///
     /// # Errors
-    /// It cannot be opened at present; the text says what the user may do. It is tried again, 20 ms later
-    /// at first and at last every second.
+    /// It cannot be opened at present; the text says what the user may do. It is tried again, 20 ms
+    /// later at first and at last every second.
     fn open(&mut self) -> io::Result<OpenedMedium>;
 
-    /// Ready when what was opened can be used. Until then it is not said to be open, and nothing is sent
-    /// or taken.
+    /// Ready when what was opened can be used. Until then it is not said to be open, and nothing is
+    /// sent or taken.
     ///
     /// # Errors
     /// It cannot be used; as with [`open`](FrameMedium::open).
@@ -50,8 +51,8 @@ pub trait FrameMedium: Send + 'static {
     /// Whether an address can be one of this medium. A frame to another is refused.
     fn knows(&self, address: &MediumAddress) -> bool;
 
-    /// Ready when the medium can begin with another frame. Until then it is not yet chosen, so that an
-    /// urgent one may still go before those that wait.
+    /// Ready when the medium can begin with another frame. Until then it is not yet chosen, so that
+    /// an urgent one may still go before those that wait.
     fn poll_room(&mut self, _: &mut Context<'_>) -> Poll<()> {
         Poll::Ready(())
     }
@@ -68,7 +69,8 @@ pub trait FrameMedium: Send + 'static {
         frame: &Bytes,
     ) -> Poll<io::Result<SendResult>>;
 
-    /// The same for an urgent frame. For a medium that holds frames back itself; others see no difference.
+    /// The same for an urgent frame. For a medium that holds frames back itself; others see no
+    /// difference.
     ///
     /// # Errors
     /// As [`poll_send`](FrameMedium::poll_send).
@@ -143,8 +145,8 @@ pub enum MediumEvent {
     },
 }
 
-/// How much may wait for a medium, of urgent frames and of usual ones each; beyond, frames are dropped and
-/// counted.
+/// How much may wait for a medium, of urgent frames and of usual ones each; beyond, frames are
+/// dropped and counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueLimits {
     /// So many frames.
@@ -154,8 +156,8 @@ pub struct QueueLimits {
 }
 
 impl Default for QueueLimits {
-    /// Some ten milliseconds of a fast medium: what a stall of the medium may last before frames are
-    /// lost.
+    /// Some ten milliseconds of a fast medium: what a stall of the medium may last before frames
+    /// are lost.
     fn default() -> Self {
         QueueLimits { frames: 256, bytes: 1 << 20 }
     }

@@ -7,8 +7,8 @@ use blastema_contract::transport::Transmit;
 use std::pin::Pin;
 use std::task::{self, Poll};
 
-/// How many frames are moved in one turn before the mailbox, and the arbiter's other actors, come to
-/// their right. 64 small datagrams take about a tenth of a millisecond.
+/// How many frames are moved in one turn before the mailbox, and the arbiter's other actors, come
+/// to their right. 64 small datagrams take about a tenth of a millisecond.
 pub(crate) const BUDGET: usize = 64;
 /// And how many bytes: a large frame may hold hundreds of messages, each of which somebody serves.
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
@@ -54,8 +54,8 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     /// Takes a frame that is to go out. It must not wait: the pump follows at once.
     fn transmit(&mut self, message: Transmit);
 
-    /// Moves what can be moved, within [`BUDGET`], and leaves a waker for the rest. It is called after
-    /// every message too.
+    /// Moves what can be moved, within [`BUDGET`], and leaves a waker for the rest. It is called
+    /// after every message too.
     fn pump(&mut self, task: &mut task::Context<'_>);
 
     /// Lets go of the medium: its port is free when this returns. What waits is thrown away, for a

@@ -52,8 +52,8 @@ impl MemoryConfig {
     }
 }
 
-/// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so works
-/// under a paused one.
+/// An end of a [`MemoryMedium`] as a transport. It opens no sockets and reads no clock, and so
+/// works under a paused one.
 ///
 /// It lives until it is sent [`Close`](blastema_contract::transport::Close).
 pub struct Memory {

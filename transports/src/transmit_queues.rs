@@ -4,12 +4,12 @@ use crate::frame_medium::QueueLimits;
 use blastema_contract::transport::TrafficClass;
 use std::collections::VecDeque;
 
-/// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep it for
-/// ever.
+/// So many urgent frames go first in a row while a usual one waits: a flood of them does not keep
+/// it for ever.
 const IN_A_ROW: usize = 8;
 
-/// A queue for each lane before one medium, each bounded by itself, so that the usual fills no place of
-/// the urgent, nor the urgent one of the hellos.
+/// A queue for each lane before one medium, each bounded by itself, so that the usual fills no
+/// place of the urgent, nor the urgent one of the hellos.
 #[derive(Debug)]
 pub(crate) struct TransmitQueues<T> {
     hellos: Queue<T>,

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// Whether a port is one of USB CDC-ACM, at either end, where often no line follows. Such a port's driver
-/// also counts whole packets, where others count bytes that wait.
+/// Whether a port is one of USB CDC-ACM, at either end, where often no line follows. Such a port's
+/// driver also counts whole packets, where others count bytes that wait.
 pub(crate) fn is_usb_device(path: &Path) -> bool {
     let Ok(device) = path.canonicalize() else { return false };
     let Some(name) = device.file_name() else { return false };

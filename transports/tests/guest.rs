@@ -1,8 +1,8 @@
 //! What needs a kernel with CAN and USB: run by `tests/guest/run`, in a virtual machine.
 //!
-//! The guest has `vcan0`, two CAN controllers on one bus (`can0`, `can1`), the kernel's ISO-TP, a USB
-//! serial device with both of its ends (`ttyACM0`, `ttyGS0`), and a cable between the serial ports
-//! `ttyS1` and `ttyS2`.
+//! The guest has `vcan0`, two CAN controllers on one bus (`can0`, `can1`), the kernel's ISO-TP, a
+//! USB serial device with both of its ends (`ttyACM0`, `ttyGS0`), and a cable between the serial
+//! ports `ttyS1` and `ttyS2`.
 #![cfg(guest)]
 
 use actix::Actor;
@@ -176,7 +176,8 @@ fn a_controller_that_leaves_the_bus_is_closed_at_once_and_told_why() {
         let end = End::can("vcan7", 1);
         end.opened().await;
 
-        // What the kernel says of a controller that has had too many errors: nobody makes those here.
+        // What the kernel says of a controller that has had too many errors: nobody makes those
+        // here.
         let other = CanFdSocket::open("vcan7").unwrap();
         let word = [&0x2000_0040_u32.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();
         assert_eq!(rustix::io::write(&other, &word), Ok(16));

@@ -215,8 +215,8 @@ fn ends(baud: u32) -> [End; 2] {
     [left, End::new(["right", "left"], baud, [back, there])]
 }
 
-/// Twenty-five seconds during which both nodes say more than there is room for, in frames of this size,
-/// beside control that nobody answers.
+/// Twenty-five seconds during which both nodes say more than there is room for, in frames of this
+/// size, beside control that nobody answers.
 fn flood(size: usize) {
     paused(async {
         let ends = ends(9_600);
@@ -253,8 +253,8 @@ fn a_link_stays_up_while_its_line_is_full_of_small_frames() {
     flood(40);
 }
 
-/// Both nodes say 30,000 bytes at once, and beside it every half second something small that goes every
-/// way, which comes within `bound` each time.
+/// Both nodes say 30,000 bytes at once, and beside it every half second something small that goes
+/// every way, which comes within `bound` each time.
 fn bulk_both_ways(baud: u32, bound: Duration) {
     paused(async {
         let step = Duration::from_millis(10) * 9_600 / baud;

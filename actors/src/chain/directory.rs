@@ -19,8 +19,8 @@ pub(crate) struct SupervisorRecipients {
     pub(crate) read: Recipient<ReadTree>,
 }
 
-/// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node has
-/// supervised objects.
+/// Kept by the supervisors themselves, read by the strategies; holds as many entries as the node
+/// has supervised objects.
 #[derive(Clone, Default)]
 pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
@@ -68,7 +68,8 @@ impl SupervisorDirectory {
     }
 
     fn entries(&self) -> MutexGuard<'_, Entries> {
-        // Every change is a single insertion or removal: a panic in between leaves nothing half done.
+        // Every change is a single insertion or removal: a panic in between leaves nothing half
+        // done.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -76,8 +76,8 @@ impl SupervisorActor {
         setup: SupervisorSetup,
     ) -> SupervisorChild {
         let name = setup.name.clone();
-        // The guardian counts the lives of this actor, the parent those of the supervisor that it plays:
-        // they must not be taken for each other.
+        // The guardian counts the lives of this actor, the parent those of the supervisor that it
+        // plays: they must not be taken for each other.
         let body = ObjectName::new(&format!("chain/supervisor/{name}"));
         let body = body.unwrap_or_else(|_| name.clone());
         let watched = guardian.watched();
@@ -175,8 +175,8 @@ impl SupervisorActor {
         self.declare(name, incarnation, FaultKind::RestartStorm, reason.to_owned());
     }
 
-    /// No life follows for any child: what waits for one is given back, also where none was left that
-    /// could have been stopped.
+    /// No life follows for any child: what waits for one is given back, also where none was left
+    /// that could have been stopped.
     fn retire_all(&mut self) {
         self.children.values_mut().for_each(|child| child.retire());
     }
@@ -471,8 +471,8 @@ impl Handler<SafeStop> for SupervisorActor {
     }
 }
 
-/// Several measures may have been tried since a panic: whether the present life, if there is one, ends
-/// is found out by asking it. Only one that does not answer is not asked.
+/// Several measures may have been tried since a panic: whether the present life, if there is one,
+/// ends is found out by asking it. Only one that does not answer is not asked.
 fn cause_of_rest(fault: &Fault) -> ReplacementCause {
     match ReplacementCause::of(fault) {
         stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind) => stuck,

@@ -66,8 +66,8 @@ pub enum ClaimState {
     StandsBy,
     /// The claim is over: it was not granted.
     Refused(ClaimError),
-    /// The claim is over: two had claimed the name, out of each other's sight, and the other's is the
-    /// later claim.
+    /// The claim is over: two had claimed the name, out of each other's sight, and the other's is
+    /// the later claim.
     Lost {
         /// Whose it is.
         to: NodeName,
@@ -126,8 +126,8 @@ impl Claim {
         }
     }
 
-    /// Waits until it stands otherwise than when this was last asked, and says how; `None` once the node
-    /// has ended.
+    /// Waits until it stands otherwise than when this was last asked, and says how; `None` once the
+    /// node has ended.
     pub async fn changed(&mut self) -> Option<ClaimState> {
         self.state.changed().await.ok()?;
         Some(self.state.borrow_and_update().clone())

@@ -18,7 +18,8 @@ pub(crate) enum ClaimCommand {
     /// An object here claims a name.
     Claim {
         wanted: ClaimRequest,
-        /// Which claim it is, of all that were ever made here; a component has one for all its lives.
+        /// Which claim it is, of all that were ever made here; a component has one for all its
+        /// lives.
         number: u64,
         told: watch::Sender<ClaimState>,
         /// Nobody waits for what comes of it: that it is refused is a fault.

@@ -1,7 +1,7 @@
 //! What all lives of one component share: it is what a reference refers to.
 //!
-//! The queue, the name and the record of messages that kill belong here, not to a life, so that they
-//! outlive panics and hung threads.
+//! The queue, the name and the record of messages that kill belong here, not to a life, so that
+//! they outlive panics and hung threads.
 
 use super::arbiters::ArbiterSlot;
 use super::environment::ComponentEnvironment;
@@ -63,7 +63,8 @@ pub(crate) struct CellCore {
     service: Mutex<MessageInService>,
     quarantine: Mutex<Quarantine>,
     order: Mutex<Option<RestartGrant>>,
-    /// The names of the whole robot that it claims while it is at work, each with the claim's number.
+    /// The names of the whole robot that it claims while it is at work, each with the claim's
+    /// number.
     claims: OnceLock<Box<[(ClaimRequest, u64)]>>,
 }
 
@@ -81,8 +82,8 @@ pub(crate) struct CurrentPlacement {
     pub(crate) token: Arc<IncarnationToken>,
 }
 
-/// Who is to be told if the message in service brings death. It stands here and not with the pump, so
-/// that a hung callee cannot keep it.
+/// Who is to be told if the message in service brings death. It stands here and not with the pump,
+/// so that a hung callee cannot keep it.
 #[derive(Default)]
 pub(crate) struct MessageInService {
     asker: Option<Arc<dyn Cancel>>,
@@ -194,8 +195,8 @@ impl CellCore {
         self.gate.load(Relaxed) & ISOLATED != 0
     }
 
-    /// The message in service is one whose sender waits, or one that may come again. An asker may be
-    /// left here: a request takes one result only, and it has it when it was served.
+    /// The message in service is one whose sender waits, or one that may come again. An asker may
+    /// be left here: a request takes one result only, and it has it when it was served.
     #[inline]
     pub(crate) fn begin_service(&self, asker: Option<Arc<dyn Cancel>>, id: Option<MessageId>) {
         *lock(&self.service) = MessageInService { asker, id };
@@ -267,8 +268,8 @@ impl CellCore {
         }
     }
 
-    /// Runs what is the user's outside of a life. If it panics, that is a fault of the component, and
-    /// nothing else.
+    /// Runs what is the user's outside of a life. If it panics, that is a fault of the component,
+    /// and nothing else.
     pub(crate) fn guard<T>(
         &self,
         what: impl FnOnce() -> String,
@@ -357,8 +358,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an earlier
-    /// end of the same object that it has not taken yet is replaced.
+    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an
+    /// earlier end of the same object that it has not taken yet is replaced.
     pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
     where
         C: Handle<Down>,

@@ -1,7 +1,7 @@
 //! Where components live: arbiters that they share, one per core, or one of their own.
 //!
-//! A thread that hangs cannot be killed. It is given up, another takes its place, and the given-up ones
-//! are counted: too many, and the process itself has to be begun anew.
+//! A thread that hangs cannot be killed. It is given up, another takes its place, and the given-up
+//! ones are counted: too many, and the process itself has to be begun anew.
 
 use super::pulse::ArbiterHeartbeat;
 use super::threads::ThreadKind;
@@ -194,7 +194,8 @@ impl ArbiterPool {
         Ok(ArbiterSlot { handle, pulse, own_thread })
     }
 
-    /// The grace time of this arbiter is over. Says whether it is really lost, or has just come back.
+    /// The grace time of this arbiter is over. Says whether it is really lost, or has just come
+    /// back.
     pub(crate) fn mark_lost(&self, pulse: &ArbiterHeartbeat, culprit: &ObjectName) -> bool {
         if !pulse.lose() {
             return false;
@@ -204,7 +205,8 @@ impl ArbiterPool {
         true
     }
 
-    /// One more thread is abandoned that is none of these, because the fault chain called what blocks it.
+    /// One more thread is abandoned that is none of these, because the fault chain called what
+    /// blocks it.
     pub(crate) fn note_abandoned(&self) {
         let count = self.0.abandoned.fetch_add(1, Relaxed) + 1;
         if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {

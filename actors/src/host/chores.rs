@@ -1,10 +1,10 @@
 //! What a life has to do beside messages: its rounds, its timers, its tasks, and two limits.
 //!
-//! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a time
-//! stands in one schedule, of which one sleeping future waits for the earliest entry: a timer costs its
-//! closure and an entry, and frees both as soon as it is cancelled. Rounds and timers become due here
-//! and take their turn between messages; one that is due already is not made due again, so that nothing
-//! stale piles up while the component is busy.
+//! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a
+//! time stands in one schedule, of which one sleeping future waits for the earliest entry: a timer
+//! costs its closure and an entry, and frees both as soon as it is cancelled. Rounds and timers
+//! become due here and take their turn between messages; one that is due already is not made due
+//! again, so that nothing stale piles up while the component is busy.
 
 use super::life::{Task, TimerAction, TimerId, TimerMode};
 use super::turn_budget::TurnBudget;
@@ -26,8 +26,8 @@ const TASKS: usize = 1024;
 const TIMERS: usize = 1024;
 /// Tasks that may end in one poll; then the rest of the arbiter has its turn.
 const BUDGET: usize = 64;
-/// Ticks that are no later than this are made up for, so that the runtime's clock, which rounds up to
-/// whole milliseconds, costs a fast rhythm none of them.
+/// Ticks that are no later than this are made up for, so that the runtime's clock, which rounds up
+/// to whole milliseconds, costs a fast rhythm none of them.
 const LATE: Duration = Duration::from_millis(5);
 /// The runtime's clock is no finer. Ticks of a faster rhythm are never made up for.
 const FINEST: Duration = Duration::from_millis(1);
@@ -156,8 +156,8 @@ impl<C: Component> ScheduledWork<C> {
         self.plan_round();
     }
 
-    /// Says whether that is another interval than before. The next round comes so long after the last
-    /// one, or at once.
+    /// Says whether that is another interval than before. The next round comes so long after the
+    /// last one, or at once.
     pub(crate) fn set_interval(&mut self, interval: Option<Duration>) -> bool {
         let changed = self.interval != interval;
         if changed {

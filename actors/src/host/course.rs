@@ -10,8 +10,9 @@ use blastema_core::recovery::Backoff;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// How long a hook waits that found what it needs not there yet: 100 ms, then twice as long each time, up to
-/// five seconds, so that a device is used soon after it was plugged in, and a missing one costs nothing.
+/// How long a hook waits that found what it needs not there yet: 100 ms, then twice as long each
+/// time, up to five seconds, so that a device is used soon after it was plugged in, and a missing
+/// one costs nothing.
 const UNAVAILABLE: Backoff = Backoff {
     first: Duration::from_millis(100),
     factor: 2,
@@ -101,7 +102,8 @@ pub(crate) enum LifecycleStep {
 pub(crate) enum LifecycleReport {
     State(Lifecycle, Option<String>),
     Child(ChildEvent),
-    /// Something is not there yet; [`IncarnationLifecycle::handle_retry`] is to be called when this has passed.
+    /// Something is not there yet; [`IncarnationLifecycle::handle_retry`] is to be called when this
+    /// has passed.
     Unavailable {
         reason: String,
         retry_in: Duration,

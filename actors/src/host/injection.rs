@@ -1,7 +1,7 @@
 //! Faults that a test puts into a component which knows nothing of it.
 //!
-//! They belong to the component, not to an incarnation: they act on every one until they are taken out.
-//! Where none is put in, each handler and hook costs one more load.
+//! They belong to the component, not to an incarnation: they act on every one until they are taken
+//! out. Where none is put in, each handler and hook costs one more load.
 
 use blastema_core::Instant;
 use std::future::Future;

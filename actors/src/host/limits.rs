@@ -25,14 +25,15 @@ impl Default for ComponentLimits {
         ComponentLimits {
             interval: None,
             watch: Liveness::Guard,
-            // Fifty beats: far beyond what a loaded machine adds, and short for a robot's standstill.
+            // Fifty beats: far beyond what a loaded machine adds, and short for a robot's
+            // standstill.
             max_block: Duration::from_millis(500),
             // Ten times the default deadline of a request that the handler may be waiting for.
             max_wait: Duration::from_secs(10),
             // A message that is older is too late for who asked with the default deadline.
             max_delay: DEFAULT_DEADLINE,
-            // A controller that loses one round in four is not the one that was tuned. Less is lost to a
-            // busy machine without real-time priorities.
+            // A controller that loses one round in four is not the one that was tuned. Less is lost
+            // to a busy machine without real-time priorities.
             max_missed_percent: 25,
             // A device that has to warm up, a map that has to be loaded.
             ready_within: Duration::from_secs(10),
@@ -55,7 +56,8 @@ const TOLERANCE: RangeInclusive<u32> = 1..=1000;
 const PERCENT: RangeInclusive<u8> = 1..=100;
 
 impl ComponentLimits {
-    /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes sense.
+    /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes
+    /// sense.
     pub(super) fn check(&self, name: &str) -> Result<(), SpecError> {
         let spans = [
             (

@@ -10,15 +10,15 @@
 //!  watch thread ──► ArbiterHeartbeat of each arbiter, Stamp of each component
 //! ```
 //!
-//! The actix mailbox is the control lane: the framework alone sends to it, and it is served before the
-//! pump, so that a flooded component, or one that awaits, still answers and obeys. Messages of the
-//! application travel in the [lane](crate::lane), which belongs to the anchor.
+//! The actix mailbox is the control lane: the framework alone sends to it, and it is served before
+//! the pump, so that a flooded component, or one that awaits, still answers and obeys. Messages of
+//! the application travel in the [lane](crate::lane), which belongs to the anchor.
 //!
 //! A handler that keeps its thread is found by the watch, which reads what workers write and never
-//! waits for them. The supervisor then abandons the life: its arbiter is *fenced*, so that nothing the
-//! handler still says gets out. If the handler returns within the grace time the fence is lifted and its
-//! neighbours have only lost time; else the arbiter is *lost*, and they are re-created elsewhere, each
-//! with its queue.
+//! waits for them. The supervisor then abandons the life: its arbiter is *fenced*, so that nothing
+//! the handler still says gets out. If the handler returns within the grace time the fence is
+//! lifted and its neighbours have only lost time; else the arbiter is *lost*, and they are
+//! re-created elsewhere, each with its queue.
 
 pub(crate) mod anchor;
 pub(crate) mod arbiters;

@@ -67,7 +67,8 @@ impl DeadLetterLog {
         self.lock().total()
     }
 
-    /// How many messages to objects of this name, on whichever node, were not delivered for this reason.
+    /// How many messages to objects of this name, on whichever node, were not delivered for this
+    /// reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
         self.lock().count(object, reason)
     }

@@ -238,8 +238,8 @@ struct Waiting {
     slot: Arc<dyn Cancel>,
 }
 
-/// The first sweep after a request was made turns its span into a point in time, so that the request
-/// itself reads no clock. The deadline is late by a beat at most, and never early.
+/// The first sweep after a request was made turns its span into a point in time, so that the
+/// request itself reads no clock. The deadline is late by a beat at most, and never early.
 enum Due {
     After(Duration),
     At(Instant),

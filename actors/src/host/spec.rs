@@ -33,7 +33,8 @@ pub enum SpecError {
     /// The name of a supervisor does not parse.
     #[error("the name of a supervisor: {0}")]
     Supervisor(NameError),
-    /// Another object has its name: a component, a supervisor (`root` is one), or one of the middleware's own.
+    /// Another object has its name: a component, a supervisor (`root` is one), or one of the
+    /// middleware's own.
     #[error(transparent)]
     Taken(#[from] NameTaken),
     /// It listens to a topic that carries another contract of the same name.
@@ -44,8 +45,8 @@ pub enum SpecError {
         /// What differs.
         why: DeliveryError,
     },
-    /// One of its variables cannot be: its default is larger than its contract allows, or refused by its own
-    /// check.
+    /// One of its variables cannot be: its default is larger than its contract allows, or refused
+    /// by its own check.
     #[error("a variable of {name} cannot be: {why}")]
     Variable {
         /// The component.
@@ -69,8 +70,8 @@ pub enum SpecError {
         /// What is wrong.
         why: DeliveryError,
     },
-    /// It was added to a node that runs, and depends on what does not exist there, or on itself, perhaps by
-    /// way of others.
+    /// It was added to a node that runs, and depends on what does not exist there, or on itself,
+    /// perhaps by way of others.
     #[error(transparent)]
     Dependency(#[from] DependencyError),
     /// The root supervisor did not take it: it is ending, or has ended.
@@ -122,8 +123,8 @@ impl SpecError {
     }
 }
 
-/// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More would
-/// be a leak with a name.
+/// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More
+/// would be a leak with a name.
 const QUEUE_LIMIT: usize = 1 << 20;
 
 /// What a component is called, how it is built, and how it is run and watched.
@@ -180,8 +181,8 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Declares more ports than `Component::ports` does: those that depend on what only the program knows, such
-    /// as the topic of one of several cameras, or the default of a variable.
+    /// Declares more ports than `Component::ports` does: those that depend on what only the program
+    /// knows, such as the topic of one of several cameras, or the default of a variable.
     pub fn with_ports(mut self, declare: impl FnOnce(&mut Ports<C>) + Send + 'static) -> Self {
         self.more_ports.push(Box::new(declare));
         self
@@ -212,8 +213,8 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a handler may keep its arbiter before it counts as hanging; at least 10 ms. Longer tolerates
-    /// slow handlers, and leaves neighbours standing longer behind one that really hangs.
+    /// How long a handler may keep its arbiter before it counts as hanging; at least 10 ms. Longer
+    /// tolerates slow handlers, and leaves neighbours standing longer behind one that really hangs.
     pub fn max_block(mut self, span: Duration) -> Self {
         self.limits.max_block = span;
         self
@@ -233,8 +234,8 @@ impl<C: Component> ChildSpec<C> {
     }
 
     /// How many of its rounds may be missed, in percent, before that is an
-    /// [overload](blastema_core::FaultKind::Overload) of what keeps its thread; 25 unless set, 100 for any
-    /// number.
+    /// [overload](blastema_core::FaultKind::Overload) of what keeps its thread; 25 unless set, 100
+    /// for any number.
     pub fn max_missed_rounds(mut self, percent: u8) -> Self {
         self.limits.max_missed_percent = percent;
         self
@@ -246,8 +247,8 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a life may take to end in order; after that it is ended out of order. Zero gives it no time
-    /// at all.
+    /// How long a life may take to end in order; after that it is ended out of order. Zero gives it
+    /// no time at all.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
         self.limits.shutdown_within = span;
         self
@@ -261,17 +262,17 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Claims a [name of the whole robot](crate::manual::names) whenever a life is at work, and gives it
-    /// back when that ends and none follows on the spot. Where another holds it, the component goes
-    /// without, which is a fault, or stands by.
+    /// Claims a [name of the whole robot](crate::manual::names) whenever a life is at work, and
+    /// gives it back when that ends and none follows on the spot. Where another holds it, the
+    /// component goes without, which is a fault, or stands by.
     pub fn claim(mut self, name: &str, policy: ClaimPolicy) -> Self {
         self.claims.push((name.to_owned(), policy));
         self
     }
 
-    /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put into the safe state
-    /// because of a fault, the supervisor ends its children and itself and leaves the decision to its parent.
-    /// Directly under the root that is the node's safe state.
+    /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put into
+    /// the safe state because of a fault, the supervisor ends its children and itself and leaves
+    /// the decision to its parent. Directly under the root that is the node's safe state.
     pub fn essential(mut self) -> Self {
         self.essential = true;
         self

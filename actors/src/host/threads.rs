@@ -7,8 +7,8 @@ use blastema_core::ObjectName;
 use std::fmt;
 use std::time::Duration;
 
-/// A thread that components live on. The middleware's own threads stand in the table by the objects that
-/// live there, each of which is asked whether it lives.
+/// A thread that components live on. The middleware's own threads stand in the table by the objects
+/// that live there, each of which is asked whether it lives.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ThreadRow {
@@ -18,8 +18,8 @@ pub struct ThreadRow {
     pub kind: ThreadKind,
     /// How it is.
     pub state: ThreadState,
-    /// The share of about the last second, 0 to 1, in which a component was on it: running, or blocking it.
-    /// From looks every 10 ms; `None` before the first, and once it is abandoned.
+    /// The share of about the last second, 0 to 1, in which a component was on it: running, or
+    /// blocking it. From looks every 10 ms; `None` before the first, and once it is abandoned.
     pub busy: Option<f32>,
     /// How long ago its event loop last turned, to a hundredth of a second; `None` for never.
     pub last_beat: Option<Duration>,
@@ -64,7 +64,8 @@ pub enum ThreadState {
         /// For how long it has, at least.
         age: Duration,
     },
-    /// It did not come back in time: its components live elsewhere. It ends if the handler ever returns.
+    /// It did not come back in time: its components live elsewhere. It ends if the handler ever
+    /// returns.
     Abandoned {
         /// The culprit.
         by: ObjectName,

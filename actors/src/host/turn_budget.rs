@@ -1,15 +1,15 @@
 //! How long a component or a hub may keep its arbiter's thread before the others have their turn.
 //!
-//! A task of tokio's `LocalSet` that wakes itself is polled up to 61 times before the runtime looks at
-//! timers, sockets and other threads. A turn that took too long therefore ends with a rest: the task is
-//! woken through the scheduler, as [`tokio::task::yield_now`] does it, after every ready neighbour and
-//! the driver; what else wakes it before that does not end the rest. Between two handlers that take
-//! long, each neighbour, due timer and control message has its turn.
+//! A task of tokio's `LocalSet` that wakes itself is polled up to 61 times before the runtime looks
+//! at timers, sockets and other threads. A turn that took too long therefore ends with a rest: the
+//! task is woken through the scheduler, as [`tokio::task::yield_now`] does it, after every ready
+//! neighbour and the driver; what else wakes it before that does not end the rest. Between two
+//! handlers that take long, each neighbour, due timer and control message has its turn.
 //!
-//! Batches of quick messages must not pay for that. Two clocks tell the one from the other: after each
-//! handler the kernel's coarse clock is read, which costs a few nanoseconds and ticks every 1 to 10 ms.
-//! Once it has ticked within a turn, turns are measured by the exact clock until one of them is short.
-//! No handler takes any time on a clock that a test has paused.
+//! Batches of quick messages must not pay for that. Two clocks tell the one from the other: after
+//! each handler the kernel's coarse clock is read, which costs a few nanoseconds and ticks every 1
+//! to 10 ms. Once it has ticked within a turn, turns are measured by the exact clock until one of
+//! them is short. No handler takes any time on a clock that a test has paused.
 
 use crate::platform;
 use blastema_core::Instant;
@@ -122,8 +122,8 @@ impl TurnBudget {
         }
     }
 
-    /// The turn ends though there is more to do, because it took many messages, but not long. Others
-    /// that are ready have their turn.
+    /// The turn ends though there is more to do, because it took many messages, but not long.
+    /// Others that are ready have their turn.
     pub(crate) fn pause(&self, waker: &Waker) {
         self.continued.set(true);
         waker.wake_by_ref();

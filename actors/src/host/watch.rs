@@ -1,7 +1,7 @@
 //! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
 //!
-//! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is still
-//! seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
+//! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
+//! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
 
 use super::arbiters::ArbiterPool;
 use super::label;
@@ -27,8 +27,8 @@ use std::{io, thread};
 
 /// How often pulses are looked at: as often as they beat.
 const PULSES: Duration = super::pulse::HEARTBEAT_INTERVAL;
-/// Every so many looks stamps are looked at too. There are many of them: at every look it would cost
-/// six percent of a core for a hundred thousand.
+/// Every so many looks stamps are looked at too. There are many of them: at every look it would
+/// cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
 /// What can be told of a component without asking it.
@@ -190,7 +190,8 @@ impl SampledComponents {
         self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Completes the rows of this node's components by what they are doing now, also if they are stuck.
+    /// Completes the rows of this node's components by what they are doing now, also if they are
+    /// stuck.
     pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
         let glances = self.glances();
         for row in rows {
@@ -277,8 +278,8 @@ pub(crate) fn start_thread(
     Ok(SamplerGuard { ended, thread: Some(thread) })
 }
 
-/// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but not
-/// who hangs.
+/// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but
+/// not who hangs.
 pub(crate) fn start_task(
     list: SampledComponents,
     arbiters: ArbiterPool,

@@ -1,4 +1,5 @@
-//! Commanding actuators: whoever commands holds a lease, and what it moves comes to rest when it goes.
+//! Commanding actuators: whoever commands holds a lease, and what it moves comes to rest when it
+//! goes.
 //!
 //! ```text
 //!  Commander ─ claim, renew, command ─► the actuator's node: Yard ─ epoch holds? ─► component
@@ -30,14 +31,14 @@ use tokio::sync::Notify;
 /// Until told otherwise: three renewals may be late or lost, and nothing moves on for longer than a
 /// person takes to be startled.
 const SPAN: Duration = Duration::from_millis(200);
-/// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a robot move
-/// without anybody for longer than it takes to walk up to it.
+/// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a
+/// robot move without anybody for longer than it takes to walk up to it.
 pub(crate) const SPANS: RangeInclusive<Duration> =
     Duration::from_millis(20)..=Duration::from_secs(60);
 /// How long a claim or a release may take.
 const CLAIM_WITHIN: Duration = Duration::from_secs(1);
-/// A claim that waits for its actuator asks again after this, and after twice as long each time: a component restarts
-/// in milliseconds, a node takes seconds to come.
+/// A claim that waits for its actuator asks again after this, and after twice as long each time: a
+/// component restarts in milliseconds, a node takes seconds to come.
 const CLAIM_AGAIN: RangeInclusive<Duration> =
     Duration::from_millis(10)..=Duration::from_millis(160);
 
@@ -49,25 +50,26 @@ pub struct ActuatorSpec<M: Contract> {
 }
 
 impl<M: Contract> ActuatorSpec<M> {
-    /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this command
-    /// like any other when its commander has gone.
+    /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this
+    /// command like any other when its commander has gone.
     pub fn new(safe: M) -> Self {
         ActuatorSpec { safe, span: SPAN, cut_off: None }
     }
 
-    /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a minute.
-    /// Shorter stops sooner, and stops for a commander that was merely late.
+    /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a
+    /// minute. Shorter stops sooner, and stops for a commander that was merely late.
     #[must_use]
     pub fn lease(mut self, span: Duration) -> Self {
         self.span = span;
         self
     }
 
-    /// Also called when a lease ends, as the component is told: what brings the outputs to rest although the
-    /// component hangs. The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
-    /// after the other on a thread of their own. One that blocks it for longer than
-    /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the others go on on
-    /// a fresh thread.
+    /// Also called when a lease ends, as the component is told: what brings the outputs to rest
+    /// although the component hangs. The cut-offs and [safe
+    /// outputs](crate::NodeBuilder::safe_outputs) of a node are called one after the other on a
+    /// thread of their own. One that blocks it for longer than
+    /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the
+    /// others go on on a fresh thread.
     #[must_use]
     pub fn cut_off(mut self, cut_off: impl Fn() + Send + Sync + 'static) -> Self {
         self.cut_off = Some(Arc::new(cut_off));
@@ -211,8 +213,8 @@ impl Drop for Helm {
 }
 
 impl<M: Contract> Commander<M> {
-    /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be commanded yet, a second
-    /// is waited for it, as by [`claim_within`](Self::claim_within).
+    /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be
+    /// commanded yet, a second is waited for it, as by [`claim_within`](Self::claim_within).
     ///
     /// # Errors
     /// As [`claim_within`](Self::claim_within).
@@ -220,16 +222,18 @@ impl<M: Contract> Commander<M> {
         self.claim_within(CLAIM_WITHIN).await
     }
 
-    /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator that is not there
-    /// yet, that is being restarted or brought to rest, or whose node cannot be reached.
+    /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator
+    /// that is not there yet, that is being restarted or brought to rest, or whose node cannot be
+    /// reached.
     ///
-    /// A component that claims while it is being activated keeps those waiting that start after it: where the
-    /// actuator is one of them, [spawn](crate::Context::spawn) the claim.
+    /// A component that claims while it is being activated keeps those waiting that start after it:
+    /// where the actuator is one of them, [spawn](crate::Context::spawn) the claim.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while somebody else commands, and [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
-    /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not come in time; from other nodes, what
-    /// any request may meet with.
+    /// [`DeliveryError::Held`] while somebody else commands, and
+    /// [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
+    /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not
+    /// come in time; from other nodes, what any request may meet with.
     pub async fn claim_within(&self, limit: Duration) -> Result<u64, DeliveryError> {
         let due = platform::now() + limit;
         let mut pause = *CLAIM_AGAIN.start();
@@ -269,13 +273,13 @@ impl<M: Contract> Commander<M> {
         self.0.held().is_some_and(|held| platform::now() < held.until)
     }
 
-    /// Commands, and waits until the command has been carried out, within the span of the lease. One
-    /// command is under way at a time.
+    /// Commands, and waits until the command has been carried out, within the span of the lease.
+    /// One command is under way at a time.
     ///
     /// # Errors
-    /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`] where somebody else's
-    /// does: the command was not carried out. [`DeliveryError::Full`] where one is still under way. Everything
-    /// else as for any [request](crate::Sender::ask).
+    /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`]
+    /// where somebody else's does: the command was not carried out. [`DeliveryError::Full`] where
+    /// one is still under way. Everything else as for any [request](crate::Sender::ask).
     pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
         let now = platform::now();
         let Held { epoch, span, .. } =

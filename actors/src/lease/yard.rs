@@ -1,7 +1,8 @@
 //! The actuators of a node, and who may command them: the body of the lease machines.
 //!
-//! Orders are served on the thread of whoever brings them. One actor of the middleware's own watches
-//! the time, on the fault chain's arbiter: a component that hangs keeps nobody from being safe.
+//! Orders are served on the thread of whoever brings them. One actor of the middleware's own
+//! watches the time, on the fault chain's arbiter: a component that hangs keeps nobody from being
+//! safe.
 
 use super::order::{ActuatorCommand, Ordered, Wish};
 use crate::chain::callbacks::{CallOutcome, Callbacks};
@@ -140,7 +141,8 @@ impl ActuatorTable {
         drop(gone);
     }
 
-    /// The node comes to rest: every lease ends now, and none is granted before it goes to work again.
+    /// The node comes to rest: every lease ends now, and none is granted before it goes to work
+    /// again.
     pub(crate) fn rest(&self) {
         self.rests.store(true, SeqCst);
         let now = platform::now();

@@ -1,7 +1,7 @@
 //! The manual: what an application can rely on, and what it has to say.
 //!
-//! Each page is short and about one thing; its examples run as tests. Whole programs, one lesson a file,
-//! lie in the folder `examples` and run as `cargo run -p blastema-examples --example hello`.
+//! Each page is short and about one thing; its examples run as tests. Whole programs, one lesson a
+//! file, lie in the folder `examples` and run as `cargo run -p blastema-examples --example hello`.
 //!
 //! | page | answers |
 //! | --- | --- |

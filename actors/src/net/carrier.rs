@@ -4,11 +4,11 @@
 //! knows of at once, and this is how the links learn it: an accelerator, never the judge. Only the
 //! *loss* of a carrier that was there says anything; whether a link carries again, hellos prove.
 //!
-//! Linux tells of a change by netlink at once if it has told of no other within the last second, and
-//! else up to a second late (`net/core/link_watch.c`): a second cable that is cut, or one that flaps,
-//! is such a change. `/sys/class/net/…/carrier` is brought up to date when it is read, as
-//! `ETHTOOL_GLINK` is. So netlink only wakes this thread, which reads there; it also does so
-//! every few milliseconds by itself.
+//! Linux tells of a change by netlink at once if it has told of no other within the last second,
+//! and else up to a second late (`net/core/link_watch.c`): a second cable that is cut, or one that
+//! flaps, is such a change. `/sys/class/net/…/carrier` is brought up to date when it is read, as
+//! `ETHTOOL_GLINK` is. So netlink only wakes this thread, which reads there; it also does so every
+//! few milliseconds by itself.
 //!
 //! Where there is no such file, on another system or in a container, nothing is watched.
 
@@ -26,10 +26,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tracing::{debug, info};
 
-/// How often interfaces are looked at. A look is one system call for each, and one to wait. Each takes the
-/// kernel's lock on all interfaces for a moment (`carrier_show`), which is why it is not oftener.
+/// How often interfaces are looked at. A look is one system call for each, and one to wait. Each
+/// takes the kernel's lock on all interfaces for a moment (`carrier_show`), which is why it is not
+/// oftener.
 const LOOK: Duration = Duration::from_millis(2);
-/// After so many looks, an interface that was not found is sought again: it may be plugged in later.
+/// After so many looks, an interface that was not found is sought again: it may be plugged in
+/// later.
 const SEEK: u32 = 500;
 /// Where Linux tells of interfaces.
 const INTERFACES: &str = "/sys/class/net";
@@ -122,8 +124,8 @@ impl Drop for CarrierMonitor {
 struct Eye {
     watched: MonitoredInterface,
     name: Option<String>,
-    /// Says how it is whenever it is read from its beginning, and nothing any more once the interface was
-    /// taken out, also if another of that name is there.
+    /// Says how it is whenever it is read from its beginning, and nothing any more once the
+    /// interface was taken out, also if another of that name is there.
     file: Option<File>,
     /// Whether it has its carrier; `None` while it was never seen to have one.
     present: Option<bool>,
@@ -217,8 +219,8 @@ fn wait(socket: &Socket) {
     let timeout = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
     let mut ready = [PollFd::new(socket, PollFlags::IN)];
     if poll(&mut ready, Some(&timeout)).is_ok_and(|ready| ready > 0) {
-        // What has happened is not read here: the files say how it is now. A buffer that ran over is
-        // an error once, and news as well.
+        // What has happened is not read here: the files say how it is now. A buffer that ran over
+        // is an error once, and news as well.
         let mut thrown_away = [0u8; 8192];
         for _ in 0..AT_ONCE {
             if rustix::io::read(socket, &mut thrown_away[..]).is_err() {

@@ -24,8 +24,8 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{error, info, warn};
 
-/// How long a name is kept for a node that is not heard of any more. It is heard of four times as often,
-/// which costs some 60 bytes each, and nothing where a node claims nothing.
+/// How long a name is kept for a node that is not heard of any more. It is heard of four times as
+/// often, which costs some 60 bytes each, and nothing where a node claims nothing.
 const LEASE: Duration = Duration::from_secs(1);
 /// How often it is looked at what was refused.
 const LOOK: Duration = Duration::from_secs(1);
@@ -64,7 +64,8 @@ pub(crate) struct GlobalNamesActor {
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     complaints: RefusalAlarms<NodeName>,
     faults: FaultReporter,
-    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed here.
+    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed
+    /// here.
     lost: ActiveAlarms<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,

@@ -1,4 +1,5 @@
-//! What shares room on the way from the objects of this node to a peer's session, and how much may be there.
+//! What shares room on the way from the objects of this node to a peer's session, and how much may
+//! be there.
 
 use blastema_contract::session::{Credit, CreditPool};
 use blastema_core::Delivery;
@@ -9,8 +10,8 @@ use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
 use tokio::sync::Notify;
 
-/// Messages that may be on their way in one room: what a burst sends before the network's arbiter has its
-/// turn. A session takes as many again once it has said that it is full.
+/// Messages that may be on their way in one room: what a burst sends before the network's arbiter
+/// has its turn. A session takes as many again once it has said that it is full.
 const MESSAGES_MAX: usize = 2048;
 /// Their bytes, likewise. One message more may be on its way, whose bytes go beyond this.
 const BYTES_MAX: usize = 1 << 20;
@@ -37,8 +38,8 @@ impl CreditClass {
     }
 }
 
-/// The ways to one peer: `redundant` messages, such as stops, have room that nothing else takes, and so has
-/// what is small beside bulk.
+/// The ways to one peer: `redundant` messages, such as stops, have room that nothing else takes,
+/// and so has what is small beside bulk.
 pub(super) struct SendCredits {
     /// By stream, and by load.
     rooms: [[Arc<Pool>; 2]; 2],
@@ -101,8 +102,8 @@ impl CreditPool for Pool {
     fn give_back(&self, bytes: usize) {
         let messages = self.messages.fetch_sub(1, Relaxed);
         let before = self.bytes.fetch_sub(bytes, Relaxed);
-        // Decided by what these found: when several give back at once, each may see only its own, and one of them
-        // opens it. Whoever is woken too early looks and waits on.
+        // Decided by what these found: when several give back at once, each may see only its own,
+        // and one of them opens it. Whoever is woken too early looks and waits on.
         if messages >= MESSAGES_MAX || before >= BYTES_MAX {
             self.changed.notify_waiters();
         }

@@ -48,7 +48,8 @@ use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
 use undelivered::{EndedSubscription, UndeliveredEvents};
 
-/// How often the registry is looked at for objects that came or went, and what was lost is brought together.
+/// How often the registry is looked at for objects that came or went, and what was lost is brought
+/// together.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
@@ -291,7 +292,8 @@ impl GatewayActor {
             }
             PeerProtocolOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                // What cannot be read is among the topic's dead letters; what nobody knows has no listeners.
+                // What cannot be read is among the topic's dead letters; what nobody knows has no
+                // listeners.
                 if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
@@ -365,8 +367,8 @@ impl GatewayActor {
         Some(ended)
     }
 
-    /// Under which number, and how, an event goes to this peer. The first event may find that the topic
-    /// had no contract here when the peer subscribed.
+    /// Under which number, and how, an event goes to this peer. The first event may find that the
+    /// topic had no contract here when the peer subscribed.
     fn verify(&mut self, forward: (NodeId, u32)) -> Result<(u32, Delivery), DeliveryError> {
         let Some(known) = self.forwards.get_mut(&forward) else {
             return Err(DeliveryError::Unknown { name: "subscription".into() });
@@ -381,8 +383,8 @@ impl GatewayActor {
         Ok(known.by)
     }
 
-    /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does whoever
-    /// looks after the robot.
+    /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does
+    /// whoever looks after the robot.
     fn differs(&mut self, peer: NodeId, difference: &str) {
         if let Some(peer) = self.peers.get_mut(&peer) {
             peer.differs(difference);
@@ -414,8 +416,8 @@ impl GatewayActor {
             Ok(fault) => fault,
             Err(error) => return warn!(%peer, %error, "a fault that cannot be read"),
         };
-        // A node is believed about its own objects and links. What it thinks of other nodes, or of ours,
-        // is no reason to do anything here: everybody sees that for itself.
+        // A node is believed about its own objects and links. What it thinks of other nodes, or of
+        // ours, is no reason to do anything here: everybody sees that for itself.
         let theirs = match &fault.place {
             Place::Object(address) => NodeId::of(&address.node) == peer,
             Place::Link { node, .. } => NodeId::of(node) == peer,

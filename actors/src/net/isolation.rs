@@ -169,6 +169,7 @@ impl Skeleton for BallotBox {
     }
 
     fn declare(&self, _: FaultKind, _: String) {
-        // The node's own contracts differ only between nodes of different versions, which sessions tell.
+        // The node's own contracts differ only between nodes of different versions, which sessions
+        // tell.
     }
 }

@@ -37,9 +37,11 @@ use tracing::{error, info, warn};
 
 /// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
 const USUAL_COST: u64 = 10;
-/// What it costs at most for its medium's slowness: a way over many fast links may still be too long.
+/// What it costs at most for its medium's slowness: a way over many fast links may still be too
+/// long.
 const SLOW_COST: u64 = 1000;
-/// And how many times as much one that has just failed, until it has proved itself: as one that loses a tenth.
+/// And how many times as much one that has just failed, until it has proved itself: as one that
+/// loses a tenth.
 const DISTRUSTED: u64 = 8;
 
 /// A link as it is described; the bundle tells it of the medium.
@@ -241,8 +243,8 @@ impl LinksActor {
         }
     }
 
-    /// What must be refused for seconds is a fault until it was quiet: somebody else speaks with the
-    /// neighbour's address, or the neighbour is broken.
+    /// What must be refused for seconds is a fault until it was quiet: somebody else speaks with
+    /// the neighbour's address, or the neighbour is broken.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));

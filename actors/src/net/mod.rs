@@ -9,7 +9,8 @@
 //!
 //! All of them live on one arbiter, under the guardian. What becomes of a panic in:
 //!
-//! * a network's links: they are built anew and say hello; neighbours notice nothing or a late hello.
+//! * a network's links: they are built anew and say hello; neighbours notice nothing or a late
+//!   hello.
 //! * the router: it is built anew, asks links and neighbours, and knows its place again within two
 //!   round trips; packets in between are lost, and the sessions repeat them.
 //! * the sessions: the one that was being served is built anew, after handing back what it had not
@@ -469,7 +470,8 @@ impl NetHandle {
         self.carrier.end();
     }
 
-    /// Tells the peers that this node ends in order, delivers what was sent, and ends every session.
+    /// Tells the peers that this node ends in order, delivers what was sent, and ends every
+    /// session.
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
         self.doors.end();

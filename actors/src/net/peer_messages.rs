@@ -1,8 +1,8 @@
 //! What the middleware's own parts say to their like on other nodes: bytes of a machine's.
 //!
-//! They go as ordinary messages to a name that no object has, so that sessions bring them once and in
-//! order. What cannot be sent, or comes too fast, is dropped and counted: machines that talk like this
-//! find out by themselves what is missing.
+//! They go as ordinary messages to a name that no object has, so that sessions bring them once and
+//! in order. What cannot be sent, or comes too fast, is dropped and counted: machines that talk
+//! like this find out by themselves what is missing.
 
 use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
 use crate::sender::Sender;
@@ -89,7 +89,8 @@ impl PeerChannel {
     }
 }
 
-/// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown object.
+/// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown
+/// object.
 pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
     registry.register_hidden(place, ContractPort::of_doorway::<Letter>(Arc::new(Nobody)));
 }

@@ -36,8 +36,8 @@ pub(super) struct RouterActor {
     faults: FaultReporter,
     /// Who can be reached, in which life: what a router that begins anew must find again.
     reached: BTreeMap<NodeName, Incarnation>,
-    /// Who wants to know whether there is another way to a node, until that is certain: as many as the
-    /// recoverer has under way, which gives each two seconds.
+    /// Who wants to know whether there is another way to a node, until that is certain: as many as
+    /// the recoverer has under way, which gives each two seconds.
     inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
     /// Who is isolated: a router that begins anew must know.
     kept_out: BTreeSet<NodeName>,
@@ -330,8 +330,9 @@ impl Handler<InjectPanic> for RouterActor {
     }
 }
 
-/// The alternative was chosen before it was needed: what is left to do is to say whether there is one.
-/// Where the only one may have failed as well, the answer waits until its link says so or recovers.
+/// The alternative was chosen before it was needed: what is left to do is to say whether there is
+/// one. Where the only one may have failed as well, the answer waits until its link says so or
+/// recovers.
 impl Handler<Reroute> for RouterActor {
     type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
 

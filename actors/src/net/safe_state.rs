@@ -1,7 +1,7 @@
 //! Who of the nodes is in the safe state: this one tells all others, and hears it of them.
 //!
-//! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without this its
-//! peers would find out only by what does not come.
+//! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without
+//! this its peers would find out only by what does not come.
 
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::guardian::{Guardian, answers_the_monitor};

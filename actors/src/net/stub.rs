@@ -46,8 +46,8 @@ pub(super) struct PeerSendState {
     isolated: AtomicBool,
     /// Of what the session holds all that it should: a bit for each stream and load.
     full_streams: AtomicU8,
-    /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to do with what
-    /// the session holds.
+    /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to
+    /// do with what the session holds.
     full_hall: AtomicU8,
     ways: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
@@ -110,9 +110,9 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    /// Whether this has to wait. Nothing goes where the words that keep the session together do not; of the
-    /// other streams, one does not hold up the other. Where there is no room for what is small, bulk waits too:
-    /// what is bulk here may be small to the session.
+    /// Whether this has to wait. Nothing goes where the words that keep the session together do
+    /// not; of the other streams, one does not hold up the other. Where there is no room for what
+    /// is small, bulk waits too: what is bulk here may be small to the session.
     fn is_held(&self, CreditClass { delivery, load }: CreditClass) -> bool {
         // Of which only the newest counts, nothing waits behind what does.
         if delivery == Delivery::Newest {

@@ -395,8 +395,8 @@ fn enrolment(
     Ok(Register { enrolment, inquiries: None })
 }
 
-/// An object of the middleware. It answers in microseconds; that it did not for several seconds is no
-/// matter of load, and ends in the node's safe state.
+/// An object of the middleware. It answers in microseconds; that it did not for several seconds is
+/// no matter of load, and ends in the node's safe state.
 fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> Register {
     let watch = match inquiries {
         Some(_) => Liveness::pull(Duration::from_secs(1), Duration::from_secs(3)),

@@ -75,7 +75,8 @@ pub enum StartError {
         /// What to write instead.
         cure: &'static str,
     },
-    /// The file in which variables are kept cannot be read, set aside where it is damaged, or be there at all.
+    /// The file in which variables are kept cannot be read, set aside where it is damaged, or be
+    /// there at all.
     #[error("variables cannot be kept in {}: {reason}", file.display())]
     Variables {
         /// The file.
@@ -93,7 +94,8 @@ pub enum StartError {
         /// What stands in the way, and what to do.
         reason: String,
     },
-    /// The configuration of parameters cannot be read, or gives them to a component that takes none.
+    /// The configuration of parameters cannot be read, or gives them to a component that takes
+    /// none.
     #[error("parameters{}: {reason}", of_file(.file.as_ref()))]
     Parameters {
         /// The file, where it is one.
@@ -225,7 +227,8 @@ impl NodeBuilder {
         self
     }
 
-    /// One more component under the root supervisor of which not every end is followed by a restart.
+    /// One more component under the root supervisor of which not every end is followed by a
+    /// restart.
     pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
         self.root = self.root.child_with(spec, restart);
         self
@@ -237,21 +240,24 @@ impl NodeBuilder {
         self
     }
 
-    /// Whom the root supervisor restarts together. Only the one that failed, unless this says otherwise.
+    /// Whom the root supervisor restarts together. Only the one that failed, unless this says
+    /// otherwise.
     pub fn strategy(mut self, strategy: Strategy) -> Self {
         self.root = self.root.strategy(strategy);
         self
     }
 
-    /// How many restarts of each child directly under the root are worth it in one `period`; of all together
-    /// where [`when_exceeded`](Self::when_exceeded) or the [`strategy`](Self::strategy) says so.
+    /// How many restarts of each child directly under the root are worth it in one `period`; of all
+    /// together where [`when_exceeded`](Self::when_exceeded) or the [`strategy`](Self::strategy)
+    /// says so.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         self.root = self.root.intensity(times, period);
         self
     }
 
-    /// What is done when restarts directly under the root exceed the [`intensity`](Self::intensity): that
-    /// child is stopped, unless this says that the node enters the safe state.
+    /// What is done when restarts directly under the root exceed the
+    /// [`intensity`](Self::intensity): that child is stopped, unless this says that the node enters
+    /// the safe state.
     pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
         self.root = self.root.when_exceeded(when_exceeded);
         self
@@ -263,24 +269,26 @@ impl NodeBuilder {
         self
     }
 
-    /// One more node whose word alone [isolates](Node::isolate) another one, or lets it in again. Without
-    /// any, it takes more than half of the nodes that are there. Every node of the robot is told the same.
+    /// One more node whose word alone [isolates](Node::isolate) another one, or lets it in again.
+    /// Without any, it takes more than half of the nodes that are there. Every node of the robot is
+    /// told the same.
     pub fn warden(mut self, node: &str) -> Self {
         self.wardens.push(node.to_owned());
         self
     }
 
-    /// Keeps the values of variables in this file, so that they outlive the process: what the next one finds
-    /// of each is what its [policy](crate::RestorePolicy) leaves. A write is answered when it is on the disk.
-    /// A file that is damaged is set aside and becomes a fault. Two nodes never share one. The path is
-    /// absolute; any other is refused at start.
+    /// Keeps the values of variables in this file, so that they outlive the process: what the next
+    /// one finds of each is what its [policy](crate::RestorePolicy) leaves. A write is answered
+    /// when it is on the disk. A file that is damaged is set aside and becomes a fault. Two nodes
+    /// never share one. The path is absolute; any other is refused at start.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
         self
     }
 
-    /// Reads the [parameters](crate::manual::parameters) of components from this file at the start. It is TOML,
-    /// with one table for each component: `[arm]`, `["arm/left"]`. Of several files, the later ones prevail.
+    /// Reads the [parameters](crate::manual::parameters) of components from this file at the start.
+    /// It is TOML, with one table for each component: `[arm]`, `["arm/left"]`. Of several files,
+    /// the later ones prevail.
     pub fn parameters_from(mut self, file: impl Into<PathBuf>) -> Self {
         self.parameters.push(Configuration::File(file.into()));
         self
@@ -293,9 +301,10 @@ impl NodeBuilder {
         self
     }
 
-    /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this path: its
-    /// [`picture`](Node::snapshot) as JSON, and the end. Only processes of the same user may look, and
-    /// nothing can be changed from there. It can be seen from the start on, and in the safe state.
+    /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this
+    /// path: its [`picture`](Node::snapshot) as JSON, and the end. Only processes of the same user
+    /// may look, and nothing can be changed from there. It can be seen from the start on, and in
+    /// the safe state.
     ///
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
     #[cfg(feature = "unix")]
@@ -318,8 +327,8 @@ impl NodeBuilder {
         self
     }
 
-    /// Carries a service together with other nodes, which are given the same spec. The component stands
-    /// under the root supervisor as `<name>/replica`.
+    /// Carries a service together with other nodes, which are given the same spec. The component
+    /// stands under the root supervisor as `<name>/replica`.
     pub fn service<C: Stateful>(mut self, spec: ServiceSpec<C>) -> Self {
         let (component, carried) = spec.carried(&self.name);
         self.services.push(carried);
@@ -332,14 +341,15 @@ impl NodeBuilder {
         self
     }
 
-    /// Declares a kind of fault of the application's own; the plan must answer it, and its code is no other
-    /// kind's.
+    /// Declares a kind of fault of the application's own; the plan must answer it, and its code is
+    /// no other kind's.
     pub fn fault_kind(mut self, code: &str) -> Self {
         self.own_kinds.push(FaultKind::Custom(code.into()));
         self
     }
 
-    /// Hands over a recovery strategy of the application's own, by the name that the plan uses: one of a name.
+    /// Hands over a recovery strategy of the application's own, by the name that the plan uses: one
+    /// of a name.
     pub fn recovery<S: RecoveryStrategy>(
         mut self,
         name: &str,
@@ -352,10 +362,11 @@ impl NodeBuilder {
         self
     }
 
-    /// What is done with the robot's outputs when something enters the safe state: brakes on, power off.
-    /// It is called with the fault, for an object as for the whole node, on a thread of its own, one call after the
-    /// other. A call that takes longer than [`callback_limit`](NodeBuilder::callback_limit) is a fault of
-    /// `safe-outputs`; the fault chain then goes on without it.
+    /// What is done with the robot's outputs when something enters the safe state: brakes on, power
+    /// off. It is called with the fault, for an object as for the whole node, on a thread of its
+    /// own, one call after the other. A call that takes longer than
+    /// [`callback_limit`](NodeBuilder::callback_limit) is a fault of `safe-outputs`; the fault
+    /// chain then goes on without it.
     ///
     /// It is called too when the node is dropped while it runs, and for SIGTERM and SIGINT unless
     /// [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
@@ -364,20 +375,22 @@ impl NodeBuilder {
         self
     }
 
-    /// How long a [recovery strategy](RecoveryStrategy) may keep its thread without an await that waits, and how
-    /// long [safe outputs](NodeBuilder::safe_outputs) and [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms
-    /// unless this says otherwise, from 10 ms to a minute. What takes longer is a fault under its own name, its
-    /// thread is [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on sooner,
-    /// and blames code that was merely slow.
+    /// How long a [recovery strategy](RecoveryStrategy) may keep its thread without an await that
+    /// waits, and how long [safe outputs](NodeBuilder::safe_outputs) and
+    /// [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms unless this says otherwise, from
+    /// 10 ms to a minute. What takes longer is a fault under its own name, its thread is
+    /// [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on
+    /// sooner, and blames code that was merely slow.
     pub fn callback_limit(mut self, limit: Duration) -> Self {
         self.callback_limit = limit;
         self
     }
 
-    /// Tells the service manager that has started the process, as systemd is, that the node has started
-    /// (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`). It is told that the node lives
-    /// for as long as each actor of the fault chain answers, four times in the `WatchdogSec=` of the service. Where
-    /// no service manager has started the process, nothing is told.
+    /// Tells the service manager that has started the process, as systemd is, that the node has
+    /// started (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`). It is
+    /// told that the node lives for as long as each actor of the fault chain answers, four times in
+    /// the `WatchdogSec=` of the service. Where no service manager has started the process, nothing
+    /// is told.
     ///
     /// ```ini
     /// [Service]
@@ -390,9 +403,10 @@ impl NodeBuilder {
         self
     }
 
-    /// Strokes the computer's watchdog, such as `/dev/watchdog`, once a second for as long as each actor of the
-    /// fault chain answers. It is opened, and so armed, when the node starts. [`Node::shutdown`] disarms it; where
-    /// the process ends otherwise, or the fault chain stands, it restarts the computer.
+    /// Strokes the computer's watchdog, such as `/dev/watchdog`, once a second for as long as each
+    /// actor of the fault chain answers. It is opened, and so armed, when the node starts.
+    /// [`Node::shutdown`] disarms it; where the process ends otherwise, or the fault chain stands,
+    /// it restarts the computer.
     ///
     /// The path is absolute; any other is refused at start, as is a device that cannot be opened.
     pub fn watchdog_device(mut self, path: impl Into<PathBuf>) -> Self {
@@ -400,22 +414,23 @@ impl NodeBuilder {
         self
     }
 
-    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs or actuators handles them: the
-    /// safe outputs are applied, and the process ends with the status 128 and the signal's number. Where
-    /// [`Node::run_until_signal`] waits, it shuts the node down instead.
+    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs or actuators
+    /// handles them: the safe outputs are applied, and the process ends with the status 128 and the
+    /// signal's number. Where [`Node::run_until_signal`] waits, it shuts the node down instead.
     pub fn without_signal_handling(mut self) -> Self {
         self.handles_signals = false;
         self
     }
 
-    /// So many arbiters are shared by components, 1 to 1024. One per core, unless this says otherwise.
+    /// So many arbiters are shared by components, 1 to 1024. One per core, unless this says
+    /// otherwise.
     pub fn work_threads(mut self, shared: usize) -> Self {
         self.placement = ActorPlacement::Threads { shared };
         self
     }
 
-    /// How long a handler that was found hanging still has to return before its neighbours on the same
-    /// arbiter are re-created elsewhere; an hour at most.
+    /// How long a handler that was found hanging still has to return before its neighbours on the
+    /// same arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {
         self.grace = grace;
         self
@@ -435,8 +450,8 @@ impl NodeBuilder {
         self
     }
 
-    /// Every step in the history of every fault from the first on, also of those that are found while the
-    /// node starts, which [`Node::fault_events`] is too late for.
+    /// Every step in the history of every fault from the first on, also of those that are found
+    /// while the node starts, which [`Node::fault_events`] is too late for.
     ///
     /// ```
     /// use blastema::prelude::*;
@@ -467,10 +482,10 @@ impl NodeBuilder {
     /// Starts the node: its fault chain, and then all components, each after those before it.
     ///
     /// # Errors
-    /// A description that cannot work is refused before any component is started. A component that cannot
-    /// be started is a fault, which the plan answers: by default it is restarted and at last put to rest, and
-    /// the node starts without it. Where supervisors give up first, up to the root, that is
-    /// [`StartError::GaveUp`].
+    /// A description that cannot work is refused before any component is started. A component that
+    /// cannot be started is a fault, which the plan answers: by default it is restarted and at last
+    /// put to rest, and the node starts without it. Where supervisors give up first, up to the
+    /// root, that is [`StartError::GaveUp`].
     pub async fn start(self) -> Result<Node, StartError> {
         super::assembly::start(self).await
     }

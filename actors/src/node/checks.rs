@@ -24,7 +24,8 @@ pub(super) fn dependencies(node: &NodeName, harvest: &PreparedTree) -> Dependenc
     objects
 }
 
-/// The nodes of a service are others than each other, not too many, and this is one of them; and its hello can be said.
+/// The nodes of a service are others than each other, not too many, and this is one of them; and
+/// its hello can be said.
 pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     let Carried { name, config, .. } = carried;
     let different: BTreeSet<_> = config.members.iter().collect();
@@ -49,12 +50,14 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
-/// Shared arbiters that a node may have: more than computers have cores. Each is a thread with its stack.
+/// Shared arbiters that a node may have: more than computers have cores. Each is a thread with its
+/// stack.
 const THREADS: RangeInclusive<usize> = 1..=1024;
 /// The neighbours of a handler that hangs stand still for so long at most.
 const GRACE_MAX: Duration = Duration::from_secs(60 * 60);
 
-/// A call that takes no longer than a beat blocks nobody; who waits for safety waits no longer than a minute.
+/// A call that takes no longer than a beat blocks nobody; who waits for safety waits no longer than
+/// a minute.
 const CALLBACK_LIMITS: RangeInclusive<Duration> =
     Duration::from_millis(10)..=Duration::from_secs(60);
 
@@ -131,7 +134,8 @@ fn check_journal(file: &Path) -> Result<(), StartError> {
     Err(StartError::Journal { file: file.to_owned(), reason: reason.to_owned() })
 }
 
-/// Nobody is called like somebody else: neither components nor supervisors, nor what the middleware has.
+/// Nobody is called like somebody else: neither components nor supervisors, nor what the middleware
+/// has.
 pub(super) fn check_names<'a>(
     names: impl IntoIterator<Item = &'a ObjectName>,
 ) -> Result<(), NameTaken> {
@@ -193,8 +197,8 @@ pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<()
     Ok(())
 }
 
-/// Of services that wait for each other, none would ever serve. What the services of other nodes wait
-/// for is not known here.
+/// Of services that wait for each other, none would ever serve. What the services of other nodes
+/// wait for is not known here.
 pub(super) fn check_service_order(carried: &[Carried]) -> Result<(), StartError> {
     let needs = carried.iter();
     let needs = needs.map(|service| (&service.name, service.depends_on.iter().collect()));

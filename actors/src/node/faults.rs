@@ -11,8 +11,9 @@ use tokio::sync::{mpsc, watch};
 /// Steps that a slow reader may be behind: a storm of a few seconds at the notifier's own limit.
 const BACKLOG: usize = 1024;
 
-/// Every step in the history of every fault of a node, in order. From [`NodeBuilder::fault_events`],
-/// with the faults of the start, or from [`Node::fault_events`], from then on.
+/// Every step in the history of every fault of a node, in order. From
+/// [`NodeBuilder::fault_events`], with the faults of the start, or from [`Node::fault_events`],
+/// from then on.
 ///
 /// [`NodeBuilder::fault_events`]: crate::NodeBuilder::fault_events
 /// [`Node::fault_events`]: crate::Node::fault_events
@@ -73,7 +74,8 @@ impl FaultEvents {
         events
     }
 
-    /// The next step; `None` once the node was shut down and all that was told before has been fetched.
+    /// The next step; `None` once the node was shut down and all that was told before has been
+    /// fetched.
     pub async fn next(&mut self) -> Option<FaultEvent> {
         let FaultEvents { events, state, .. } = self;
         tokio::select! {

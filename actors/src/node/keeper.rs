@@ -1,4 +1,5 @@
-//! The keeper: it starts the root supervisor, ends it, brings the whole node to the safe state, and back.
+//! The keeper: it starts the root supervisor, ends it, brings the whole node to the safe state, and
+//! back.
 //!
 //! ```text
 //!  Down ─ start ─► Up ─ stop, rest ─► Ending ─► Down ─ restart, from rest only ─► Up
@@ -27,7 +28,8 @@ pub enum NodeState {
     /// All components have been started.
     Running,
     /// Something could not be contained, or was restarted more often than the root allows: the safe
-    /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart) brings it back.
+    /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart)
+    /// brings it back.
     InSafeState {
         /// Why.
         reason: String,
@@ -62,8 +64,8 @@ pub(super) enum RestartRefused {
 #[rtype(result = "()")]
 pub(super) struct Shutdown;
 
-/// Tells this one too when the node comes to rest, and when it goes to work again. As many as the node has parts
-/// that want to know.
+/// Tells this one too when the node comes to rest, and when it goes to work again. As many as the
+/// node has parts that want to know.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct SubscribeSafeState(pub(super) Recipient<SafeStateChanged>);
@@ -306,7 +308,8 @@ impl Handler<ChildReport> for NodeController {
             return;
         }
         match report.event {
-            // What waits for something that is not there yet holds nobody up who looks after the node.
+            // What waits for something that is not there yet holds nobody up who looks after the
+            // node.
             ChildEvent::Started | ChildEvent::Unavailable { .. } => {
                 if self.state() == NodeState::Starting {
                     info!("the node runs");

@@ -8,7 +8,9 @@
 //! ```
 //!
 //! The fault chain lives on an arbiter of its own under the guardian; the watch has a thread of its
-//! own, and so has what watches the chain from outside; the application's recovery strategies have one each; components share as many arbiters as the computer has cores, or have threads of their own.
+//! own, and so has what watches the chain from outside; the application's recovery strategies have
+//! one each; components share as many arbiters as the computer has cores, or have threads of their
+//! own.
 
 mod assembly;
 mod builder;
@@ -78,12 +80,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::warn;
 
-/// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or until
-/// it enters the safe state, from where [`restart`](Node::restart) brings it back.
+/// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or
+/// until it enters the safe state, from where [`restart`](Node::restart) brings it back.
 ///
-/// Where the last clone is dropped without a shutdown, as where `main` returns an error or panics, the
-/// [safe outputs](NodeBuilder::safe_outputs) are applied, actuators get their safe commands, and a line on standard
-/// error and in the log says so.
+/// Where the last clone is dropped without a shutdown, as where `main` returns an error or panics,
+/// the [safe outputs](NodeBuilder::safe_outputs) are applied, actuators get their safe commands,
+/// and a line on standard error and in the log says so.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -177,14 +179,15 @@ impl Node {
         }
     }
 
-    /// Where messages of contract `M` to the object of this name can be sent. The name is that of an
-    /// object here, such as `arm/elbow`, or anywhere, such as `module2:arm/elbow`, or one that is
-    /// [claimed](crate::manual::names) by whichever node, such as `*:map`.
+    /// Where messages of contract `M` to the object of this name can be sent. The name is that of
+    /// an object here, such as `arm/elbow`, or anywhere, such as `module2:arm/elbow`, or one that
+    /// is [claimed](crate::manual::names) by whichever node, such as `*:map`.
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where
-    /// it does not serve the contract; [`DeliveryError::ContractDiffers`] shows field by field what differs. Whether an object of another node
-    /// takes it is found out when the first message is sent.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it does not serve the contract;
+    /// [`DeliveryError::ContractDiffers`] shows field by field what differs. Whether an object of
+    /// another node takes it is found out when the first message is sent.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
         self.0.environment.registry.sender(name)
     }
@@ -193,20 +196,20 @@ impl Node {
     /// another node has it is found out when it is used.
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
-    /// owns no variables.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         variable::find(&self.0.environment.registry, object)
     }
 
-    /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so here, and
-    /// waits until that is decided: for a second at most after the start of the node, else not at all.
-    /// Messages to `*:<name>` reach that object then, from every node. The name is given back when the
-    /// [`Claim`] is dropped; a component claims by [`ChildSpec::claim`].
+    /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so
+    /// here, and waits until that is decided: for a second at most after the start of the node,
+    /// else not at all. Messages to `*:<name>` reach that object then, from every node. The name is
+    /// given back when the [`Claim`] is dropped; a component claims by [`ChildSpec::claim`].
     ///
     /// # Errors
-    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is to be
-    /// refused.
+    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is
+    /// to be refused.
     pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
         self.claim_for(name, name, policy).await
     }
@@ -258,7 +261,8 @@ impl Node {
         self.0.environment.services.role(&ObjectName::new(name).ok()?)
     }
 
-    /// The services that this node carries, as it sees them: what it is to each, who serves, who is not there.
+    /// The services that this node carries, as it sees them: what it is to each, who serves, who is
+    /// not there.
     pub fn services(&self) -> Vec<ServiceRow> {
         self.0.environment.services.rows()
     }
@@ -273,12 +277,13 @@ impl Node {
         self.0.environment.topics.rows()
     }
 
-    /// Commands the actuator of this name, here or on another node, under the name `own`. The lease is
-    /// renewed on this thread; a component commands by [`Context::commander`](crate::Context::commander).
+    /// Commands the actuator of this name, here or on another node, under the name `own`. The lease
+    /// is renewed on this thread; a component commands by
+    /// [`Context::commander`](crate::Context::commander).
     ///
     /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name, [`DeliveryError::NotServed`] where it
-    /// is no actuator.
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it is no actuator.
     pub fn commander<M: Contract>(
         &self,
         actuator: &str,
@@ -293,8 +298,8 @@ impl Node {
     /// A reference to a component here whose type is known.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] where no component of this type has the name, [`DeliveryError::Misspelt`] where one has a
-    /// similar name.
+    /// [`DeliveryError::Unknown`] where no component of this type has the name,
+    /// [`DeliveryError::Misspelt`] where one has a similar name.
     pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, DeliveryError> {
         let unknown = || self.0.environment.registry.misspelt(name);
         let name = ObjectName::new(name).map_err(|_| unknown())?;
@@ -305,15 +310,15 @@ impl Node {
     /// Where events can be published on a topic; `E`'s own name is its default topic.
     ///
     /// # Errors
-    /// The topic carries another type under this contract's name; the text names both, where each was said,
-    /// and what differs.
+    /// The topic carries another type under this contract's name; the text names both, where each
+    /// was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         self.0.environment.topics.publisher_of(topic, self.0.name.as_str())
     }
 
-    /// Everything that is watched, each row with its age and incarnation. It can be read at any time,
-    /// also while components are stuck.
+    /// Everything that is watched, each row with its age and incarnation. It can be read at any
+    /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
         // A network that hangs is not waited for as long as the picture waits for the table.
         let links = tokio::time::timeout(picture::PATIENCE / 2, self.links());
@@ -328,7 +333,8 @@ impl Node {
         rows
     }
 
-    /// The record of faults: roots in the order in which they were found, each followed by its symptoms.
+    /// The record of faults: roots in the order in which they were found, each followed by its
+    /// symptoms.
     pub async fn faults(&self) -> FaultRecord {
         let chain = &self.0.chain;
         chain.answer(chain.record.send(ReadRecord)).await.unwrap_or_default()
@@ -344,8 +350,9 @@ impl Node {
         self.0.chain.answer(self.0.root.tree.send(ReadTree)).await
     }
 
-    /// Waits until messages can be sent to the node of this name and a path leads there, and says whether
-    /// that came to be within the time. A link needs a few hellos to come up, also after both nodes have started.
+    /// Waits until messages can be sent to the node of this name and a path leads there, and says
+    /// whether that came to be within the time. A link needs a few hellos to come up, also after
+    /// both nodes have started.
     pub async fn connected(&self, node: &str, within: Duration) -> bool {
         let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
             return false;
@@ -369,8 +376,8 @@ impl Node {
         }
     }
 
-    /// What was not passed on, and why: what could not be understood, announcements that were old or forged,
-    /// copies whose way is not there any more.
+    /// What was not passed on, and why: what could not be understood, announcements that were old
+    /// or forged, copies whose way is not there any more.
     pub async fn not_routed(&self) -> Refusals {
         match &self.0.networks {
             Some(networks) => networks.handle.read_routes().await.refusals,
@@ -407,11 +414,12 @@ impl Node {
         }
     }
 
-    /// Puts a fault into the component of this name, which need not know of it: for demonstrations and
-    /// tests, as those of `blastema-testkit`.
+    /// Puts a fault into the component of this name, which need not know of it: for demonstrations
+    /// and tests, as those of `blastema-testkit`.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where no component here has the name.
+    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where no component here has the
+    /// name.
     pub fn inject(&self, component: &str, injection: Injection) -> Result<(), DeliveryError> {
         self.0.environment.registry.inject(component, injection)
     }
@@ -432,14 +440,15 @@ impl Node {
         self.0.environment.arbiters.abandoned()
     }
 
-    /// Everything that the node knows of itself now: table, threads, links, sessions, claims, actuators, faults. It
-    /// can be read at any time; a part that does not come within a second is `None`.
+    /// Everything that the node knows of itself now: table, threads, links, sessions, claims,
+    /// actuators, faults. It can be read at any time; a part that does not come within a second is
+    /// `None`.
     pub async fn snapshot(&self) -> NodeSnapshot {
         NodeSnapshot::of(self).await
     }
 
-    /// The threads that components live on: who keeps them, how busy they are, and how much waits there.
-    /// It can be read at any time, also while components are stuck.
+    /// The threads that components live on: who keeps them, how busy they are, and how much waits
+    /// there. It can be read at any time, also while components are stuck.
     pub fn threads(&self) -> Vec<ThreadRow> {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
@@ -447,8 +456,8 @@ impl Node {
     /// Adds a component under the root supervisor while the node runs, and starts it.
     ///
     /// # Errors
-    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not there or
-    /// depends on it, or the root refuses it.
+    /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not
+    /// there or depends on it, or the root refuses it.
     pub async fn add_child<C: Component>(
         &self,
         spec: ChildSpec<C>,
@@ -475,7 +484,8 @@ impl Node {
     /// Stops a component that stands directly under the root supervisor, and forgets it.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where the root keeps no such component.
+    /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where the root keeps no such
+    /// component.
     pub async fn remove_child(&self, name: &str) -> Result<(), DeliveryError> {
         let unknown = || self.0.environment.registry.misspelt(name);
         let object = ObjectName::new(name).map_err(|_| unknown())?;
@@ -489,9 +499,9 @@ impl Node {
         Ok(())
     }
 
-    /// Stops all components in the reverse of their start order, and then everything else. What was accepted
-    /// for other nodes until the last component has ended is delivered; from then on senders say
-    /// [`DeliveryError::Stopped`] at once, also to those who wait in `deliver`.
+    /// Stops all components in the reverse of their start order, and then everything else. What was
+    /// accepted for other nodes until the last component has ended is delivered; from then on
+    /// senders say [`DeliveryError::Stopped`] at once, also to those who wait in `deliver`.
     pub async fn shutdown(&self) {
         self.0.tell_systemd("STOPPING=1");
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
@@ -518,7 +528,8 @@ impl Shared {
         }
     }
 
-    /// Ends all threads of the node. Where that is not in order, the watchdogs of the process may fire.
+    /// Ends all threads of the node. Where that is not in order, the watchdogs of the process may
+    /// fire.
     fn stop_threads(&self, in_order: bool) {
         self.environment.arbiters.stop();
         if let Some(networks) = &self.networks {

@@ -24,9 +24,9 @@ pub use blastema_transports::MemoryMedium;
 
 /// One network that a node is on: a medium, and the neighbours that it leads to.
 ///
-/// Several networks, or several links of one network, may lead to the same neighbour: the cheapest that
-/// is up is used, and the next takes over when it fails, without loss or duplicates for what is sent
-/// reliably. Nodes that are no neighbours reach each other through those that are.
+/// Several networks, or several links of one network, may lead to the same neighbour: the cheapest
+/// that is up is used, and the next takes over when it fails, without loss or duplicates for what
+/// is sent reliably. Nodes that are no neighbours reach each other through those that are.
 ///
 /// ```
 /// use blastema::{Link, Network};
@@ -85,7 +85,8 @@ impl Network {
     /// The medium that this text describes, such as `udp://0.0.0.0:7400` or
     /// `serial:///dev/ttyUSB0?baud=921600`. The [manual](crate::manual::media) lists them all.
     ///
-    /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node starts.
+    /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node
+    /// starts.
     pub fn new(name: &str, endpoint: &str) -> Self {
         let medium = endpoint.parse().map_or_else(Medium::Unreadable, Medium::At);
         Network::over(name, medium)
@@ -96,7 +97,8 @@ impl Network {
         Network::over(name, Medium::Own(Box::new(|| FrameTransport::new(medium))))
     }
 
-    /// UDP, at this address of our own, which is no group's. Links name the neighbours; nobody else is listened to.
+    /// UDP, at this address of our own, which is no group's. Links name the neighbours; nobody else
+    /// is listened to.
     #[cfg(feature = "ip")]
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
         Network::udp_with(name, {
@@ -128,8 +130,8 @@ impl Network {
         Network::over(name, Medium::At(Endpoint::Tcp(config)))
     }
 
-    /// Between nodes of one process, under whatever clock they have: for tests. `own` is the name of
-    /// our end of the medium.
+    /// Between nodes of one process, under whatever clock they have: for tests. `own` is the name
+    /// of our end of the medium.
     pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
         Network::over(name, Medium::Memory(MemoryConfig::new(medium, own)))
     }
@@ -151,8 +153,8 @@ impl Network {
         }
     }
 
-    /// One more neighbour, with everything usual: the node of this name, at this address as the medium
-    /// writes it; empty on a serial line.
+    /// One more neighbour, with everything usual: the node of this name, at this address as the
+    /// medium writes it; empty on a serial line.
     pub fn peer(self, neighbour: &str, address: &str) -> Self {
         self.link(Link::to(neighbour, address))
     }
@@ -164,9 +166,9 @@ impl Network {
     }
 
     /// Learns of neighbours that are not described, and tells neighbours of each other
-    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a neighbour on
-    /// this network says where they are. Without any name, it only tells. Over UDP, TCP, Unix sockets and
-    /// memory; elsewhere there is nothing to learn, and this does nothing.
+    /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a
+    /// neighbour on this network says where they are. Without any name, it only tells. Over UDP,
+    /// TCP, Unix sockets and memory; elsewhere there is nothing to learn, and this does nothing.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
         self.admission = Some(Admitted::Only(nodes.collect()));
@@ -179,17 +181,18 @@ impl Network {
         self
     }
 
-    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is, and learns of
-    /// others that do; neighbours need not be described at all then. Who is admitted is said by
-    /// [`discover`](Network::discover) or [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
+    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is,
+    /// and learns of others that do; neighbours need not be described at all then. Who is admitted
+    /// is said by [`discover`](Network::discover) or
+    /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
     pub fn beacons(mut self, group: &str) -> Self {
         self.beacons = Some(group.to_owned());
         self
     }
 
-    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are given
-    /// up at once instead of after some missing hellos. Where the socket is bound to an address of
-    /// one interface, this need not be said.
+    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are
+    /// given up at once instead of after some missing hellos. Where the socket is bound to an
+    /// address of one interface, this need not be said.
     pub fn interface(mut self, name: &str) -> Self {
         self.interface = Some(Interface::Named(name.to_owned()));
         self
@@ -230,9 +233,11 @@ impl Link {
     }
 
     /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
-    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which leads to nobody else.
+    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which leads to nobody
+    /// else.
     ///
-    /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node starts.
+    /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the
+    /// node starts.
     pub fn to(neighbour: &str, address: &str) -> Self {
         Link::at(neighbour, Remote::Written(address.to_owned()))
     }
@@ -256,32 +261,34 @@ impl Link {
         self
     }
 
-    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10, and more
-    /// on a medium that carries less than a megabyte per second; at least 1. A link that loses hellos costs
-    /// more than this for as long as it does.
+    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10,
+    /// and more on a medium that carries less than a megabyte per second; at least 1. A link that
+    /// loses hellos costs more than this for as long as it does.
     pub fn cost(mut self, cost: u16) -> Self {
         self.cost = Some(cost);
         self
     }
 
-    /// How often a hello is sent, 50 ms unless this says otherwise; on a slow medium less often, so that
-    /// hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs more; the
-    /// neighbour finds this end dead after three and a half of them. From 1 ms to 15 s.
+    /// How often a hello is sent, 50 ms unless this says otherwise; on a slow medium less often, so
+    /// that hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs
+    /// more; the neighbour finds this end dead after three and a half of them. From 1 ms to 15 s.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = Some(interval);
         self
     }
 
     /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
-    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*, until
-    /// it comes. At least one hello; [`Duration::MAX`] is for a neighbour that need not come at all.
+    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*,
+    /// until it comes. At least one hello; [`Duration::MAX`] is for a neighbour that need not come
+    /// at all.
     pub fn expected_within(mut self, span: Duration) -> Self {
         self.expected_within = span;
         self
     }
 }
 
-/// A cable that can be cut and made bad while the node runs. From [`Node::cable`](crate::Node::cable).
+/// A cable that can be cut and made bad while the node runs. From
+/// [`Node::cable`](crate::Node::cable).
 #[derive(Clone, Debug)]
 pub struct Cable {
     faulty: Addr<FaultInjector>,
@@ -290,14 +297,14 @@ pub struct Cable {
 }
 
 impl Cable {
-    /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another is
-    /// noticed only by silence.
+    /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another
+    /// is noticed only by silence.
     pub fn cut(&self, direction: Direction, reported: bool) {
         self.faulty.do_send(Cut { direction, reported });
     }
 
-    /// Parts it from these neighbours, and from no others: nothing passes to and from them, which is
-    /// noticed only by silence. Names that are no neighbours' here are left out.
+    /// Parts it from these neighbours, and from no others: nothing passes to and from them, which
+    /// is noticed only by silence. Names that are no neighbours' here are left out.
     pub fn part_from(&self, direction: Direction, neighbours: &[&str]) {
         let parted = self.neighbours.iter().filter(|(name, _)| neighbours.contains(&name.as_str()));
         let peers = parted.map(|(_, address)| address.clone()).collect();

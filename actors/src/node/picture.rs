@@ -16,12 +16,12 @@ use serde_json::{Value, json};
 use std::future::Future;
 use std::time::Duration;
 
-/// How long the parts of the picture are waited for, all at once. What does not come by then is not known, so that a
-/// node whose network hangs still shows the rest.
+/// How long the parts of the picture are waited for, all at once. What does not come by then is not
+/// known, so that a node whose network hangs still shows the rest.
 pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None` where whoever
-/// keeps it did not answer within a second: that there is nothing is an empty list.
+/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
+/// where whoever keeps it did not answer within a second: that there is nothing is an empty list.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NodeSnapshot {
@@ -79,8 +79,8 @@ impl NodeSnapshot {
         }
     }
 
-    /// The same as one JSON document, on one line. Spans are in milliseconds (`_ms`); what is not known is
-    /// `null`.
+    /// The same as one JSON document, on one line. Spans are in milliseconds (`_ms`); what is not
+    /// known is `null`.
     pub fn to_json(&self) -> String {
         let (state, reason) = match &self.state {
             NodeState::Starting => ("starting", None),

@@ -39,8 +39,8 @@ pub enum RestartError {
         /// The name.
         name: String,
     },
-    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the node, or the
-    /// supervisor.
+    /// The supervisor of the component is not at work, as in a node in the safe state. Restart the
+    /// node, or the supervisor.
     #[error("the supervisor of {name} is not at work: restart the node, or that supervisor")]
     SupervisorRests {
         /// The component.
@@ -57,16 +57,17 @@ pub enum RestartError {
 }
 
 impl Node {
-    /// Brings a node back from safe state, without a new process: all components begin their next lives in the
-    /// start order, those too that had come to rest or were isolated alone before. Resolves when all are at
-    /// work. What it was at rest for must be mended by then: this is for a person, or an application that
-    /// knows better.
+    /// Brings a node back from safe state, without a new process: all components begin their next
+    /// lives in the start order, those too that had come to rest or were isolated alone before.
+    /// Resolves when all are at work. What it was at rest for must be mended by then: this is for a
+    /// person, or an application that knows better.
     ///
-    /// Who still has to be stopped is waited for. Threads that were given up stay so, and are counted on.
+    /// Who still has to be stopped is waited for. Threads that were given up stay so, and are
+    /// counted on.
     ///
     /// # Errors
-    /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where that would
-    /// not help; [`RestartError::GaveUp`] where it came to rest again.
+    /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where
+    /// that would not help; [`RestartError::GaveUp`] where it came to rest again.
     pub async fn restart(&self) -> Result<(), RestartError> {
         let count = self.abandoned_threads();
         if count >= ABANDONED_LIMIT {
@@ -82,14 +83,15 @@ impl Node {
         }
     }
 
-    /// Begins the next life of a component, or of a supervisor and all below it. One that has come to safe
-    /// rest, or was isolated, is back with it; one that is at work is stopped in order first. Its siblings
-    /// fare as their supervisor's strategy says. Resolves when all of them are at work, and says which life
-    /// it is, unless its rules let it be. No budget of restarts counts it.
+    /// Begins the next life of a component, or of a supervisor and all below it. One that has come
+    /// to safe rest, or was isolated, is back with it; one that is at work is stopped in order
+    /// first. Its siblings fare as their supervisor's strategy says. Resolves when all of them are
+    /// at work, and says which life it is, unless its rules let it be. No budget of restarts counts
+    /// it.
     ///
     /// # Errors
-    /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in a node at
-    /// rest; [`RestartError::ChildGaveUp`] where it did not come back.
+    /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
+    /// a node at rest; [`RestartError::ChildGaveUp`] where it did not come back.
     pub async fn restart_child(&self, name: &str) -> Result<Option<Incarnation>, RestartError> {
         let unknown = || RestartError::Unknown { name: name.to_owned() };
         let object = ObjectName::new(name).map_err(|_| unknown())?;

@@ -59,16 +59,16 @@ impl SupervisorSpec {
         SupervisorSpec { name, rules, kept, children: Vec::new() }
     }
 
-    /// How many restarts are worth it in one `period`: of each child, or of all together where the strategy
-    /// is not [`OneForOne`](Strategy::OneForOne) or [`when_exceeded`](Self::when_exceeded) says so. A million
-    /// times at most; the period is no shorter than 1 ms.
+    /// How many restarts are worth it in one `period`: of each child, or of all together where the
+    /// strategy is not [`OneForOne`](Strategy::OneForOne) or [`when_exceeded`](Self::when_exceeded)
+    /// says so. A million times at most; the period is no shorter than 1 ms.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         (self.rules.intensity, self.rules.period) = (times, period);
         self
     }
 
-    /// What is done when restarts exceed the [`intensity`](Self::intensity): the child is stopped and its
-    /// siblings go on, unless this says otherwise.
+    /// What is done when restarts exceed the [`intensity`](Self::intensity): the child is stopped
+    /// and its siblings go on, unless this says otherwise.
     pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
         self.rules.when_exceeded = when_exceeded;
         self
@@ -80,15 +80,16 @@ impl SupervisorSpec {
         self
     }
 
-    /// How long its children may take to start together. For ever, unless this says otherwise: each child has
-    /// a deadline of its own. A supervisor that takes longer has failed to start, which is a fault of it.
+    /// How long its children may take to start together. For ever, unless this says otherwise: each
+    /// child has a deadline of its own. A supervisor that takes longer has failed to start, which
+    /// is a fault of it.
     pub fn ready_within(mut self, span: Duration) -> Self {
         self.kept.ready_within = span;
         self
     }
 
-    /// How long its children may take to stop together, before they are given up. For ever, unless this says
-    /// otherwise: each child has a deadline of its own.
+    /// How long its children may take to stop together, before they are given up. For ever, unless
+    /// this says otherwise: each child has a deadline of its own.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
         self.kept.shutdown_within = span;
         self
@@ -210,7 +211,8 @@ pub(super) struct ComponentFacts {
 
 /// Restarts that a supervisor may count: each of them is remembered for one period.
 const INTENSITY_MAX: u32 = 1_000_000;
-/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go on for ever.
+/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go
+/// on for ever.
 const PERIOD_MIN: Duration = Duration::from_millis(1);
 
 impl SupervisorSpec {

@@ -11,8 +11,8 @@ use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::{DeliveryError, FaultKind, NodeName};
 use std::time::Duration;
 
-/// How often it is looked who else has an object of the service's name. Shorter finds out sooner that two do
-/// not mean the same; each look is one message within the node.
+/// How often it is looked who else has an object of the service's name. Shorter finds out sooner
+/// that two do not mean the same; each look is one message within the node.
 const LOOK_AROUND: Duration = Duration::from_millis(500);
 /// How long another replica is given to say what it was told.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);

@@ -37,7 +37,8 @@ impl<M: Request> fmt::Debug for ServiceRef<M> {
     }
 }
 
-/// A request to a service that waits for its answer. Replies are kept for it no longer than it waits.
+/// A request to a service that waits for its answer. Replies are kept for it no longer than it
+/// waits.
 struct Open(u64);
 
 /// The requests of this process that wait, by number: as many as it has under way.
@@ -69,7 +70,8 @@ impl Drop for Open {
 #[derive(Default)]
 struct Pursuit {
     begun: Begun,
-    /// What the nodes of the service were told differently, if that was the last that was heard of it.
+    /// What the nodes of the service were told differently, if that was the last that was heard of
+    /// it.
     difference: Option<String>,
 }
 
@@ -113,7 +115,8 @@ impl<M: Request> ServiceRef<M> {
         self.finder.primary()
     }
 
-    /// Asks, and waits for the reply for five seconds at most: long enough for a standby to take over.
+    /// Asks, and waits for the reply for five seconds at most: long enough for a standby to take
+    /// over.
     ///
     /// # Errors
     /// As [`ask_within`](Self::ask_within).
@@ -121,18 +124,20 @@ impl<M: Request> ServiceRef<M> {
         self.ask_within(message, Duration::from_secs(5)).await
     }
 
-    /// Asks, and waits for the reply until the deadline. Where the node that serves fails, the request is
-    /// sent to the one that follows, under the same identity: it takes effect once.
+    /// Asks, and waits for the reply until the deadline. Where the node that serves fails, the
+    /// request is sent to the one that follows, under the same identity: it takes effect once.
     ///
     /// # Errors
-    /// [`DeliveryError::OutcomeUnknown`] where the primary of a service with cold standbys failed while it served,
-    /// unless the contract is declared `idempotent`; [`DeliveryError::DeadlinePassed`] where nobody served in time;
-    /// what the component's failure was, where it failed; [`DeliveryError::ContractDiffers`] where the service means
-    /// another contract by that name.
+    /// [`DeliveryError::OutcomeUnknown`] where the primary of a service with cold standbys failed
+    /// while it served, unless the contract is declared `idempotent`;
+    /// [`DeliveryError::DeadlinePassed`] where nobody served in time; what the component's failure
+    /// was, where it failed; [`DeliveryError::ContractDiffers`] where the service means another
+    /// contract by that name.
     ///
-    /// Where nobody serves because the service's nodes were told different things of it, that may end, as
-    /// while a list is changed: it is asked on. At the deadline it is [`DeliveryError::ContractDiffers`] with what
-    /// differs, or [`DeliveryError::OutcomeUnknown`] with that where somebody may have begun.
+    /// Where nobody serves because the service's nodes were told different things of it, that may
+    /// end, as while a list is changed: it is asked on. At the deadline it is
+    /// [`DeliveryError::ContractDiffers`] with what differs, or [`DeliveryError::OutcomeUnknown`]
+    /// with that where somebody may have begun.
     pub async fn ask_within(
         &self,
         message: M,
@@ -143,9 +148,9 @@ impl<M: Request> ServiceRef<M> {
         self.ask_by(message, &rule).await
     }
 
-    /// Asks until the deadline of this rule. Whatever the rule says, the service is followed wherever it goes;
-    /// the rule is for its component's failures: a request whose contract is declared `idempotent` is asked
-    /// again where the component died while it served it.
+    /// Asks until the deadline of this rule. Whatever the rule says, the service is followed
+    /// wherever it goes; the rule is for its component's failures: a request whose contract is
+    /// declared `idempotent` is asked again where the component died while it served it.
     ///
     /// # Errors
     /// As [`ask_within`](Self::ask_within).
@@ -194,8 +199,9 @@ impl<M: Request> ServiceRef<M> {
 
     /// Follows the service from node to node until it has answered.
     ///
-    /// Where its nodes are at odds, it is asked on under the same identity, as after any other change of
-    /// the primary: whoever serves next has the table of those that it follows, or none of their effects.
+    /// Where its nodes are at odds, it is asked on under the same identity, as after any other
+    /// change of the primary: whoever serves next has the table of those that it follows, or none
+    /// of their effects.
     async fn pursue(
         &self,
         mut ask: AskService,
@@ -242,7 +248,8 @@ impl<M: Request> ServiceRef<M> {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;
                     }
-                    // Its component means the same: it is the nodes that were told different things.
+                    // Its component means the same: it is the nodes that were told different
+                    // things.
                     DeliveryError::ContractDiffers { difference } => {
                         pursuit.difference = Some(difference);
                         failed = Some(node);

@@ -16,9 +16,9 @@ pub(super) const PROBE: Duration = Duration::from_millis(5);
 /// How long they are asked at a time: they answer as soon as they know. Shorter notices sooner that
 /// another node can be reached; longer costs fewer messages while nobody serves.
 const HELD: Duration = Duration::from_millis(100);
-/// So long nobody is followed who serves under a lower epoch than one that has answered: much longer than a new life
-/// takes to meet the others, and short enough that whoever asks for five seconds follows a service that has begun
-/// again as a whole.
+/// So long nobody is followed who serves under a lower epoch than one that has answered: much
+/// longer than a new life takes to meet the others, and short enough that whoever asks for five
+/// seconds follows a service that has begun again as a whole.
 const LAPSE: Duration = Duration::from_secs(2);
 /// Whoever waits so long for a service waits for one that is not there, or has a wrong name.
 const STRANGE: Duration = Duration::from_secs(10);
@@ -75,7 +75,8 @@ struct Known {
 }
 
 impl Known {
-    /// The lowest epoch under which this one may serve: under one epoch nobody serves but who has answered.
+    /// The lowest epoch under which this one may serve: under one epoch nobody serves but who has
+    /// answered.
     fn least(&self, node: &NodeName) -> u64 {
         match &self.answered {
             Some((epoch, by)) if by == node => *epoch,
@@ -193,8 +194,8 @@ impl Finder {
         }
     }
 
-    /// Completes when somebody says of itself that it serves. What others say of it may be past: they
-    /// notice later than itself that it has stopped, or died.
+    /// Completes when somebody says of itself that it serves. What others say of it may be past:
+    /// they notice later than itself that it has stopped, or died.
     pub(super) async fn served(&self) {
         let patience = async {
             loop {
@@ -236,8 +237,8 @@ impl Finder {
         }
     }
 
-    /// The nodes that carry the service, as far as is known: each tells its names when it is met, and any
-    /// of them knows the others.
+    /// The nodes that carry the service, as far as is known: each tells its names when it is met,
+    /// and any of them knows the others.
     async fn members(&self) -> Vec<NodeName> {
         let mut members = self.roster.members(&self.name).await;
         let known = self.lock();

@@ -7,8 +7,8 @@
 //!                      standbys' replicas ─ confirm ─► the reply goes out
 //! ```
 //!
-//! Each node that carries a service has a replica (the machine's body, on the network's arbiter) under
-//! the service's name, and the component under `<name>/replica`.
+//! Each node that carries a service has a replica (the machine's body, on the network's arbiter)
+//! under the service's name, and the component under `<name>/replica`.
 
 mod accord;
 mod caller;
@@ -56,8 +56,8 @@ pub trait Stateful: Component {
     /// A failure ends this component's work, like that of a hook.
     fn load(&mut self, state: &[u8]) -> Result<(), Failure>;
 
-    /// It serves from now on, under an epoch, or stands by. A component that acts by itself, and not
-    /// only when it is asked, does so only while it serves.
+    /// It serves from now on, under an epoch, or stands by. A component that acts by itself, and
+    /// not only when it is asked, does so only while it serves.
     fn role_changed(&mut self, epoch: Option<u64>, cx: &mut Context<Self>) {
         let _ = (epoch, cx);
     }
@@ -124,8 +124,9 @@ impl<C: Stateful> fmt::Debug for ServiceSpec<C> {
 }
 
 impl<C: Stateful> ServiceSpec<C> {
-    /// A service on these nodes, 256 at most, of which those that stand first have their turn first. Its standbys are
-    /// warm; where less than a majority of the nodes see each other, there is no service.
+    /// A service on these nodes, 256 at most, of which those that stand first have their turn
+    /// first. Its standbys are warm; where less than a majority of the nodes see each other, there
+    /// is no service.
     pub fn new<'a>(
         name: &str,
         members: impl IntoIterator<Item = &'a str>,
@@ -154,16 +155,16 @@ impl<C: Stateful> ServiceSpec<C> {
         self
     }
 
-    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one hour: any other
-    /// is refused at start. A standby takes over 3.3 of them after the last one; a process that gets no time for so
-    /// long loses the service.
+    /// How often the primary says hello; 50 ms unless this says otherwise, and from 1 ms to one
+    /// hour: any other is refused at start. A standby takes over 3.3 of them after the last one; a
+    /// process that gets no time for so long loses the service.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = interval;
         self
     }
 
-    /// Services that this one cannot do without, whichever nodes carry them: a node begins to serve, or
-    /// takes over, only while each of them is served.
+    /// Services that this one cannot do without, whichever nodes carry them: a node begins to
+    /// serve, or takes over, only while each of them is served.
     pub fn depends_on<'a>(mut self, services: impl IntoIterator<Item = &'a str>) -> Self {
         self.depends_on.extend(services.into_iter().map(str::to_owned));
         self
@@ -210,7 +211,8 @@ impl<C: Stateful> ServiceSpec<C> {
     }
 }
 
-/// With which state a component begins: it is built once more to see that, before there is a node to catch it.
+/// With which state a component begins: it is built once more to see that, before there is a node
+/// to catch it.
 fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     panics::install_hook();
     let _guarded = panics::PanicGuard::enter();

@@ -71,7 +71,8 @@ impl<M: Signed> Skeleton for Gate<M> {
     }
 
     fn declare(&self, _: FaultKind, _: String) {
-        // The node's own contracts differ only between nodes of different versions, which sessions tell.
+        // The node's own contracts differ only between nodes of different versions, which sessions
+        // tell.
     }
 }
 

@@ -35,14 +35,14 @@ use tracing::{info, warn};
 
 /// How soon a component that could not take a state over is given it again.
 const LOAD_AGAIN: Duration = Duration::from_millis(5);
-/// How often a component that was stopped or isolated is asked whether it takes something again. Shorter
-/// makes its node a candidate sooner; each question is one small message within the node.
+/// How often a component that was stopped or isolated is asked whether it takes something again.
+/// Shorter makes its node a candidate sooner; each question is one small message within the node.
 const LOOK_AGAIN: Duration = Duration::from_millis(100);
 /// The most bytes of one task: the caller's limit, which is checked there as well.
 const TASK_MAX: usize = 2 * 1024 * 1024;
 
-/// Questions that may wait for somebody to serve: a few of each of many callers. Further ones are answered
-/// with what is known.
+/// Questions that may wait for somebody to serve: a few of each of many callers. Further ones are
+/// answered with what is known.
 const WONDERING_MAX: usize = 1024;
 
 /// A service as a node carries it.

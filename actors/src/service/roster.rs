@@ -37,7 +37,8 @@ pub struct ServiceRow {
     pub since: Duration,
     /// What its standbys do.
     pub kind: StandbyKind,
-    /// The greatest epoch in which somebody served, or was voted for, as far as this node knows; 0 for none.
+    /// The greatest epoch in which somebody served, or was voted for, as far as this node knows; 0
+    /// for none.
     pub epoch: u64,
     /// Who serves, where this node knows of anybody.
     pub primary: Option<NodeName>,
@@ -45,7 +46,8 @@ pub struct ServiceRow {
     pub members: Vec<NodeName>,
     /// Those of them that are not there with this service, as far as this node sees.
     pub unheard: Vec<NodeName>,
-    /// This node serves, and too few others hold the state: the fault *service unprotected* says whom to look after.
+    /// This node serves, and too few others hold the state: the fault *service unprotected* says
+    /// whom to look after.
     pub unprotected: bool,
     /// How long ago the replica has said so: it does when its role or a fault changes, and twice a
     /// second.
@@ -129,8 +131,8 @@ impl Roster {
         }
     }
 
-    /// The nodes that carry the service: as declared here, and as others say. What was declared here may be
-    /// wrong.
+    /// The nodes that carry the service: as declared here, and as others say. What was declared
+    /// here may be wrong.
     pub(crate) async fn members(&self, name: &ObjectName) -> Vec<NodeName> {
         let mut members =
             self.lock().get(name).map_or_else(Vec::new, |entry| entry.members.clone());

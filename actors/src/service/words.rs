@@ -10,8 +10,8 @@ pub(crate) struct ReplicaSays {
     pub(crate) message: Vec<u8>,
 }
 
-/// A replica says what it was told of the service, and asks another what that one was. The bytes are the
-/// machine's.
+/// A replica says what it was told of the service, and asks another what that one was. The bytes
+/// are the machine's.
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/service-terms", version = 1, reply = Vec<u8>)]
 pub(crate) struct CompareTerms {

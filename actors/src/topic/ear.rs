@@ -17,7 +17,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 
-/// One listener, as its hub sees it: what is looked at for every event, side by side with the others.
+/// One listener, as its hub sees it: what is looked at for every event, side by side with the
+/// others.
 pub(super) struct Ear<E> {
     pub(super) only_if: Option<EventFilter<E>>,
     /// Which ear of the subscription is served now, and which this one is.

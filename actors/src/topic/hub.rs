@@ -1,8 +1,8 @@
 //! The listeners of one topic on one arbiter.
 //!
-//! A hub gives each listener a few events in turn. What it gives belongs to the listener: its condition
-//! runs under its name, guard and stamp as its handler does, and where either takes long, the hub ends
-//! its turn and goes on from there in the next.
+//! A hub gives each listener a few events in turn. What it gives belongs to the listener: its
+//! condition runs under its name, guard and stamp as its handler does, and where either takes long,
+//! the hub ends its turn and goes on from there in the next.
 
 use super::ear::{Ear, Resident};
 use super::{EventFilter, Hubs, Latch, Latched, Subscription, Topic, lock};
@@ -32,8 +32,8 @@ use std::task::{self, Poll};
 /// Events that may wait for a hub's turn: a burst of several hundred from a publisher that does not
 /// yield, and still under 100 KiB of small events.
 const CAPACITY: usize = 1024;
-/// Events per poll; then the arbiter's other tasks have their turn. Each listener gets all of them in
-/// turn, so that what it consists of is fetched from memory once for all.
+/// Events per poll; then the arbiter's other tasks have their turn. Each listener gets all of them
+/// in turn, so that what it consists of is fetched from memory once for all.
 const BUDGET: usize = 8;
 /// A hub's lane has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
@@ -54,12 +54,13 @@ pub(crate) struct HubQueue<E> {
     reached: AtomicU64,
     /// How many of these events that ear has begun to look at.
     begun: AtomicUsize,
-    /// How often an ear has gone from here, so that the hub need not ask each whether it is still here.
+    /// How often an ear has gone from here, so that the hub need not ask each whether it is still
+    /// here.
     gone: AtomicU64,
 }
 
-/// What a hub has taken from its lane, or is to give to one ear before that: for listeners that leave
-/// a hub that is stuck.
+/// What a hub has taken from its lane, or is to give to one ear before that: for listeners that
+/// leave a hub that is stuck.
 struct Serving<E> {
     events: Arc<Vec<Posted<E>>>,
     /// They are for this ear only.
@@ -440,8 +441,8 @@ impl<E: Event> Hub<E> {
         }
     }
 
-    /// Something panicked. Where a condition does, the listener is dead, and the event goes on to the
-    /// next.
+    /// Something panicked. Where a condition does, the listener is dead, and the event goes on to
+    /// the next.
     #[cold]
     fn blame(&self, ear: &Ear<E>, payload: Box<dyn Any + Send>) {
         let Runs::Condition(before) = self.runs.get() else {
@@ -517,8 +518,8 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         }
         let (number, since) = (NEXT.fetch_add(1, Relaxed), hubs.next);
         let leave = || self.present.swap(number, Relaxed);
-        // What still waits at the hub that the listener leaves: its arbiter is lost, or the listener
-        // moves and would miss it.
+        // What still waits at the hub that the listener leaves: its arbiter is lost, or the
+        // listener moves and would miss it.
         let left = match &*at {
             Some(At { lane, since }) => {
                 let _guarded = PanicGuard::enter();

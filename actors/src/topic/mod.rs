@@ -1,8 +1,8 @@
 //! Typed publish and subscribe.
 //!
 //! A topic has a name and carries events of one contract. On each arbiter that has listeners a hub
-//! takes every event once and hands it to those listeners whose condition holds: an idle listener is
-//! called at once, under its own guard and stamp; a busy one gets the event into its queue.
+//! takes every event once and hands it to those listeners whose condition holds: an idle listener
+//! is called at once, under its own guard and stamp; a busy one gets the event into its queue.
 //!
 //! ```text
 //!  publisher ─┬─► hub of work-0 ─ condition ─┬─► idle listener: called
@@ -11,9 +11,9 @@
 //!             └─► forward ─► other nodes
 //! ```
 //!
-//! Events of one publisher on one topic arrive in order. Between an event and a direct message of the
-//! same sender no order is promised. Publishing never waits: a hub that falls behind drops its oldest
-//! events, which are counted among the dead letters under the topic's name.
+//! Events of one publisher on one topic arrive in order. Between an event and a direct message of
+//! the same sender no order is promised. Publishing never waits: a hub that falls behind drops its
+//! oldest events, which are counted among the dead letters under the topic's name.
 
 mod ear;
 mod hub;
@@ -55,7 +55,8 @@ use traffic::Traffic;
 
 /// Says whether a listener wants an event.
 pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
-/// Ships an encoded event out of the process, with the time by which its age is judged. Must not wait.
+/// Ships an encoded event out of the process, with the time by which its age is judged. Must not
+/// wait.
 pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
 /// Hears which topics this node listens to.
 pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
@@ -64,8 +65,8 @@ pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
     fn attach(&self, anchor: &Arc<ComponentCell<C>>);
-    /// Another incarnation of the component has begun where the one before it ended: it is given what
-    /// the topic keeps for those who join.
+    /// Another incarnation of the component has begun where the one before it ended: it is given
+    /// what the topic keeps for those who join.
     fn catch_up(&self, anchor: &Arc<ComponentCell<C>>);
     /// From now on none are.
     fn end(&self, anchor: &ComponentCell<C>);
@@ -86,7 +87,8 @@ impl TopicKey {
         TopicKey { topic: topic.into(), contract: contract.into() }
     }
 
-    /// What is lost of it concerns no listener in particular, so that it is counted under its own name.
+    /// What is lost of it concerns no listener in particular, so that it is counted under its own
+    /// name.
     pub(crate) fn lost_to(&self) -> Option<ObjectName> {
         ObjectName::new(&self.topic).or_else(|_| ObjectName::new("topic")).ok()
     }
@@ -178,8 +180,8 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    /// Publishes to nobody: where a topic of a similar name has listeners and no publisher, that may have
-    /// been meant.
+    /// Publishes to nobody: where a topic of a similar name has listeners and no publisher, that
+    /// may have been meant.
     #[cold]
     fn suggest(&self) {
         if !self.traffic.is_time_to_judge(pulse::coarse_now()) {
@@ -543,8 +545,8 @@ impl Topics {
         inner.renew_forwards(&forward.key);
     }
 
-    /// Gives an event that came from another node to the listeners here, read by this version of its
-    /// contract, 0 for the present one; it took so long.
+    /// Gives an event that came from another node to the listeners here, read by this version of
+    /// its contract, 0 for the present one; it took so long.
     pub(crate) fn inject(
         &self,
         key: &TopicKey,
@@ -559,8 +561,8 @@ impl Topics {
         }
     }
 
-    /// What a topic carries, if anybody here has named it, and the earlier versions of that which are
-    /// understood.
+    /// What a topic carries, if anybody here has named it, and the earlier versions of that which
+    /// are understood.
     pub(crate) fn identities(&self, key: &TopicKey) -> Vec<ContractIdentity> {
         let inner = lock(&self.inner);
         inner.topics.get(key).map_or(Vec::new(), |known| known.erased.identities())
@@ -580,7 +582,8 @@ impl Topics {
 }
 
 impl Inner {
-    /// The topic of the most similar name that has listeners, here or on other nodes, and no publisher.
+    /// The topic of the most similar name that has listeners, here or on other nodes, and no
+    /// publisher.
     fn lonely_like(&self, key: &TopicKey) -> Option<Arc<str>> {
         let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
         let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());

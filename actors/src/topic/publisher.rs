@@ -10,9 +10,10 @@ use std::sync::Arc;
 
 /// A way to publish events on one topic.
 ///
-/// A publisher that a component got from its [`Context`](crate::Context) belongs to that incarnation of
-/// the component, also when it is moved to a thread or a blocking task: once the incarnation has ended,
-/// [`publish`](Self::publish) fails with [`DeliveryError::Fenced`](crate::DeliveryError::Fenced).
+/// A publisher that a component got from its [`Context`](crate::Context) belongs to that
+/// incarnation of the component, also when it is moved to a thread or a blocking task: once the
+/// incarnation has ended, [`publish`](Self::publish) fails with
+/// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced).
 pub struct Publisher<E: Event> {
     topic: Arc<Topic<E>>,
     /// The incarnation that publishes, if it is a component's.
@@ -64,17 +65,19 @@ impl<E: Event> Publisher<E> {
     /// Hands the event to everyone who listens and wants it. Never waits.
     ///
     /// # Errors
-    /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is fenced off, or the
-    /// incarnation that made this publisher has ended; [`DeliveryError::Isolated`](crate::DeliveryError::Isolated) if the
-    /// component is isolated. The event comes back, and is not counted among the dead letters.
+    /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is
+    /// fenced off, or the incarnation that made this publisher has ended;
+    /// [`DeliveryError::Isolated`](crate::DeliveryError::Isolated) if the component is isolated.
+    /// The event comes back, and is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         self.publish_stamped(event, None)
     }
 
     /// Publishes an event whose data was captured at `captured_at`, by the clock of
-    /// [`platform::now`](crate::platform::now): `max_age` counts from there, and listeners read it by
-    /// [`Context::captured_at`](crate::Context::captured_at). A time that is still to come counts as now.
+    /// [`platform::now`](crate::platform::now): `max_age` counts from there, and listeners read it
+    /// by [`Context::captured_at`](crate::Context::captured_at). A time that is still to come
+    /// counts as now.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
@@ -98,16 +101,16 @@ impl<E: Event> Publisher<E> {
         }
     }
 
-    /// The same, where the refusal cannot be returned: it is counted among the dead letters under the
-    /// topic's name.
+    /// The same, where the refusal cannot be returned: it is counted among the dead letters under
+    /// the topic's name.
     pub(crate) fn publish_or_count(&self, event: E, captured_at: Option<Instant>) {
         if let Err(refused) = self.publish_stamped(event, captured_at) {
             self.topic.bury(&refused.kind);
         }
     }
 
-    /// How many listeners an event would reach now: those of this node, whatever their conditions say,
-    /// and one for each other node that has listeners.
+    /// How many listeners an event would reach now: those of this node, whatever their conditions
+    /// say, and one for each other node that has listeners.
     pub fn matched(&self) -> usize {
         *self.topic.matched.borrow()
     }

@@ -35,7 +35,8 @@ pub struct TopicRow {
     pub rate_hz: f64,
     /// How many bytes one event takes when it is sent to another node, measured lately.
     pub bytes: Option<usize>,
-    /// Nobody listens to this topic, and this one of a similar name has listeners and no publishers.
+    /// Nobody listens to this topic, and this one of a similar name has listeners and no
+    /// publishers.
     pub similar: Option<String>,
 }
 

@@ -4,8 +4,9 @@
 //!  "blastema-variables 1\n" │ values, by the codec │ CRC-32C of all before, little-endian
 //! ```
 //!
-//! It is written anew as a whole beside the old one, brought to the disk, and then put in its place: whatever
-//! ends the process, or the power, leaves the old one or the new one, and nothing in between.
+//! It is written anew as a whole beside the old one, brought to the disk, and then put in its
+//! place: whatever ends the process, or the power, leaves the old one or the new one, and nothing
+//! in between.
 
 use crate::platform;
 use blastema_core::contract::codec;
@@ -83,8 +84,8 @@ fn save(path: &Path, values: &Vec<PersistedValue>) -> io::Result<()> {
 /// Told whether the values are on the disk.
 pub(super) type WriteDone = Box<dyn FnOnce(Result<(), String>) + Send>;
 
-/// Writes the file on a thread of its own: of several changes that come while it writes, all are in the next
-/// file. Dropped, it writes what was given to it, and ends.
+/// Writes the file on a thread of its own: of several changes that come while it writes, all are in
+/// the next file. Dropped, it writes what was given to it, and ends.
 pub(super) struct PersistenceFile(Arc<Shared>);
 
 struct Shared {

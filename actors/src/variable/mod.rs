@@ -38,7 +38,8 @@ pub struct VariableSpec<V: Variable> {
 }
 
 impl<V: Variable> VariableSpec<V> {
-    /// A variable with this value until it is written. It keeps its value over its owner's restarts.
+    /// A variable with this value until it is written. It keeps its value over its owner's
+    /// restarts.
     pub fn new(default: V) -> Self {
         let check = Box::new(|_: &V| Ok(()));
         VariableSpec { default, policy: RestorePolicy::Restore, check }
@@ -51,8 +52,8 @@ impl<V: Variable> VariableSpec<V> {
         self
     }
 
-    /// Refuses values for which this says why, also as default. It runs on the thread of whoever writes, and
-    /// must not block.
+    /// Refuses values for which this says why, also as default. It runs on the thread of whoever
+    /// writes, and must not block.
     #[must_use]
     pub fn check(
         mut self,
@@ -169,9 +170,9 @@ impl<V: Variable> VariableRef<V> {
     /// Reads the value.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] where the object has no such variable, [`DeliveryError::ContractDiffers`] where it is
-    /// another one, [`DeliveryError::Undecided`] while a decision is awaited; from other nodes, what any request
-    /// may meet with.
+    /// [`DeliveryError::Unknown`] where the object has no such variable,
+    /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
+    /// while a decision is awaited; from other nodes, what any request may meet with.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
         self.ask_for_value(VariableRequest::Read { variable: self.wanted() }, WATCH_WITHIN).await
     }
@@ -179,7 +180,8 @@ impl<V: Variable> VariableRef<V> {
     /// Writes a value, and says of which revision it is.
     ///
     /// # Errors
-    /// As [`read`](Self::read), and [`DeliveryError::CheckFailed`] where the owner's check refuses the value.
+    /// As [`read`](Self::read), and [`DeliveryError::CheckFailed`] where the owner's check refuses
+    /// the value.
     pub async fn write(&self, value: V) -> Result<u64, DeliveryError> {
         Transaction::new().write(self, value).commit().await
     }
@@ -195,7 +197,8 @@ impl<V: Variable> VariableRef<V> {
     /// Decides what becomes of the value after a restart, where the owner's policy is to ask first.
     ///
     /// # Errors
-    /// As [`write`](Self::write), and [`DeliveryError::Changed`] where no decision is awaited any more.
+    /// As [`write`](Self::write), and [`DeliveryError::Changed`] where no decision is awaited any
+    /// more.
     pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
         let choice = match decision {
             RestoreDecision::Restore => Chosen::Restore,
@@ -225,12 +228,12 @@ pub struct VariableWatch<V: Variable> {
 }
 
 impl<V: Variable> VariableWatch<V> {
-    /// Waits for the next change. A value that awaits a decision is told as such, with the value from
-    /// before.
+    /// Waits for the next change. A value that awaits a decision is told as such, with the value
+    /// from before.
     ///
     /// # Errors
-    /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is still
-    /// true by then. Where the owner's node cannot be reached, wait a little before that.
+    /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is
+    /// still true by then. Where the owner's node cannot be reached, wait a little before that.
     pub async fn next(&mut self) -> Result<Reading<V>, DeliveryError> {
         loop {
             let variable = self.variable.wanted();
@@ -300,8 +303,8 @@ impl Transaction {
     ///
     /// # Errors
     /// The first thing that stands in the way, as for [`VariableRef::write_if`]; nothing is written
-    /// then. After [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is not known
-    /// whether everything or nothing was: read one of them.
+    /// then. After [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is
+    /// not known whether everything or nothing was: read one of them.
     pub async fn commit(self) -> Result<u64, DeliveryError> {
         if let Some(why) = self.wrong {
             return Err(why);

@@ -168,7 +168,8 @@ impl VariableStore {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes values from this file, and keeps them there from now on; called before anything is declared.
+    /// Takes values from this file, and keeps them there from now on; called before anything is
+    /// declared.
     pub(crate) fn keep_in(
         &self,
         path: PathBuf,
@@ -312,7 +313,8 @@ impl VariableStore {
         self.lock().waiting.len()
     }
 
-    /// Changes something. Where values are kept, whoever wanted it is answered when it is on the disk.
+    /// Changes something. Where values are kept, whoever wanted it is answered when it is on the
+    /// disk.
     fn change(
         &self,
         variables: Vec<VariableKey>,

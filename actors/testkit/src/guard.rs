@@ -9,13 +9,15 @@ use std::time::Duration;
 
 /// How often the guard looks, in real time.
 const LOOK: Duration = Duration::from_millis(100);
-/// One handler that runs for so many looks, 5 s, does not return: a busy machine is slow, not this slow.
+/// One handler that runs for so many looks, 5 s, does not return: a busy machine is slow, not this
+/// slow.
 const LIMIT: u32 = 50;
 /// The status of a test program that has failed.
 const FAILED: i32 = 101;
 
-/// Looks after the components of one node while it lives. A handler that never returns keeps the thread
-/// of its test, and the virtual clock with it: nothing on that thread can end the test any more.
+/// Looks after the components of one node while it lives. A handler that never returns keeps the
+/// thread of its test, and the virtual clock with it: nothing on that thread can end the test any
+/// more.
 pub(crate) struct Guard {
     ended: Arc<AtomicBool>,
 }
@@ -31,7 +33,8 @@ impl Guard {
         let ended = Arc::new(AtomicBool::new(false));
         let (told, test) = (ended.clone(), thread::current().name().map(str::to_owned));
         let look_after = move || watch(&told, &running, test.as_deref().unwrap_or("a test"));
-        // Where there is no thread left, a test that hangs is not named; all others are as they were.
+        // Where there is no thread left, a test that hangs is not named; all others are as they
+        // were.
         let _ = thread::Builder::new().name("test guard".into()).spawn(look_after);
         Guard { ended }
     }

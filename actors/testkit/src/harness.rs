@@ -64,8 +64,8 @@ impl<C: Component> DerefMut for Harness<C> {
 }
 
 impl<C: Component> Harness<C> {
-    /// Starts the component alone in a node `test`. When this returns, it has done what it does without
-    /// waiting: if it is sound and quick to initialise, it is active.
+    /// Starts the component alone in a node `test`. When this returns, it has done what it does
+    /// without waiting: if it is sound and quick to initialise, it is active.
     ///
     /// # Panics
     /// When the spec is wrong.

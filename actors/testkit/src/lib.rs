@@ -15,11 +15,11 @@
 //!
 //! Faults are put into a component of a [`TestNode`] by its name, and it need not know of it:
 //! [`kill`](TestNode::kill), [`hang`](TestNode::hang), [`silence`](TestNode::silence),
-//! [`fail_init`](TestNode::fail_init), [`slow`](TestNode::slow). A handler that never returns keeps the only
-//! thread there is: the test program ends then, with the component's name.
+//! [`fail_init`](TestNode::fail_init), [`slow`](TestNode::slow). A handler that never returns keeps
+//! the only thread there is: the test program ends then, with the component's name.
 //!
-//! What needs real threads is not to be had in virtual time, since every thread has a clock of its own:
-//! recovery from a handler that blocks its thread, processes, and sockets.
+//! What needs real threads is not to be had in virtual time, since every thread has a clock of its
+//! own: recovery from a handler that blocks its thread, processes, and sockets.
 //!
 //! # Examples
 //!
@@ -69,8 +69,8 @@ pub use probe::{Actuator, Listener, Owner, Probe, Server, Target, owner};
 
 pub use blastema::platform::now;
 
-/// Runs a test on this thread, in virtual time: the clock stands while anybody has something to do, and
-/// then jumps to the next thing that is due.
+/// Runs a test on this thread, in virtual time: the clock stands while anybody has something to do,
+/// and then jumps to the next thing that is due.
 ///
 /// [`#[blastema_testkit::test]`](macro@test) does the same to a test function.
 ///

@@ -136,8 +136,8 @@ impl TestNode {
         found.fault
     }
 
-    /// Waits for the next recovery from a fault of this kind in the object of this name, and says how
-    /// long after it was found that was.
+    /// Waits for the next recovery from a fault of this kind in the object of this name, and says
+    /// how long after it was found that was.
     ///
     /// # Panics
     /// When there is none within [`PATIENCE`]; the text shows the faults that were found.
@@ -148,8 +148,8 @@ impl TestNode {
         recovered.at - recovered.fault.found_at
     }
 
-    /// Waits until the recovery from a fault of this kind in the object of this name is given up, and
-    /// says why.
+    /// Waits until the recovery from a fault of this kind in the object of this name is given up,
+    /// and says why.
     ///
     /// # Panics
     /// When it is not within [`PATIENCE`]; the text shows the faults that were found.
@@ -181,7 +181,8 @@ impl TestNode {
         self.put_in(component, Injection::Silence);
     }
 
-    /// So many initialisations of the component fail from now on; [`kill`](Self::kill) it to see the first.
+    /// So many initialisations of the component fail from now on; [`kill`](Self::kill) it to see
+    /// the first.
     pub fn fail_init(&self, component: &str, times: u32) {
         self.put_in(component, Injection::FailedInitializations(times));
     }

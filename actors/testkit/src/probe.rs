@@ -8,8 +8,9 @@ use std::time::Duration;
 
 /// Records the messages of one contract in somebody's place, and answers requests.
 ///
-/// It gives the [`ChildSpec`] of a component that listens to a topic, takes commands by name, or serves
-/// requests; what that component is sent is found here. Probes outlive the restarts of their component.
+/// It gives the [`ChildSpec`] of a component that listens to a topic, takes commands by name, or
+/// serves requests; what that component is sent is found here. Probes outlive the restarts of their
+/// component.
 ///
 /// # Examples
 /// ```
@@ -101,8 +102,8 @@ impl<E: Event> Probe<E> {
 }
 
 impl<E: Event> Probe<E> {
-    /// An actuator in the place of a real one: it records the commands that its lease lets through, and
-    /// `safe` when its commander has gone.
+    /// An actuator in the place of a real one: it records the commands that its lease lets through,
+    /// and `safe` when its commander has gone.
     pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<Actuator<E>> {
         let record = self.0.clone();
         let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });
@@ -113,8 +114,8 @@ impl<E: Event> Probe<E> {
 }
 
 impl<M: Request> Probe<M> {
-    /// A component that serves this request as the closure says. A closure that panics is a component
-    /// that does.
+    /// A component that serves this request as the closure says. A closure that panics is a
+    /// component that does.
     pub fn server(
         &self,
         name: &str,
@@ -172,8 +173,8 @@ impl<E: Event> Handle<E> for Actuator<E> {
     }
 }
 
-/// A component of this name that owns the variable, which has this value until it is written. The test
-/// reads and writes it by [`Node::variable`], as everybody does.
+/// A component of this name that owns the variable, which has this value until it is written. The
+/// test reads and writes it by [`Node::variable`], as everybody does.
 pub fn owner<V: Variable>(name: &str, value: V) -> ChildSpec<Owner> {
     ChildSpec::new(name, || Owner).with_ports(|ports| {
         ports.variable(VariableSpec::new(value));

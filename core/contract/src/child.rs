@@ -15,9 +15,9 @@ pub trait Child: Send {
     fn name(&self) -> &ObjectName;
 
     /// Begins the next life: builds the child, initialises and activates it. Says which life it is:
-    /// `incarnation`, or a later one where the child's guard has begun that one by itself and the report of it
-    /// is still under way. Answer: [`ChildEvent::Started`], [`ChildEvent::StartFailed`], or
-    /// [`ChildEvent::Unavailable`] first.
+    /// `incarnation`, or a later one where the child's guard has begun that one by itself and the
+    /// report of it is still under way. Answer: [`ChildEvent::Started`],
+    /// [`ChildEvent::StartFailed`], or [`ChildEvent::Unavailable`] first.
     fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation;
 
     /// Asks the present life to end in order. Answer: [`ChildEvent::Stopped`]. A child that is not
@@ -30,13 +30,13 @@ pub trait Child: Send {
         self.stop();
     }
 
-    /// The child has no life, and none is to follow: what waits for it is given back. No answer. The
-    /// next [`start`](Child::start) takes it up again.
+    /// The child has no life, and none is to follow: what waits for it is given back. No answer.
+    /// The next [`start`](Child::start) takes it up again.
     fn retire(&mut self) {}
 
-    /// Gives the present life up without asking it: its queue is taken away, what it still says goes
-    /// nowhere. No answer. The next [`start`](Child::start) finds another place for the child if the
-    /// old one is stuck.
+    /// Gives the present life up without asking it: its queue is taken away, what it still says
+    /// goes nowhere. No answer. The next [`start`](Child::start) finds another place for the child
+    /// if the old one is stuck.
     fn abandon(&mut self);
 
     /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
@@ -75,8 +75,8 @@ pub struct ChildReport {
 pub enum ChildEvent {
     /// The new life is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at last.
     Started,
-    /// Something that it needs, such as its device, is not there yet. It tries again by itself, for as long as
-    /// that takes; until then it is not active.
+    /// Something that it needs, such as its device, is not there yet. It tries again by itself, for
+    /// as long as that takes; until then it is not active.
     Unavailable {
         /// What it waits for, as the component said it.
         reason: String,
@@ -100,17 +100,18 @@ pub enum ChildEvent {
     Died {
         /// How.
         exit: ExitReason,
-        /// The guard has carried out its standing order: this life has begun in the old one's place.
+        /// The guard has carried out its standing order: this life has begun in the old one's
+        /// place.
         restarted_as: Option<Incarnation>,
     },
-    /// It is the root, whose children failed more often than it allows; it ends them all from now on, and
-    /// then has [escalated](ChildEvent::Escalated).
+    /// It is the root, whose children failed more often than it allows; it ends them all from now
+    /// on, and then has [escalated](ChildEvent::Escalated).
     GivesUp {
         /// Which limit was exceeded, by whom.
         reason: String,
     },
-    /// It is a supervisor whose children failed more often than it allows; it has ended them all and
-    /// leaves the decision to whom it reports.
+    /// It is a supervisor whose children failed more often than it allows; it has ended them all
+    /// and leaves the decision to whom it reports.
     Escalated {
         /// Which limit was exceeded, by whom.
         reason: String,

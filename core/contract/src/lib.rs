@@ -1,7 +1,8 @@
 //! Every typed message between two objects of the Blastema middleware.
 //!
-//! Objects know each other by contract, never by type: whoever holds a [`Recipient`] of one of these
-//! messages knows all that it may know about the object behind it. Requests go down, events go up.
+//! Objects know each other by contract, never by type: whoever holds a [`Recipient`] of one of
+//! these messages knows all that it may know about the object behind it. Requests go down, events
+//! go up.
 //!
 //! [`Recipient`]: actix::Recipient
 

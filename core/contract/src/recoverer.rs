@@ -13,7 +13,8 @@ pub struct Recover {
     pub fault: Fault,
 }
 
-/// From the keeper: this node has enter the safe state, where nothing is treated, or goes to work again.
+/// From the keeper: this node has enter the safe state, where nothing is treated, or goes to work
+/// again.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct SafeStateChanged {

@@ -156,8 +156,8 @@ pub enum SessionReported {
 #[rtype(result = "()")]
 pub struct AddGateway(pub Recipient<SessionReported>);
 
-/// The gateway begins anew, with everybody or with one peer: the session is to end and begin again, so
-/// that both ends agree.
+/// The gateway begins anew, with everybody or with one peer: the session is to end and begin again,
+/// so that both ends agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ResetSession {
@@ -182,8 +182,8 @@ pub struct SessionRow {
     pub node: NodeName,
     /// How it stands.
     pub standing: SessionStatus,
-    /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since the
-    /// session began, sixteen at most.
+    /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since
+    /// the session began, sixteen at most.
     pub differences: Vec<String>,
 }
 

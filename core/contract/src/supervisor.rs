@@ -33,8 +33,8 @@ pub struct GaveUp {
 }
 
 /// Replace a child's life by the next one, and do with its siblings what the supervisor's strategy
-/// says. Answered when all of them are at work again, or when that has failed; what befalls a sibling
-/// on the way is a fault of its own.
+/// says. Answered when all of them are at work again, or when that has failed; what befalls a
+/// sibling on the way is a fault of its own.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct RestartChild {
@@ -103,7 +103,8 @@ pub struct RemoveChild {
 }
 
 /// From the parent, or from the node to the root: begin a life and start all children in order.
-/// `report` is told [`Started`] when all are at work; later [`Escalated`] if the supervisor gives up.
+/// `report` is told [`Started`] when all are at work; later [`Escalated`] if the supervisor gives
+/// up.
 ///
 /// [`Started`]: crate::child::ChildEvent::Started
 /// [`Escalated`]: crate::child::ChildEvent::Escalated

@@ -1,7 +1,8 @@
 //! Between a transport, which owns a medium, and the links that use it.
 //!
-//! A transport moves frames: whole, in any order, perhaps lost, perhaps twice. It knows neither nodes
-//! nor messages. It never blocks: when its own queue is full it drops the frame and counts it.
+//! A transport moves frames: whole, in any order, perhaps lost, perhaps twice. It knows neither
+//! nodes nor messages. It never blocks: when its own queue is full it drops the frame and counts
+//! it.
 
 use actix::dev::ToEnvelope;
 use actix::{Actor, Addr, Handler, Message, Recipient};
@@ -146,20 +147,20 @@ pub enum TransportReport {
         /// What happened, and what helps.
         reason: String,
     },
-    /// How much the medium carries, where that is little: hellos are said less often on it, and it is
-    /// dearer to use. Reported after each opening.
+    /// How much the medium carries, where that is little: hellos are said less often on it, and it
+    /// is dearer to use. Reported after each opening.
     Rate {
         /// Bytes of frames in a second, both ways together.
         bytes_per_second: u64,
     },
-    /// The medium is a bus that all its nodes hear: one hello is said there for all of them. Reported
-    /// after each opening.
+    /// The medium is a bus that all its nodes hear: one hello is said there for all of them.
+    /// Reported after each opening.
     Bus {
         /// What is sent to this address reaches all.
         all: MediumAddress,
     },
-    /// The medium is open, but has found that nobody is at its other end: what is heard later proves the
-    /// contrary.
+    /// The medium is open, but has found that nobody is at its other end: what is heard later
+    /// proves the contrary.
     NoCarrier {
         /// What it found, and what helps.
         reason: &'static str,
@@ -295,8 +296,8 @@ pub struct Cut {
     pub reported: bool,
 }
 
-/// Puts these peers, and no others, on the other side of a partition: nothing passes to and from them, and
-/// nobody is told. For what stands between link and transport.
+/// Puts these peers, and no others, on the other side of a partition: nothing passes to and from
+/// them, and nobody is told. For what stands between link and transport.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Partition {

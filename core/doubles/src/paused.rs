@@ -16,8 +16,8 @@ thread_local! {
 /// Runs a test in an actix system whose one arbiter has a paused clock: hours pass in milliseconds,
 /// and a test that waits is never slower than what it tests.
 ///
-/// All actors must be on this arbiter: another one has a clock of its own. Sockets do not mix with it
-/// either: the clock jumps while bytes are under way.
+/// All actors must be on this arbiter: another one has a clock of its own. Sockets do not mix with
+/// it either: the clock jumps while bytes are under way.
 ///
 /// # Panics
 /// When the test does, or when there is a system on this thread already.
@@ -47,8 +47,8 @@ pub fn paused<F: Future>(test: F) -> F::Output {
     })
 }
 
-/// Lets this time pass: everything due on the way happens, each at its own instant and in order, and
-/// all actors have settled when it returns. Timers are exact to the millisecond.
+/// Lets this time pass: everything due on the way happens, each at its own instant and in order,
+/// and all actors have settled when it returns. Timers are exact to the millisecond.
 pub async fn advance(span: Duration) {
     settle().await;
     tokio::time::sleep(span).await;

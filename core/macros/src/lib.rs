@@ -2,7 +2,8 @@
 //!
 //! Use them through the crate `blastema`, which re-exports all but `test`; that one comes with
 //! `blastema-testkit`. The code that the derives write refers to `::blastema::core` and
-//! `::blastema::serde`; `#[contract(crate = "path")]` names another place where these two are found.
+//! `::blastema::serde`; `#[contract(crate = "path")]` names another place where these two are
+//! found.
 
 mod attributes;
 mod contract;
@@ -64,8 +65,8 @@ pub fn event(input: TokenStream) -> TokenStream {
 
 /// Makes a type a request: a message with one answer.
 ///
-/// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit in
-/// size holds for the reply too.
+/// `reply = Type` is required; `name`, `version` and `max_size` are those of [`Event`]. The limit
+/// in size holds for the reply too.
 ///
 /// ```text
 /// #[derive(Debug, Request)]
@@ -81,7 +82,8 @@ pub fn request(input: TokenStream) -> TokenStream {
     tokens(contract::derive_request(&input))
 }
 
-/// Makes a type a variable: a value that an object owns, and that any node may read, write and watch.
+/// Makes a type a variable: a value that an object owns, and that any node may read, write and
+/// watch.
 ///
 /// `name`, `version` and `max_size` are those of [`Event`].
 ///
@@ -144,8 +146,8 @@ pub fn main(arguments: TokenStream, item: TokenStream) -> TokenStream {
     tokens(program::main(parse_macro_input!(item as ItemFn), &facade))
 }
 
-/// Runs an async test in the test kit's runtime, by `::blastema_testkit::run`; time stands still in it
-/// until it is advanced.
+/// Runs an async test in the test kit's runtime, by `::blastema_testkit::run`; time stands still in
+/// it until it is advanced.
 ///
 /// ```
 /// # mod blastema_testkit {

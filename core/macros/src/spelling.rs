@@ -7,8 +7,8 @@ pub(crate) fn nearest<'a>(wrong: &str, known: &[&'a str]) -> Option<&'a str> {
     (near.0 <= wrong.chars().count().max(3) / 3).then_some(near.1)
 }
 
-/// How many letters must be changed, left out or put in, or neighbours be exchanged, to turn one word
-/// into the other (Damerau's distance, restricted form).
+/// How many letters must be changed, left out or put in, or neighbours be exchanged, to turn one
+/// word into the other (Damerau's distance, restricted form).
 fn distance(from: &str, to: &str) -> usize {
     let (from, to): (Vec<char>, Vec<char>) = (from.chars().collect(), to.chars().collect());
     let mut rows = vec![(0..=to.len()).collect::<Vec<usize>>()];

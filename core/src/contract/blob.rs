@@ -11,11 +11,12 @@ use std::ops::Deref;
 
 /// Many bytes in a message: an image, a point cloud, a map.
 ///
-/// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one node may declare
-/// the one, another the other. (On one node a contract is one Rust type.) A clone costs a counter. A large one
-/// that is the last thing in a message, an event or a reply goes to the network as it lies; before other things it
-/// is copied once. What comes from another node is a part of the message as it arrived, which stays
-/// in memory as long as any of its blobs: whoever keeps a few bytes of a large message copies them.
+/// In a message between nodes, and in a contract's structure, it is what a `Vec<u8>` is: one node
+/// may declare the one, another the other. (On one node a contract is one Rust type.) A clone costs
+/// a counter. A large one that is the last thing in a message, an event or a reply goes to the
+/// network as it lies; before other things it is copied once. What comes from another node is a
+/// part of the message as it arrived, which stays in memory as long as any of its blobs: whoever
+/// keeps a few bytes of a large message copies them.
 ///
 /// ```
 /// use blastema_core::Blob;
@@ -31,7 +32,8 @@ pub struct Blob(Bytes);
 thread_local! {
     /// The message that is being decoded on this thread.
     static SOURCE: Cell<Option<Bytes>> = const { Cell::new(None) };
-    /// The large blob that is being encoded on this thread, so that the codec can tell its bytes from others.
+    /// The large blob that is being encoded on this thread, so that the codec can tell its bytes
+    /// from others.
     static GIVEN: Cell<Option<Bytes>> = const { Cell::new(None) };
 }
 

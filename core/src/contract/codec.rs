@@ -1,8 +1,9 @@
 //! Messages as bytes. This file alone knows the codec.
 //!
 //! The format is bincode 2.0.1, standard configuration: little-endian, integers of variable length,
-//! fields and variants in their order without names. Whoever decodes must know that the sender means
-//! the same contract, which [`ContractIdentity::check`](crate::ContractIdentity::check) tells.
+//! fields and variants in their order without names. Whoever decodes must know that the sender
+//! means the same contract, which [`ContractIdentity::check`](crate::ContractIdentity::check)
+//! tells.
 //!
 //! Bytes are never trusted. A message has a size limit; what it claims to hold is held against that
 //! limit before memory is taken; bytes after its end are refused; structures within structures are
@@ -71,7 +72,8 @@ pub enum DecodeError {
     },
 }
 
-/// Encodes a message at the end of `buffer`. Reuse the buffer: a fresh one costs more than the rest.
+/// Encodes a message at the end of `buffer`. Reuse the buffer: a fresh one costs more than the
+/// rest.
 ///
 /// # Errors
 /// [`EncodeError`]; the buffer is then as it was.
@@ -116,7 +118,8 @@ pub fn encode_parcel<M: Contract>(message: &M) -> Result<GatherBuffer, EncodeErr
 }
 
 /// Encodes a message of which nothing is needed here once it is sent: neither a large
-/// [`Blob`](crate::Blob) nor a large vector of bytes that ends it is copied. The vector is taken out of it.
+/// [`Blob`](crate::Blob) nor a large vector of bytes that ends it is copied. The vector is taken
+/// out of it.
 ///
 /// # Errors
 /// [`EncodeError`]; the message is then as it was.
@@ -139,7 +142,8 @@ pub fn encode_parcel_reply<M: Contract>(mut reply: M::Reply) -> Result<GatherBuf
 pub struct DetachedBlob(Bytes);
 
 impl DetachedBlob {
-    /// Puts them back into the message, which is not sent after all. Copies them if its parcel still exists.
+    /// Puts them back into the message, which is not sent after all. Copies them if its parcel
+    /// still exists.
     pub fn put_back<M: Described>(self, message: &mut M) {
         if let (false, Some(place)) = (self.0.is_empty(), message.last_bytes()) {
             *place = self.0.into();
@@ -151,7 +155,8 @@ fn parcel_out_of<T: Described>(
     value: &mut T,
     limit: usize,
 ) -> Result<(GatherBuffer, DetachedBlob), EncodeError> {
-    // What is sent is counted by its length: room that it does not use must not be much of what it holds.
+    // What is sent is counted by its length: room that it does not use must not be much of what it
+    // holds.
     let is_large = |bytes: &&mut Vec<u8>| {
         bytes.len() >= GatherBuffer::APART && bytes.capacity() / 2 <= bytes.len()
     };
@@ -170,8 +175,8 @@ fn parcel_out_of<T: Described>(
     }
 }
 
-/// What stands before so many bytes that were taken from the end of a value: all that it has now, but
-/// instead of the length of nothing, which is its last byte, theirs.
+/// What stands before so many bytes that were taken from the end of a value: all that it has now,
+/// but instead of the length of nothing, which is its last byte, theirs.
 fn head_of<T: Serialize>(value: &T, taken: usize, limit: usize) -> Result<Vec<u8>, EncodeError> {
     let mut head = Vec::with_capacity(64);
     encode_bounded(value, limit, &mut head)?;

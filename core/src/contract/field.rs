@@ -1,7 +1,8 @@
 //! How the derives encode the fields of a structure.
 //!
 //! `#[derive(Structure)]`, `#[derive(Event)]` and `#[derive(Request)]` write code that calls what
-//! stands here; nobody else should. Each module has the pair of functions that serde's `with` wants.
+//! stands here; nobody else should. Each module has the pair of functions that serde's `with`
+//! wants.
 
 use std::cell::Cell;
 

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 /// Bytes in one piece or two.
 ///
-/// A large payload is not copied behind what stands before it: it is cut into parts as it is, each layer puts
-/// its header before that, and the medium writes both pieces.
+/// A large payload is not copied behind what stands before it: it is cut into parts as it is, each
+/// layer puts its header before that, and the medium writes both pieces.
 #[derive(Clone, Debug, Default)]
 pub struct GatherBuffer {
     head: Bytes,

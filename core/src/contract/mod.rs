@@ -1,4 +1,5 @@
-//! What a message between two objects must be, and how two parties find out that they mean the same.
+//! What a message between two objects must be, and how two parties find out that they mean the
+//! same.
 
 pub mod blob;
 pub mod codec;
@@ -42,8 +43,8 @@ pub trait Contract: Described + Send + 'static {
     const MAX_AGE: Option<Duration> = None;
     /// How messages travel between nodes.
     const DELIVERY: Delivery = Delivery::Reliable;
-    /// A request that may take effect twice without harm: it is sent again, within its deadline, where
-    /// it is not known whether it took effect.
+    /// A request that may take effect twice without harm: it is sent again, within its deadline,
+    /// where it is not known whether it took effect.
     const IDEMPOTENT: bool = false;
 
     /// The last event on a topic is kept, and given to each listener that joins.
@@ -289,8 +290,8 @@ fn contract_name<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error>
 
 /// The hash of the structure of a message and of its reply.
 ///
-/// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same in
-/// every build and on every platform.
+/// It is taken over the bytes of both descriptions, which golden tests hold still: it is the same
+/// in every build and on every platform.
 pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
     hash::of(codec::encode_unbounded(&PeerStructure::of(message, reply)))
 }

@@ -5,8 +5,8 @@
 //!          ◄── v1's reply, From<v3's> ──
 //! ```
 //!
-//! The receiver converts, for it is the newer: an old program knows nothing of what comes after it. What
-//! is declared is a chain, each version naming the one before; all of it is understood.
+//! The receiver converts, for it is the newer: an old program knows nothing of what comes after it.
+//! What is declared is a chain, each version naming the one before; all of it is understood.
 
 use crate::contract::codec;
 use crate::contract::codec::{DecodeError, EncodeError};

@@ -12,18 +12,20 @@ use std::fmt;
 pub enum DeadReason {
     /// The receiver's queue was full, and its policy chose this message.
     Full,
-    /// The receiver's queue was full while it was between two lives; or the session with its node was about to
-    /// begin.
+    /// The receiver's queue was full while it was between two lives; or the session with its node
+    /// was about to begin.
     Restarting,
     /// As much was on its way to the receiver's node as may be.
     WayFull,
-    /// No way led to the receiver's node any more, or what leads there began anew: it may have arrived.
+    /// No way led to the receiver's node any more, or what leads there began anew: it may have
+    /// arrived.
     Unreachable,
     /// The receiver's node had ended in order.
     Left,
     /// The receiver was stopped while the message waited.
     Stopped,
-    /// The receiver died while it served the message, or its node did before that had acknowledged it.
+    /// The receiver died while it served the message, or its node did before that had acknowledged
+    /// it.
     PeerDied,
     /// The message was older than its contract allows when its turn came.
     Expired,
@@ -172,7 +174,8 @@ impl DeadLetters {
         self.handle_many(letter, 1);
     }
 
-    /// Takes note of so many that were not delivered, all alike, of which one is remembered among the latest.
+    /// Takes note of so many that were not delivered, all alike, of which one is remembered among
+    /// the latest.
     pub fn handle_many(&mut self, letter: DeadLetter, many: u64) {
         let DeadLetter { node, object, contract, reason, .. } = letter.clone();
         let key = (node, object, contract, reason);
@@ -213,7 +216,8 @@ impl DeadLetters {
         })
     }
 
-    /// How many messages to objects of this name, on whichever node, were not delivered for this reason.
+    /// How many messages to objects of this name, on whichever node, were not delivered for this
+    /// reason.
     pub fn count(&self, object: &ObjectName, reason: DeadReason) -> u64 {
         let of = |key: &Key| key.1 == *object && key.3 == reason;
         self.counts.iter().filter(|(key, _)| of(key)).map(|(_, count)| count).sum()

@@ -18,8 +18,8 @@ pub enum Delivery {
     /// Each at most once, and none after a newer one; what is lost on the way is not repeated. For
     /// readings of which only the newest counts.
     Newest,
-    /// Each once and in order, and copies over ways that share as little as can be: while one of them
-    /// carries, nothing is late. For what must not wait until a failed cable has been noticed.
+    /// Each once and in order, and copies over ways that share as little as can be: while one of
+    /// them carries, nothing is late. For what must not wait until a failed cable has been noticed.
     Redundant,
 }
 
@@ -43,8 +43,9 @@ pub enum DeliveryError {
     /// The receiver is between two lives. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, or has ended for good. Where its whole node is in the safe state, the fault list
-    /// says so. Or the sender's own node ends, or has ended: it takes nothing for other nodes any more.
+    /// The receiver was stopped, or has ended for good. Where its whole node is in the safe state,
+    /// the fault list says so. Or the sender's own node ends, or has ended: it takes nothing for
+    /// other nodes any more.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.
@@ -83,8 +84,8 @@ pub enum DeliveryError {
         /// The name that was looked for.
         name: String,
     },
-    /// No path leads to the receiver's node, or it has fallen silent. See its links, and those of the nodes
-    /// in between.
+    /// No path leads to the receiver's node, or it has fallen silent. See its links, and those of
+    /// the nodes in between.
     #[error("node {node} cannot be reached: no path leads there, or it has fallen silent")]
     Unreachable {
         /// The node that was to be reached.
@@ -108,8 +109,8 @@ pub enum DeliveryError {
         /// The node that was to be reached.
         node: String,
     },
-    /// The request was sent, and the way to its answer was lost. Whether it took effect is not known:
-    /// ask the receiver, or send it again under the same identity, or declare its contract
+    /// The request was sent, and the way to its answer was lost. Whether it took effect is not
+    /// known: ask the receiver, or send it again under the same identity, or declare its contract
     /// idempotent.
     #[error("it is not known whether the request took effect: {reason}")]
     OutcomeUnknown {
@@ -152,14 +153,15 @@ pub enum DeliveryError {
         /// The epoch that holds.
         epoch: u64,
     },
-    /// The value is set, and could not be kept for the node's next process. Make room on the disk, and write
-    /// again.
+    /// The value is set, and could not be kept for the node's next process. Make room on the disk,
+    /// and write again.
     #[error("the value is set, but not kept over a restart of its node: {reason}")]
     NotKept {
         /// What the file system said.
         reason: String,
     },
-    /// What was sent to the receiver's node came back from a node on the way, and no answer came by any other.
+    /// What was sent to the receiver's node came back from a node on the way, and no answer came by
+    /// any other.
     #[error("node {node} cannot be reached: what is sent there comes back, since {reason}")]
     Undelivered {
         /// The node that was to be reached.
@@ -173,8 +175,8 @@ pub enum DeliveryError {
         /// The name.
         name: String,
     },
-    /// Another node had this node's name before: this one is kept out by all. Give it another name, or end the
-    /// other.
+    /// Another node had this node's name before: this one is kept out by all. Give it another name,
+    /// or end the other.
     #[error(
         "the name {name} of this node is taken: another node has it, in its life {by}, and this one is \
          kept out by all; give it another name, or end the other"
@@ -205,8 +207,8 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// As much is on its way to the receiver's node as may be, whoever there it is for: `deliver` waits. Bulk,
-    /// messages of more than 16 KiB, has room of its own.
+    /// As much is on its way to the receiver's node as may be, whoever there it is for: `deliver`
+    /// waits. Bulk, messages of more than 16 KiB, has room of its own.
     #[error("the way to node {node} is full{}", of_what(.bulk))]
     WayFull {
         /// The node that the message is for.
@@ -214,8 +216,8 @@ pub enum DeliveryError {
         /// The message is bulk: what is small may find room.
         bulk: bool,
     },
-    /// The object is there, and does not serve this contract. Declare it in the object's `ports`, or
-    /// send to another object.
+    /// The object is there, and does not serve this contract. Declare it in the object's `ports`,
+    /// or send to another object.
     #[error("{object} does not serve `{contract}`: {}", listed(.served))]
     NotServed {
         /// The object.
@@ -283,8 +285,8 @@ impl DeliveryError {
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
             | DeliveryError::NameTaken { .. } => Outcome::NotTaken,
-            // The callee may have been stopped, or shut out, while it served; and what cannot be decoded
-            // may be the reply.
+            // The callee may have been stopped, or shut out, while it served; and what cannot be
+            // decoded may be the reply.
             DeliveryError::Stopped
             | DeliveryError::Fenced
             | DeliveryError::Isolated

@@ -26,8 +26,8 @@ impl fmt::Display for MessageId {
 /// When a message is quarantined, and how many are remembered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QuarantineConfig {
-    /// Lives that a message may end before it is no longer let in. Two may be chance; a higher number
-    /// costs more restarts.
+    /// Lives that a message may end before it is no longer let in. Two may be chance; a higher
+    /// number costs more restarts.
     pub kills: u32,
     /// Messages remembered for one receiver; the one whose last kill is longest ago is forgotten
     /// first. Each costs about a hundred bytes.

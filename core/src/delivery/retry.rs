@@ -6,9 +6,9 @@ use std::time::Duration;
 
 /// How often a request is asked, where asking again can do no harm.
 ///
-/// That is so where it was not taken up: there was no room, no way, or the receiver was between two lives.
-/// Where it may have taken effect (the receiver died while it served it, or the way to its answer was
-/// lost), it is asked again only if its contract is declared `idempotent`.
+/// That is so where it was not taken up: there was no room, no way, or the receiver was between two
+/// lives. Where it may have taken effect (the receiver died while it served it, or the way to its
+/// answer was lost), it is asked again only if its contract is declared `idempotent`.
 ///
 /// ```
 /// use blastema_core::retry::Attempt;
@@ -25,8 +25,8 @@ use std::time::Duration;
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {
-    /// How often it is asked at most, the first time included; 0 is taken for 1. More outlasts longer faults;
-    /// each that is served is work for the receiver.
+    /// How often it is asked at most, the first time included; 0 is taken for 1. More outlasts
+    /// longer faults; each that is served is work for the receiver.
     pub attempts: u32,
     /// How long to wait in between. Longer spares a receiver that has no room.
     pub backoff: Backoff,
@@ -35,8 +35,8 @@ pub struct RetryPolicy {
 }
 
 impl Default for RetryPolicy {
-    /// Ten times at most, after 10, 20, 40 ms and so on up to half a second, within five seconds: longer
-    /// than a component, or a process, needs to come back.
+    /// Ten times at most, after 10, 20, 40 ms and so on up to half a second, within five seconds:
+    /// longer than a component, or a process, needs to come back.
     fn default() -> Self {
         let backoff =
             Backoff { factor: 2, limit: Duration::from_millis(500), ..Backoff::default() };
@@ -56,8 +56,8 @@ pub struct FailedAttempt<'a> {
 }
 
 impl RetryPolicy {
-    /// How long to wait before it is asked again after this attempt; `None` if that would do harm, or not
-    /// help. The same `seed` gives the same jitter.
+    /// How long to wait before it is asked again after this attempt; `None` if that would do harm,
+    /// or not help. The same `seed` gives the same jitter.
     pub fn again(&self, attempt: FailedAttempt<'_>, seed: u64) -> Option<Duration> {
         let FailedAttempt { asked, why, idempotent } = attempt;
         let helps = match why {

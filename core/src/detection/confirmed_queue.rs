@@ -4,11 +4,11 @@ use crate::{Instant, Machine};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// Hands items over to one receiver: in order of rank, one at a time, repeated with back-off until it
-/// is confirmed, given up loudly.
+/// Hands items over to one receiver: in order of rank, one at a time, repeated with back-off until
+/// it is confirmed, given up loudly.
 ///
-/// Only one item is under way at any time. So items of one rank arrive in the order in which they were
-/// given, and a receiver tells a repetition by comparing with the one number that it saw last.
+/// Only one item is under way at any time. So items of one rank arrive in the order in which they
+/// were given, and a receiver tells a repetition by comparing with the one number that it saw last.
 ///
 /// ```text
 /// hand(item) ─► waiting ─► under way ──handle_confirmed──► done
@@ -32,10 +32,11 @@ pub struct ConfirmedQueue<T> {
 /// The bounds of a [`ConfirmedQueue`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConfirmedQueueLimits {
-    /// How many items may wait. More survives a longer outage of the receiver and takes more memory.
+    /// How many items may wait. More survives a longer outage of the receiver and takes more
+    /// memory.
     pub capacity: usize,
-    /// How long a confirmation may take before the item is sent again; doubled from try to try. Less
-    /// repairs a loss sooner and repeats more to a slow receiver.
+    /// How long a confirmation may take before the item is sent again; doubled from try to try.
+    /// Less repairs a loss sooner and repeats more to a slow receiver.
     pub patience: Duration,
     /// The longest pause between two tries.
     pub longest: Duration,
@@ -105,7 +106,8 @@ impl<T: Clone> ConfirmedQueue<T> {
         }
     }
 
-    /// Takes an item. Lower ranks go first. When there is no room, the last item that waits is given up.
+    /// Takes an item. Lower ranks go first. When there is no room, the last item that waits is
+    /// given up.
     pub fn hand(&mut self, rank: u8, item: T, now: Instant) {
         self.number += 1;
         self.waiting.insert((rank, self.number), item);
@@ -165,8 +167,8 @@ impl<T: Clone> ConfirmedQueue<T> {
         self.given_up
     }
 
-    /// Sends what is under way again: for a body that has lost its open deliveries. The lost try counts,
-    /// so that an item that kills its own sender is given up as well.
+    /// Sends what is under way again: for a body that has lost its open deliveries. The lost try
+    /// counts, so that an item that kills its own sender is given up as well.
     #[must_use]
     pub fn reborn(mut self, now: Instant) -> Self {
         self.outputs.clear();

@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 /// The dependencies of this node's objects.
 ///
-/// Declared ones lead from an object to objects, here or elsewhere. Two more are given by nature: what
-/// is on another node needs that node, and a link needs the node at its other end. A cycle of
+/// Declared ones lead from an object to objects, here or elsewhere. Two more are given by nature:
+/// what is on another node needs that node, and a link needs the node at its other end. A cycle of
 /// dependencies is allowed and harmless.
 #[derive(Clone, Debug)]
 pub(super) struct DependencyIndex {
@@ -45,8 +45,8 @@ impl DependencyIndex {
         }
     }
 
-    /// Everything without which `place` cannot work, directly or through others; not itself, unless it
-    /// stands on a cycle.
+    /// Everything without which `place` cannot work, directly or through others; not itself, unless
+    /// it stands on a cycle.
     pub(super) fn needs_of(&self, place: &Place) -> BTreeSet<Place> {
         let mut found = BTreeSet::new();
         let mut open = vec![place.clone()];
@@ -76,8 +76,8 @@ impl DependencyIndex {
         }
     }
 
-    /// The root of what a fault at `place` would be a symptom of: of everything needed that is down,
-    /// what was found first.
+    /// The root of what a fault at `place` would be a symptom of: of everything needed that is
+    /// down, what was found first.
     pub(super) fn root_above(&self, place: &Place, chronicle: &FaultLog) -> Option<FaultId> {
         let needs = self.needs_of(place);
         let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));

@@ -1,8 +1,8 @@
 //! Which objects of a node cannot do without which others.
 //!
-//! What an object suffers while something that it needs is down is taken for a symptom. Of two objects
-//! that need each other each would be the symptom of the other, and neither the root: such a circle is
-//! refused before anything starts.
+//! What an object suffers while something that it needs is down is taken for a symptom. Of two
+//! objects that need each other each would be the symptom of the other, and neither the root: such
+//! a circle is refused before anything starts.
 
 use crate::suggestion::nearest;
 use crate::{NodeName, ObjectName};
@@ -24,7 +24,8 @@ pub enum DependencyError {
         needed: String,
         /// What may have been meant.
         nearest: Option<String>,
-        /// The node's other objects, in order of their names; at most ten, and how many more there are.
+        /// The node's other objects, in order of their names; at most ten, and how many more there
+        /// are.
         known: (Vec<ObjectName>, usize),
     },
     /// Objects depend on each other, or one on itself.
@@ -158,7 +159,8 @@ pub fn circle(needs: &BTreeMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<Obj
     // Everybody who was met, and whether it is still on the way.
     let mut met = BTreeMap::new();
     for start in needs.keys().copied() {
-        // The way so far, each with what is still to be looked at. No recursion: a chain may be long.
+        // The way so far, each with what is still to be looked at. No recursion: a chain may be
+        // long.
         let mut way = Vec::new();
         let mut next = Some(start);
         while next.is_some() || !way.is_empty() {

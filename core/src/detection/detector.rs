@@ -18,17 +18,17 @@ use std::time::Duration;
 /// Follows the life of every object, compares what is seen with the list of faults, and keeps the
 /// record.
 ///
-/// * **Lifecycle.** A machine per object takes the ways of [`Lifecycle::TRANSITIONS`]. A way that does
-///   not exist is a fault of its own; the report is believed all the same.
-/// * **One fault, one report.** A fault is latched by place and kind; seen again, it is counted. A new
-///   life that becomes active ends the faults of the lives before it.
-/// * **Roots and symptoms.** What an object suffers while something it depends on is down, or behind a
-///   hang of another, is a symptom, also if its root is found only shortly afterwards.
-/// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in the end
-///   given up loudly.
+/// * **Lifecycle.** A machine per object takes the ways of [`Lifecycle::TRANSITIONS`]. A way that
+///   does not exist is a fault of its own; the report is believed all the same.
+/// * **One fault, one report.** A fault is latched by place and kind; seen again, it is counted. A
+///   new life that becomes active ends the faults of the lives before it.
+/// * **Roots and symptoms.** What an object suffers while something it depends on is down, or
+///   behind a hang of another, is a symptom, also if its root is found only shortly afterwards.
+/// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in
+///   the end given up loudly.
 ///
-/// Where the guard has already restarted a component, the fault is found and recovered in one: it is
-/// recorded and told, and handed to nobody.
+/// Where the guard has already restarted a component, the fault is found and recovered in one: it
+/// is recorded and told, and handed to nobody.
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
@@ -62,8 +62,8 @@ pub struct DetectorLimits {
     pub record: usize,
     /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
     pub hindsight: Duration,
-    /// How long a recoverer may take to decide before it is reminded. Longer leaves a fault that was
-    /// lost on the way lying; shorter repeats more to a busy recoverer.
+    /// How long a recoverer may take to decide before it is reminded. Longer leaves a fault that
+    /// was lost on the way lying; shorter repeats more to a busy recoverer.
     pub decision: Duration,
     /// How often a recoverer is reminded before the fault is given up.
     pub reminders: u32,
@@ -86,12 +86,14 @@ impl Default for DetectorLimits {
         DetectorLimits {
             // A day with a fault every minute and a half.
             record: 1024,
-            // The slowest built-in watch (a link's, over wireless) finds its fault within two seconds.
+            // The slowest built-in watch (a link's, over wireless) finds its fault within two
+            // seconds.
             hindsight: Duration::from_secs(2),
             // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
             decision: Duration::from_secs(1),
             reminders: 3,
-            // A flood is told every three seconds; a process that dies five times in a minute will again.
+            // A flood is told every three seconds; a process that dies five times in a minute will
+            // again.
             offences: 5,
             offences_period: Duration::from_secs(60),
             // An update and a second attempt restart a node twice; systemd itself ceases to start a
@@ -162,8 +164,8 @@ enum Cause {
     Above,
     /// This one.
     Known(FaultId),
-    /// This one, on the same thread. There is nothing to be done about it where it is found: it is told,
-    /// and handed over only if it is still there afterwards.
+    /// This one, on the same thread. There is nothing to be done about it where it is found: it is
+    /// told, and handed over only if it is still there afterwards.
     Behind(FaultId),
 }
 
@@ -191,8 +193,8 @@ impl Detector {
         }
     }
 
-    /// The monitor hands over what it saw. A repetition of the last one changes nothing; in any case
-    /// it may be confirmed afterwards.
+    /// The monitor hands over what it saw. A repetition of the last one changes nothing; in any
+    /// case it may be confirmed afterwards.
     pub fn handle_observed(&mut self, number: u64, observation: Observation, now: Instant) {
         if number <= self.last_number {
             return;
@@ -258,7 +260,8 @@ impl Detector {
         self.stale
     }
 
-    /// A detector that knows the same plain facts, for a body that was struck in the middle of an input.
+    /// A detector that knows the same plain facts, for a body that was struck in the middle of an
+    /// input.
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         Detector { handover: self.handover.reborn(now), ..self }
@@ -298,7 +301,8 @@ impl Detector {
         self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Explained });
     }
 
-    /// Counts a fault once more, in its newest words; no, if what stands was given up in another life.
+    /// Counts a fault once more, in its newest words; no, if what stands was given up in another
+    /// life.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
@@ -358,7 +362,8 @@ impl Detector {
         id
     }
 
-    /// A root was found: what was found shortly before, and is explained by it, becomes its symptom.
+    /// A root was found: what was found shortly before, and is explained by it, becomes its
+    /// symptom.
     fn explain_by(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         if !is_down(&entry.fault) {

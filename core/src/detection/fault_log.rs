@@ -101,8 +101,8 @@ impl FaultLog {
         root
     }
 
-    /// The record as it is read: each root in the order in which they were found, each followed by its
-    /// symptoms.
+    /// The record as it is read: each root in the order in which they were found, each followed by
+    /// its symptoms.
     pub fn read(&self) -> FaultRecord {
         let mut entries: Vec<(FaultId, &FaultEntry)> =
             self.entries.iter().map(|(&id, entry)| (self.root(id), entry)).collect();

@@ -9,21 +9,23 @@
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
 //! middleware's own objects have none, and are asked.
 //!
-//! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor keeps the table
-//! and judges nothing but silence. The detector keeps the lifecycle of each object, compares with the
-//! list of faults, tells roots from symptoms and keeps the record. The notifier limits storms. None of
-//! them decides what is done about a fault, and none of them restarts anything.
+//! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor
+//! keeps the table and judges nothing but silence. The detector keeps the lifecycle of each object,
+//! compares with the list of faults, tells roots from symptoms and keeps the record. The notifier
+//! limits storms. None of them decides what is done about a fault, and none of them restarts
+//! anything.
 //!
-//! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object that
-//! pushes: after `tolerance` and a half of its intervals, or when its start-up time is over. Of one that is
-//! asked: after at most an interval and `tolerance` times its time to answer. Where the process was not
-//! scheduled, later by as much, and by up to two more intervals: that is no object's fault.
+//! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object
+//! that pushes: after `tolerance` and a half of its intervals, or when its start-up time is over.
+//! Of one that is asked: after at most an interval and `tolerance` times its time to answer. Where
+//! the process was not scheduled, later by as much, and by up to two more intervals: that is no
+//! object's fault.
 //!
-//! **A body that panics.** A machine that was struck in the middle of an input may hold half of it. Each
-//! of the three therefore has `reborn`, which makes a new machine from the plain facts of the old one:
-//! what is enrolled, which life it is in, what is recorded, and what is not yet confirmed. What was
-//! concluded from the passing of time (opinions, open questions) begins anew. The input that killed the
-//! body is lost, and nothing else.
+//! **A body that panics.** A machine that was struck in the middle of an input may hold half of it.
+//! Each of the three therefore has `reborn`, which makes a new machine from the plain facts of the
+//! old one: what is enrolled, which life it is in, what is recorded, and what is not yet confirmed.
+//! What was concluded from the passing of time (opinions, open questions) begins anew. The input
+//! that killed the body is lost, and nothing else.
 
 mod checks;
 mod confirmed_queue;

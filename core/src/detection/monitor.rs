@@ -16,12 +16,12 @@ use std::sync::Arc;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
-/// It judges the silence of what it asks, and nothing else. What an older life still says, or one that has
-/// ended, changes nothing and is counted. Whatever begins a new life of an object (a report, an answer)
-/// empties its history.
+/// It judges the silence of what it asks, and nothing else. What an older life still says, or one
+/// that has ended, changes nothing and is counted. Whatever begins a new life of an object (a
+/// report, an answer) empties its history.
 ///
-/// What is reported of an object that was never enrolled opens a row of its own, so that a component
-/// that dies before its enrolment arrives is not lost.
+/// What is reported of an object that was never enrolled opens a row of its own, so that a
+/// component that dies before its enrolment arrives is not lost.
 #[derive(Clone, Debug)]
 pub struct Monitor {
     node: NodeName,
@@ -273,7 +273,8 @@ impl Monitor {
         }
     }
 
-    /// The router reports how a node is. The same condition again is no news; a newer incarnation is.
+    /// The router reports how a node is. The same condition again is no news; a newer incarnation
+    /// is.
     pub fn handle_node(
         &mut self,
         node: NodeName,
@@ -335,7 +336,8 @@ impl Monitor {
         self.refused
     }
 
-    /// A monitor that knows the same plain facts, for a body that was struck in the middle of an input.
+    /// A monitor that knows the same plain facts, for a body that was struck in the middle of an
+    /// input.
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         let mut monitor = Monitor {

@@ -8,9 +8,9 @@ use std::time::Duration;
 
 /// Hands every fault to every port, and limits storms.
 ///
-/// Each port has a queue of its own, so that a recoverer that cannot be reached holds up nobody else.
-/// In a queue, what is over goes first, then critical faults, errors, warnings. A fault is never twice
-/// in a queue; one that is over before its turn is taken out again.
+/// Each port has a queue of its own, so that a recoverer that cannot be reached holds up nobody
+/// else. In a queue, what is over goes first, then critical faults, errors, warnings. A fault is
+/// never twice in a queue; one that is over before its turn is taken out again.
 #[derive(Clone, Debug)]
 pub struct Notifier {
     limits: NotifierLimits,
@@ -42,8 +42,8 @@ impl Default for NotifierLimits {
             capacity: 256,
             ..ConfirmedQueueLimits::default()
         };
-        // A recoverer takes in a fault in microseconds; a robot on which two hundred things break each
-        // second is better served by the most important ones.
+        // A recoverer takes in a fault in microseconds; a robot on which two hundred things break
+        // each second is better served by the most important ones.
         let local = ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::default() };
         // A robot of more than thirty nodes tells the rest over its fleet.
         NotifierLimits { ports: 32, local, remote }
@@ -191,7 +191,8 @@ impl Notifier {
         self.refused
     }
 
-    /// A notifier that knows the same plain facts, for a body that was struck in the middle of an input.
+    /// A notifier that knows the same plain facts, for a body that was struck in the middle of an
+    /// input.
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         let renew = |(port, lane): (RecovererPort, Lane)| {

@@ -155,7 +155,8 @@ pub enum LinkCondition {
         /// How that was noticed.
         reason: String,
     },
-    /// It is no more: nobody had described it, and what it was learned for has not been there for long.
+    /// It is no more: nobody had described it, and what it was learned for has not been there for
+    /// long.
     Forgotten,
 }
 
@@ -190,7 +191,7 @@ pub enum NodeCondition {
     },
     /// It says that it is at work again.
     AtWork,
-    /// It said that it ends in order: that it is silent from now on is no fault, and its return is an
-    /// ordinary one.
+    /// It said that it ends in order: that it is silent from now on is no fault, and its return is
+    /// an ordinary one.
     Left,
 }

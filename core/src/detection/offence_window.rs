@@ -1,7 +1,7 @@
 //! Whether another node does harm again and again.
 //!
-//! One offence is an accident: a peer that has begun anew, a cable that spoils frames. Several within
-//! a while are a node that cannot be recovered from here, and is better kept out.
+//! One offence is an accident: a peer that has begun anew, a cable that spoils frames. Several
+//! within a while are a node that cannot be recovered from here, and is better kept out.
 
 use crate::{Instant, NodeName};
 use std::collections::{BTreeMap, VecDeque};

@@ -71,8 +71,8 @@ impl FaultNotice {
         }
     }
 
-    /// The order in which notices that wait are handed over: what is over, so that nobody acts upon it;
-    /// then critical faults, errors, warnings; of each the roots first.
+    /// The order in which notices that wait are handed over: what is over, so that nobody acts upon
+    /// it; then critical faults, errors, warnings; of each the roots first.
     pub fn rank(&self) -> u8 {
         let FaultNotice::Found(fault) = self else { return 0 };
         let severity = match fault.severity {
@@ -87,8 +87,9 @@ impl FaultNotice {
 /// A fault and what became of it, with the instants.
 ///
 /// That service is restored and that the part is repaired are two facts. A cable that is out stays
-/// a standing fault while its traffic takes another path: [`recovered_at`](FaultEntry::recovered_at) is
-/// set, [`repaired_at`](FaultEntry::repaired_at) is not. See [`Fault::is_repaired_by_recovery`].
+/// a standing fault while its traffic takes another path:
+/// [`recovered_at`](FaultEntry::recovered_at) is set, [`repaired_at`](FaultEntry::repaired_at) is
+/// not. See [`Fault::is_repaired_by_recovery`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultEntry {
     /// The fault; [`Fault::found_at`] is when it was found.

@@ -76,8 +76,8 @@ impl PeerTable {
         self.nodes.contains_key(node)
     }
 
-    /// A link reports how it is. The same condition again is no news, but that it is down for another
-    /// reason is.
+    /// A link reports how it is. The same condition again is no news, but that it is down for
+    /// another reason is.
     pub(super) fn handle_link(
         &mut self,
         node: NodeName,
@@ -116,9 +116,9 @@ impl PeerTable {
         self.nodes.get(node).is_some_and(|seen| seen.standing == Standing::Left)
     }
 
-    /// The router reports how a node is. The same condition again is no news, a newer life is. What is
-    /// heard of a life that has left, is none. Answers an error for the end of a life that is over, and for
-    /// the rest of another one than is there.
+    /// The router reports how a node is. The same condition again is no news, a newer life is. What
+    /// is heard of a life that has left, is none. Answers an error for the end of a life that is
+    /// over, and for the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -134,8 +134,8 @@ impl PeerTable {
             return self.handle_rest(node, incarnation, condition, now);
         }
         let before = self.nodes.get(&node);
-        // Which life is there, those say who can reach it, whatever its number: the clock that numbers
-        // lives may have been set back. That another one has ended is no news.
+        // Which life is there, those say who can reach it, whatever its number: the clock that
+        // numbers lives may have been set back. That another one has ended is no news.
         let here = matches!(condition, NodeCondition::Reachable | NodeCondition::Restarted);
         if let Some(seen) = before
             && !here
@@ -150,8 +150,8 @@ impl PeerTable {
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
-        // The first that is heard of a node is no restart, whatever it is called; nor is a life of which
-        // nothing but the loss was ever known, nor one after another that had left.
+        // The first that is heard of a node is no restart, whatever it is called; nor is a life of
+        // which nothing but the loss was ever known, nor one after another that had left.
         let restarted = before.is_some_and(|seen| {
             incarnation != seen.incarnation && seen.incarnation != Incarnation::default() && !left
         });
@@ -218,7 +218,8 @@ impl PeerTable {
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
-        // The last word of a life may come after the first sign of the next, which nobody would ever clear of it.
+        // The last word of a life may come after the first sign of the next, which nobody would
+        // ever clear of it.
         if seen.incarnation != incarnation && seen.incarnation != Incarnation::default() {
             return Err(seen.incarnation);
         }
@@ -402,7 +403,8 @@ mod tests {
         assert!(told(&Reachable));
     }
 
-    /// Tells of one node's lives; answers whether that is news, and whether the node is at rest then.
+    /// Tells of one node's lives; answers whether that is news, and whether the node is at rest
+    /// then.
     fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
         move |life, condition| {

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 /// Asks objects whether they are alive.
 ///
-/// It is for the middleware's own objects, which have no [stamps](crate::detection::hang): whether a component is
-/// alive, and how far its work has come, is seen without asking it.
+/// It is for the middleware's own objects, which have no [stamps](crate::detection::hang): whether
+/// a component is alive, and how far its work has come, is seen without asking it.
 ///
 /// ```text
 /// ask ──── answer within T ────► Trusted       alive?
@@ -62,8 +62,8 @@ struct Asked {
     reprieves: u32,
 }
 
-/// A machine that was woken this many times too late for one silence judges all the same: otherwise a
-/// monitor that is always late would never find anything.
+/// A machine that was woken this many times too late for one silence judges all the same: otherwise
+/// a monitor that is always late would never find anything.
 const REPRIEVES: u32 = 2;
 
 impl Asked {

@@ -153,11 +153,11 @@ impl Liveness {
 pub struct Push {
     /// How often a sign of life comes. Shorter finds silence sooner and costs more messages.
     pub interval: Duration,
-    /// How many signs in a row may fail to come; at least 1. More gives fewer false alarms, and finds
-    /// a real one later.
+    /// How many signs in a row may fail to come; at least 1. More gives fewer false alarms, and
+    /// finds a real one later.
     pub tolerance: u32,
-    /// How long a new life may take until its first sign. Longer suits slow devices; a life that never
-    /// begins is noticed that much later.
+    /// How long a new life may take until its first sign. Longer suits slow devices; a life that
+    /// never begins is noticed that much later.
     pub start_up: Duration,
 }
 
@@ -172,9 +172,9 @@ impl Default for Push {
 
 /// The pull model: an object is asked whether it is alive.
 ///
-/// A component need not be disturbed for it: whoever finishes anything, or lives on a thread that turns, could
-/// answer. So a flooded one is alive, however long its queue; that its messages wait is
-/// [an overload](crate::FaultKind::Overload), and another fact.
+/// A component need not be disturbed for it: whoever finishes anything, or lives on a thread that
+/// turns, could answer. So a flooded one is alive, however long its queue; that its messages wait
+/// is [an overload](crate::FaultKind::Overload), and another fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pull {
     /// How often it is asked. There is never more than one open question.
@@ -187,8 +187,8 @@ pub struct Pull {
 
 impl Default for Pull {
     fn default() -> Self {
-        // An answer takes microseconds; one that takes as long as two intervals of the paper's is no
-        // matter of load.
+        // An answer takes microseconds; one that takes as long as two intervals of the paper's is
+        // no matter of load.
         Pull {
             interval: Duration::from_millis(100),
             within: Duration::from_millis(100),

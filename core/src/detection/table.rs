@@ -7,8 +7,9 @@ use std::time::Duration;
 
 /// What is known of one object, link or node, each fact with its age.
 ///
-/// A row is a picture of the moment in which it was read. Nothing in it is an instant, so that it can
-/// be sent to another node, and nothing old in it looks current: see [`last_sign`](MonitorRow::last_sign).
+/// A row is a picture of the moment in which it was read. Nothing in it is an instant, so that it
+/// can be sent to another node, and nothing old in it looks current: see
+/// [`last_sign`](MonitorRow::last_sign).
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MonitorRow {
@@ -36,8 +37,8 @@ pub struct MonitorRow {
     pub suspicions: u32,
     /// Its queue.
     pub queue: Option<QueueSample>,
-    /// Rounds that it has missed in this life: a round was due, and the one before had not ended, or
-    /// another component kept the thread.
+    /// Rounds that it has missed in this life: a round was due, and the one before had not ended,
+    /// or another component kept the thread.
     pub missed_rounds: u64,
     /// What it was seen to be doing for too long.
     pub current: Option<CurrentHandler>,

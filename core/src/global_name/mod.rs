@@ -1,8 +1,8 @@
 //! Names of the whole robot: who claims them, and who is next.
 //!
-//! An object's address names its node. A *claim* is a name without one, such as `map`: one node holds
-//! it, others may stand by, and all know who does. There is no broker: each node tells every other,
-//! over their session, what it claims.
+//! An object's address names its node. A *claim* is a name without one, such as `map`: one node
+//! holds it, others may stand by, and all know who does. There is no broker: each node tells every
+//! other, over their session, what it claims.
 //!
 //! ```text
 //!  session begins      All (in parts)        everything the node claims
@@ -11,12 +11,12 @@
 //!  lease has passed                          has another sum asks for all of them (TellAll)
 //! ```
 //!
-//! What a node claims holds for a lease after it was last heard of. Every claim that is granted has an
-//! epoch, greater than any that its node has seen; of two holders of one name, as two halves of a
-//! network may bring them forth, the one of the greater epoch stays, and of equal ones the first by
-//! name. A node that has just started grants itself nothing until it has heard the others, so that it
-//! takes no name from its holder. That is enough for finding things. Where two at a time would do harm,
-//! use a service, which needs a majority.
+//! What a node claims holds for a lease after it was last heard of. Every claim that is granted has
+//! an epoch, greater than any that its node has seen; of two holders of one name, as two halves of
+//! a network may bring them forth, the one of the greater epoch stays, and of equal ones the first
+//! by name. A node that has just started grants itself nothing until it has heard the others, so
+//! that it takes no name from its holder. That is enough for finding things. Where two at a time
+//! would do harm, use a service, which needs a majority.
 
 pub use self::types::{
     ClaimPolicy, ClaimRefused, ClaimRequest, GlobalNamesConfig, GlobalNamesOutput, Holder, NameHeld,
@@ -114,8 +114,9 @@ impl GlobalNames {
         }
     }
 
-    /// Claims in the place of others of the same life that were lost: with what that life claims, and
-    /// under which epochs. What others claim, they are asked when their sessions are told of again.
+    /// Claims in the place of others of the same life that were lost: with what that life claims,
+    /// and under which epochs. What others claim, they are asked when their sessions are told of
+    /// again.
     pub fn reborn(
         config: GlobalNamesConfig,
         own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,
@@ -160,8 +161,8 @@ impl GlobalNames {
         self.peers.iter().map(|(node, peer)| (node, peer.refusals))
     }
 
-    /// An object here claims a name. Answers the epoch, or nothing where it stands by, or has to wait:
-    /// it is told later then.
+    /// An object here claims a name. Answers the epoch, or nothing where it stands by, or has to
+    /// wait: it is told later then.
     ///
     /// # Errors
     /// [`ClaimRefused`] where somebody else holds it and the policy is to be refused.
@@ -269,8 +270,8 @@ impl GlobalNames {
         }
     }
 
-    /// What it does not name in all the parts, it claims no more. Until the last part, what was known
-    /// holds: a name does not come and go because it is told again.
+    /// What it does not name in all the parts, it claims no more. Until the last part, what was
+    /// known holds: a name does not come and go because it is told again.
     fn hear_all(
         &mut self,
         from: &NodeName,

@@ -31,13 +31,13 @@ pub struct Impairment {
     pub delay: Duration,
     /// By how much more a frame may take, evenly spread. Any jitter reorders frames.
     pub jitter: Duration,
-    /// The share of frames that the next one overtakes, 0 to 1; or that are late by 10 ms, if none comes
-    /// in that time.
+    /// The share of frames that the next one overtakes, 0 to 1; or that are late by 10 ms, if none
+    /// comes in that time.
     pub reordering: f64,
     /// The share of frames in which one bit is changed, 0 to 1.
     pub corruption: f64,
-    /// How many bytes the medium carries in a second; 0 is any number. Frames wait for each other, up to
-    /// the limit of what is held back.
+    /// How many bytes the medium carries in a second; 0 is any number. Frames wait for each other,
+    /// up to the limit of what is held back.
     pub rate: u64,
 }
 
@@ -217,8 +217,8 @@ impl<T: Impairable> ImpairedDirection<T> {
         self.arrived.clear();
     }
 
-    /// From now on these peers, and no others, are on the other side of a partition: what is under way
-    /// to them is lost too.
+    /// From now on these peers, and no others, are on the other side of a partition: what is under
+    /// way to them is lost too.
     pub fn part_from(&mut self, peers: BTreeSet<T::Peer>) {
         self.parted_from = peers;
         let (parted, before) = (&self.parted_from, self.held());

@@ -1,7 +1,7 @@
 //! What was found wrong, and is a fault until it is over.
 //!
-//! Of some things one hears when they go on, and of nothing when they have ended: they are over when they
-//! were quiet for long enough. Others last until something puts an end to them.
+//! Of some things one hears when they go on, and of nothing when they have ended: they are over
+//! when they were quiet for long enough. Others last until something puts an end to them.
 
 use crate::Instant;
 use std::collections::BTreeMap;

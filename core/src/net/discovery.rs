@@ -5,13 +5,14 @@
 //!  └ ─ ─ ─ ─ ─ ─ ┘      when B has gone, they have a link of their own
 //! ```
 //!
-//! A node tells each neighbour, over their session, where its others on the same medium are (*gossip*);
-//! or nodes say by multicast where they are themselves (*beacons*). What is learned is tried, if its name
-//! is admitted, as a link that takes nobody but that name; what does not prove itself soon is given
-//! up, and what was down for long is forgotten.
+//! A node tells each neighbour, over their session, where its others on the same medium are
+//! (*gossip*); or nodes say by multicast where they are themselves (*beacons*). What is learned is
+//! tried, if its name is admitted, as a link that takes nobody but that name; what does not prove
+//! itself soon is given up, and what was down for long is forgotten.
 //!
 //! Nothing that is told is trusted: how much is tried at a time, and in all, is bounded for every
-//! network, as is how often a neighbour is listened to. What goes beyond is counted, by who said it.
+//! network, as is how often a neighbour is listened to. What goes beyond is counted, by who said
+//! it.
 
 use super::wire::Refusals;
 use crate::contract::codec;
@@ -24,8 +25,8 @@ use std::time::Duration;
 /// The most neighbours that are learned on one network: with as many that are described, a router's
 /// announcement still holds all of them.
 pub const LEARNED_MAX: usize = 32;
-/// The most of them that are tried at a time: each costs a hello every so often, sent to who may never
-/// have asked for it.
+/// The most of them that are tried at a time: each costs a hello every so often, sent to who may
+/// never have asked for it.
 const TRIED_MAX: usize = 16;
 /// The most neighbours that one message names: a node has no more.
 const TOLD_MAX: usize = 64;
@@ -72,8 +73,8 @@ pub struct DiscoveryConfig {
     pub node: NodeName,
     /// The networks, by their place.
     pub grounds: Vec<DiscoveryDomain>,
-    /// How long what was learned may take to prove itself; after that it is not tried again for six times
-    /// as long. Longer suits slow media; a forged address is sent hellos for as long.
+    /// How long what was learned may take to prove itself; after that it is not tried again for six
+    /// times as long. Longer suits slow media; a forged address is sent hellos for as long.
     pub prove_within: Duration,
     /// How long a learned neighbour that is down is still tried. Longer finds it again after longer
     /// absences, and costs hellos for as long.
@@ -288,7 +289,8 @@ impl Discovery {
         }
     }
 
-    /// Our networks of this kind on which we have the teller ourselves: that of the same name, or all.
+    /// Our networks of this kind on which we have the teller ourselves: that of the same name, or
+    /// all.
     fn grounds_with(&self, from: &NodeName, network: &str, medium: &str) -> Vec<usize> {
         let grounds = self.config.grounds.iter().enumerate();
         let there =

@@ -1,19 +1,19 @@
 //! Nodes that cannot be recovered: what they send is refused everywhere.
 //!
-//! Every node has one vote on every other node, and is believed about its own vote alone: what it says
-//! comes over the session with it. Whose votes count is the same for all nodes of a robot:
+//! Every node has one vote on every other node, and is believed about its own vote alone: what it
+//! says comes over the session with it. Whose votes count is the same for all nodes of a robot:
 //!
 //! ```text
 //! majority (unless said otherwise)   more than half of the nodes that are there, without the accused
 //! wardens                            the newest word of any of the nodes that are named
 //! ```
 //!
-//! Whatever the others think, a node's own vote holds for itself at once: nobody must take what it takes
-//! for wrong. So one hostile node shuts out nobody but itself, and half of them no one; and a node whose
-//! neighbours all refuse it is cut off, however few they are among the others.
+//! Whatever the others think, a node's own vote holds for itself at once: nobody must take what it
+//! takes for wrong. So one hostile node shuts out nobody but itself, and half of them no one; and a
+//! node whose neighbours all refuse it is cut off, however few they are among the others.
 //!
-//! Votes are told to every node that a session is open with, and again whenever a session begins. Those
-//! of a node that is kept out are void.
+//! Votes are told to every node that a session is open with, and again whenever a session begins.
+//! Those of a node that is kept out are void.
 
 use super::wire::node_id::NodeId;
 use crate::contract::codec;
@@ -22,8 +22,8 @@ use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-/// Nodes that one node may have voted on, at most: a quarter of what a router knows, and more than anyone
-/// has reason to.
+/// Nodes that one node may have voted on, at most: a quarter of what a router knows, and more than
+/// anyone has reason to.
 const VOTES_MAX: usize = 64;
 /// Nodes whose votes are remembered, at most: as many as sessions are.
 const VOTERS_MAX: usize = 512;
@@ -98,7 +98,8 @@ pub enum IsolationOutput {
 struct Vote {
     isolated: bool,
     /// The voter's life, and which of its votes: of two of one life, the greater is the newer. With
-    /// another life it has begun anew, whichever number is greater: only its present life has a session.
+    /// another life it has begun anew, whichever number is greater: only its present life has a
+    /// session.
     life: Incarnation,
     /// Higher than every vote on that node that the voter knew of.
     revision: u64,
@@ -186,8 +187,8 @@ impl Isolation {
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
         let about = self.votes.get(node);
-        // That it is admitted is said even where nobody is known to have objected: an earlier life of
-        // this node may have.
+        // That it is admitted is said even where nobody is known to have objected: an earlier life
+        // of this node may have.
         let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
         let revision = newest.unwrap_or(0).saturating_add(1);
         let cause = cause.chars().take(CAUSE_MAX).collect();
@@ -260,8 +261,8 @@ impl Isolation {
         codec::encode_unbounded(&Ballot { life: self.life, votes }).into()
     }
 
-    /// Whether this one may vote on one more. Its word that somebody is let in, where nobody says otherwise any
-    /// more, gives way.
+    /// Whether this one may vote on one more. Its word that somebody is let in, where nobody says
+    /// otherwise any more, gives way.
     fn makes_room_for(&mut self, voter: &NodeName) -> bool {
         if self.count_of(voter) < VOTES_MAX {
             return true;

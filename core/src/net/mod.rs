@@ -8,9 +8,9 @@
 //! ═══ transport ═══    (not here: it owns a medium and knows only frames)
 //! ```
 //!
-//! Each layer has one wire format of its own, written by hand, so that no byte depends on a library's
-//! release. A layer never looks into the payload of the one above. Nothing that arrives can panic:
-//! what is not understood is refused as a [`WireError`] and counted in [`Refusals`].
+//! Each layer has one wire format of its own, written by hand, so that no byte depends on a
+//! library's release. A layer never looks into the payload of the one above. Nothing that arrives
+//! can panic: what is not understood is refused as a [`WireError`] and counted in [`Refusals`].
 //!
 //! The bytes before a small reliable message, from the first of the frame:
 //!
@@ -27,11 +27,11 @@
 //! | its answer | 20 | 24 | 4, then 6 more |
 //!
 //! What a node in between has passed on is five bytes longer, and four for each further one.
-//! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part, and
-//! all of it but the length and their own fields.
+//! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part,
+//! and all of it but the length and their own fields.
 //!
-//! What this module does not do: encryption, multicast, congestion control towards strangers. A robot's
-//! network is its own.
+//! What this module does not do: encryption, multicast, congestion control towards strangers. A
+//! robot's network is its own.
 
 pub mod active_alarms;
 pub mod discovery;
@@ -57,12 +57,13 @@ pub use wire::node_id::NodeId;
 pub use wire::packet::PacketPriority;
 pub use wire::{Refusals, WireError};
 
-/// Smaller segments are those of a medium that is taken for slow until it is measured: a serial line, or CAN,
-/// whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes, whoever passes them on.
+/// Smaller segments are those of a medium that is taken for slow until it is measured: a serial
+/// line, or CAN, whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes, whoever
+/// passes them on.
 const NARROW: usize = 1050;
 
-/// Whether a path leads over such a medium, by the largest segment that it carries. Router and session ask
-/// here, so that they do not wait differently long for what goes the same way.
+/// Whether a path leads over such a medium, by the largest segment that it carries. Router and
+/// session ask here, so that they do not wait differently long for what goes the same way.
 pub(crate) fn is_narrow(segment: usize) -> bool {
     segment < NARROW
 }

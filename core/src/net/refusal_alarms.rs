@@ -1,7 +1,8 @@
 //! Tells persistent refusals from passing ones.
 //!
-//! Something is always refused: a packet that was late, a peer that has just begun anew. What goes on
-//! for seconds is a broken peer or a hostile one, and somebody should look: until it was quiet for a while.
+//! Something is always refused: a packet that was late, a peer that has just begun anew. What goes
+//! on for seconds is a broken peer or a hostile one, and somebody should look: until it was quiet
+//! for a while.
 
 use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
@@ -38,8 +39,8 @@ impl<K> Default for RefusalAlarms<K> {
 }
 
 impl<K: Ord + Clone> RefusalAlarms<K> {
-    /// What was refused of `who` up to now. Answers when it goes on for too long what was refused since
-    /// the last look; and again each time that it has gone on for as long.
+    /// What was refused of `who` up to now. Answers when it goes on for too long what was refused
+    /// since the last look; and again each time that it has gone on for as long.
     pub fn handle_look(&mut self, who: K, refusals: Refusals, now: Instant) -> Option<Refusals> {
         let seen = self.seen.entry(who.clone()).or_default();
         let since = refusals.since(&std::mem::replace(&mut seen.refusals, refusals));

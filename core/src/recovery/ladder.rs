@@ -13,7 +13,8 @@ pub enum RecoveryAction {
     Observe,
     /// Let the component recover by itself, in its present life (`on_reset`).
     Reset,
-    /// Replace the present life by the next one, with its siblings as the supervisor's strategy says.
+    /// Replace the present life by the next one, with its siblings as the supervisor's strategy
+    /// says.
     Restart,
     /// Let the component go on in its next life on a thread of its own, with its queue: against an
     /// overload that makes its neighbours late. It fails where the component has one already.

@@ -8,10 +8,10 @@
 //!          by fault kind               and whether it is still worth it
 //! ```
 //!
-//! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind of
-//! fault, one rung after the other, and ends in safe state. [`Supervisor`] keeps the tree as in
-//! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than the
-//! intensity allows, and it ends and escalates. Neither of them detects anything.
+//! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind
+//! of fault, one rung after the other, and ends in safe state. [`Supervisor`] keeps the tree as in
+//! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than
+//! the intensity allows, and it ends and escalates. Neither of them detects anything.
 
 mod ladder;
 mod plan;

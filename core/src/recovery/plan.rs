@@ -129,14 +129,15 @@ impl Default for Plan {
                 .then(RecoveryAction::Restart)
                 .times(3)
                 .then(RecoveryAction::SafeStop),
-            // Warnings: whether a wrong value is worth a life is the application's to say, and a restart
-            // does not make work less.
+            // Warnings: whether a wrong value is worth a life is the application's to say, and a
+            // restart does not make work less.
             FaultKind::CheckFailed | FaultKind::Overload | FaultKind::ContractMismatch => {
                 observe.clone()
             }
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
-            // What it sends does harm: nobody must have to take it, and it cannot be recovered from here.
+            // What it sends does harm: nobody must have to take it, and it cannot be recovered from
+            // here.
             FaultKind::NodeFaulty => {
                 Ladder::first(RecoveryAction::Isolate).then(RecoveryAction::Observe)
             }
@@ -277,8 +278,8 @@ impl Plan {
 
     fn answer_for(&self, kind: &FaultKind, object: Option<&ObjectName>) -> &Ladder {
         let exception = || self.components.get(object?)?.get(kind);
-        // Every built-in kind has an answer, and every declared one: what has none is a code that was
-        // misspelt, and a slip of the pen must not stop the robot.
+        // Every built-in kind has an answer, and every declared one: what has none is a code that
+        // was misspelt, and a slip of the pen must not stop the robot.
         exception().or_else(|| self.kinds.get(kind)).unwrap_or(&self.observe)
     }
 }

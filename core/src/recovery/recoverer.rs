@@ -5,9 +5,9 @@
 //!                                   └─ done ─► recovered, its symptoms are judged anew
 //! ```
 //!
-//! There is one case per place at a time: a second fault of the place joins it. A symptom waits until
-//! its root is settled, and is then either cleared by the detector or acted upon itself. Whether a
-//! restart is still worth it is not decided here but by the supervisor.
+//! There is one case per place at a time: a second fault of the place joins it. A symptom waits
+//! until its root is settled, and is then either cleared by the detector or acted upon itself.
+//! Whether a restart is still worth it is not decided here but by the supervisor.
 
 use super::{Ladder, Plan, RecoveryAction};
 use crate::{Fault, FaultId, FaultKind, Instant, Machine, NodeName, Place};
@@ -282,8 +282,8 @@ impl Recoverer {
         }
     }
 
-    /// The ladder is at its end. Safe stop is left, or, if that has been tried, the node's own rest; then
-    /// the case is closed.
+    /// The ladder is at its end. Safe stop is left, or, if that has been tried, the node's own
+    /// rest; then the case is closed.
     fn fall_back(&mut self, place: &Place, reason: String, now: Instant) -> bool {
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let untold = !std::mem::replace(&mut case.given_up, true);
@@ -352,7 +352,8 @@ impl Recoverer {
         // What came while the measure was under way may already belong to the new life.
         let cured = |noted: &Noted| {
             let replaced = done.incarnation.is_none_or(|life| noted.fault.incarnation < life);
-            // A restart that found the struck life replaced already cures nothing of the present one.
+            // A restart that found the struck life replaced already cures nothing of the present
+            // one.
             contained || if restarted { replaced } else { noted.since < case.order }
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
@@ -412,14 +413,16 @@ impl Recoverer {
         self.cases.values().any(|case| case.faults.iter().any(|noted| noted.fault.id == id))
     }
 
-    /// The thread on which it lives was kept by another, and is lost: replacing that one does not free it.
-    /// If both are of one group, that one's replacement even waits until this life has been given up.
+    /// The thread on which it lives was kept by another, and is lost: replacing that one does not
+    /// free it. If both are of one group, that one's replacement even waits until this life has
+    /// been given up.
     fn stands_behind(&self, fault: &Fault, root: FaultId) -> bool {
         let hangs = |noted: &Noted| noted.fault.id == root && noted.fault.kind == FaultKind::Hang;
         fault.kind == FaultKind::Hang && self.cases.values().any(|c| c.faults.iter().any(hangs))
     }
 
-    /// What another node found in itself has a number of that node's record, which says nothing here.
+    /// What another node found in itself has a number of that node's record, which says nothing
+    /// here.
     fn is_ours(&self, fault: &Fault) -> bool {
         match &fault.place {
             Place::Object(address) => address.node == self.node,
@@ -468,8 +471,8 @@ impl Machine for Recoverer {
                     let case = &self.cases[&place];
                     let step = &case.ladder.steps()[case.rung];
                     let reason = format!("{} was not done within {:?}", step.measure, step.within);
-                    // What comes too late is not waited for: it shows when the next attempt finds the
-                    // child well.
+                    // What comes too late is not waited for: it shows when the next attempt finds
+                    // the child well.
                     let number = case.order;
                     self.close_order(number, now);
                     self.climb(&place, reason, now);

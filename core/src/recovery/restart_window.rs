@@ -21,7 +21,8 @@ pub fn add_restart(
     if restarts.len() > intensity as usize { Err(restarts) } else { Ok(restarts) }
 }
 
-/// The restarts of one child or one supervisor, as far back as they count. Holds at most `intensity` + 1 instants.
+/// The restarts of one child or one supervisor, as far back as they count. Holds at most
+/// `intensity` + 1 instants.
 #[derive(Clone, Debug)]
 pub struct RestartWindow {
     intensity: u32,

@@ -18,16 +18,16 @@ pub enum Strategy {
 /// What a supervisor does about a child that needs more restarts than it allows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WhenExceeded {
-    /// Restarts are counted per child. The child that exceeds the intensity is not restarted any more:
-    /// the plan's next measure is taken, at last safe stop. Its siblings go on.
+    /// Restarts are counted per child. The child that exceeds the intensity is not restarted any
+    /// more: the plan's next measure is taken, at last safe stop. Its siblings go on.
     ///
-    /// Under [`OneForAll`](Strategy::OneForAll) and [`RestForOne`](Strategy::RestForOne) children depend on
-    /// each other, and this is the same as [`Escalate`](Self::Escalate).
+    /// Under [`OneForAll`](Strategy::OneForAll) and [`RestForOne`](Strategy::RestForOne) children
+    /// depend on each other, and this is the same as [`Escalate`](Self::Escalate).
     #[default]
     StopChild,
-    /// Restarts are counted for all children together, as in Erlang/OTP. When they exceed the intensity,
-    /// the supervisor ends all children and itself, and its parent decides; the root's end is the node's
-    /// safe state.
+    /// Restarts are counted for all children together, as in Erlang/OTP. When they exceed the
+    /// intensity, the supervisor ends all children and itself, and its parent decides; the root's
+    /// end is the node's safe state.
     Escalate,
 }
 
@@ -54,8 +54,8 @@ pub struct ChildRules {
     pub shutdown_within: Duration,
     /// A panic's first measure is the built-in restart, so that the guard may restart on the spot.
     pub on_the_spot: bool,
-    /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into the safe state
-    /// because of a fault, the supervisor escalates.
+    /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
+    /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
 }
 
@@ -102,8 +102,8 @@ impl ChildRules {
 pub struct SupervisorRules {
     /// Whom it restarts together.
     pub strategy: Strategy,
-    /// More restarts than this in one `period`, and `when_exceeded` applies. Higher rides out more; lower
-    /// reaches the next authority sooner.
+    /// More restarts than this in one `period`, and `when_exceeded` applies. Higher rides out more;
+    /// lower reaches the next authority sooner.
     pub intensity: u32,
     /// The sliding window in which restarts are counted.
     pub period: Duration,

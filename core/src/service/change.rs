@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 /// From one state to the next.
 ///
-/// Where only a part in the middle is another, that part travels: a counter in a long table, something
-/// appended, something cut out. It needs nothing of the component but that it saves the same as the same.
+/// Where only a part in the middle is another, that part travels: a counter in a long table,
+/// something appended, something cut out. It needs nothing of the component but that it saves the
+/// same as the same.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Change {
     /// It is as it was; the sum is that of the state.

@@ -5,7 +5,8 @@ use super::table::Table;
 use crate::{DeliveryError, MessageId};
 use serde::{Deserialize, Serialize};
 
-/// How far a replica has come: under which epoch its last entry was made, and the how manieth it was.
+/// How far a replica has come: under which epoch its last entry was made, and the how manieth it
+/// was.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct Position {
     pub(super) epoch: u64,
@@ -49,7 +50,8 @@ pub(super) enum Message {
     /// From the primary: it acts under this epoch, has come so far, and has answered so far.
     /// And it reckons with these other terms.
     Hello { epoch: u64, number: u64, position: Position, answered: Position, heard: Vec<u64> },
-    /// The standby votes for nobody else for a lease, has come so far, and knows callers to be answered so far.
+    /// The standby votes for nobody else for a lease, has come so far, and knows callers to be
+    /// answered so far.
     Promise { epoch: u64, number: u64, position: Position, answered: Position, standing: Standing },
     /// The sender acts under no such epoch: this one holds.
     Outdated { epoch: u64 },
@@ -59,7 +61,8 @@ pub(super) enum Message {
     Claim { epoch: u64, position: Position, heard: Vec<u64> },
     /// Somebody was told these other terms, with which the receiver has to reckon.
     Rival { terms: Vec<u8> },
-    /// It may; whether the voter has what the claimant has, and how far it knows callers to be answered.
+    /// It may; whether the voter has what the claimant has, and how far it knows callers to be
+    /// answered.
     Vote { epoch: u64, in_step: bool, answered: Position },
     /// A request was executed; its caller has its answers below this number.
     Entry { epoch: u64, position: Position, served: Served, settled: u64, after: After },

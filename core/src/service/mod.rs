@@ -7,27 +7,29 @@
 //!     └─ claims an epoch         └─► standbys: promise, store or execute, confirm
 //! ```
 //!
-//! It is an election with leases, and a log of which only the end matters. The primary says hello; a
-//! standby that hears it promises to vote for nobody else for a lease and a margin for the clocks'
-//! drift. The primary acts for as long as a majority's promises last by its own clock, counted from
-//! when it *asked*, without the margin: it stops before anybody may follow. Each primary has an epoch
-//! of its own, and what an older one says is refused.
+//! It is an election with leases, and a log of which only the end matters. The primary says hello;
+//! a standby that hears it promises to vote for nobody else for a lease and a margin for the
+//! clocks' drift. The primary acts for as long as a majority's promises last by its own clock,
+//! counted from when it *asked*, without the margin: it stops before anybody may follow. Each
+//! primary has an epoch of its own, and what an older one says is refused.
 //!
-//! A request is executed by the primary, and its reply held back until every standby that is in step
-//! has the request's identity, its reply, and the state (warm) or the request (hot), and a majority has
-//! them. A request that comes again is answered from that table. The election is won only by who has
-//! the newest entry of a majority: what was answered once stays done.
+//! A request is executed by the primary, and its reply held back until every standby that is in
+//! step has the request's identity, its reply, and the state (warm) or the request (hot), and a
+//! majority has them. A request that comes again is answered from that table. The election is won
+//! only by who has the newest entry of a majority: what was answered once stays done.
 //!
-//! With hot standbys, a component that begins a new life has no state, whatever its replica knows. Such a
-//! member resigns, votes for nobody who has come less far than it knows of, and does not stand for
-//! election before it was sent the state, or has waited for twenty leases in vain. So does one whose
-//! component takes nothing any more, whatever the standbys do.
+//! With hot standbys, a component that begins a new life has no state, whatever its replica knows.
+//! Such a member resigns, votes for nobody who has come less far than it knows of, and does not
+//! stand for election before it was sent the state, or has waited for twenty leases in vain. So
+//! does one whose component takes nothing any more, whatever the standbys do.
 //!
-//! All of this holds among those who were told the same: the same nodes, kind, rule and hello. Who finds that
-//! another one was told otherwise serves only where too few are left to elect somebody by those other terms.
+//! All of this holds among those who were told the same: the same nodes, kind, rule and hello. Who
+//! finds that another one was told otherwise serves only where too few are left to elect somebody
+//! by those other terms.
 //!
-//! The replicas keep their table in memory. A process that begins anew has forgotten it: that is one
-//! failure. What the machine promises, it promises for fewer than half of the nodes failing at a time.
+//! The replicas keep their table in memory. A process that begins anew has forgotten it: that is
+//! one failure. What the machine promises, it promises for fewer than half of the nodes failing at
+//! a time.
 
 mod change;
 mod message;
@@ -81,9 +83,11 @@ pub enum OnPartition {
     Continue,
 }
 
-/// The most nodes that carry one service: as many as one network has. Each hello is one message to each.
+/// The most nodes that carry one service: as many as one network has. Each hello is one message to
+/// each.
 pub const MEMBERS_MAX: usize = 256;
-/// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what they tell.
+/// The shortest interval of hellos: shorter, timers and turns of a computer are longer than what
+/// they tell.
 pub const HELLO_MIN: Duration = Duration::from_millis(1);
 /// And the longest: whoever waits three of them for a service does not want standbys.
 pub const HELLO_MAX: Duration = Duration::from_secs(60 * 60);
@@ -101,14 +105,14 @@ pub struct ReplicaConfig {
     pub on_partition: OnPartition,
     /// Other services have to be there before this one takes over: [`ReplicaOutput::Inquire`].
     pub depends: bool,
-    /// How often the primary says hello, from [`HELLO_MIN`] to [`HELLO_MAX`]. Shorter finds its death sooner and
-    /// costs more.
+    /// How often the primary says hello, from [`HELLO_MIN`] to [`HELLO_MAX`]. Shorter finds its
+    /// death sooner and costs more.
     pub hello_interval: Duration,
 }
 
 impl ReplicaConfig {
-    /// How long a primary may act after a majority was last heard of: three hellos, of which two may
-    /// be lost.
+    /// How long a primary may act after a majority was last heard of: three hellos, of which two
+    /// may be lost.
     pub fn lease(&self) -> Duration {
         self.hello_interval * 3
     }

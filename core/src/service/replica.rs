@@ -57,7 +57,8 @@ pub struct Replica {
     /// The greatest epoch that we claimed: our vote in it is our own.
     claimed: u64,
     position: Position,
-    /// It was learned from another list, whose epochs and numbers may be those of our own, of something else.
+    /// It was learned from another list, whose epochs and numbers may be those of our own, of
+    /// something else.
     learned: bool,
     /// How far callers are known to have been answered, by whoever served.
     answered: Position,
@@ -251,8 +252,8 @@ impl Replica {
         self.work();
     }
 
-    /// What cannot be kept has not been done: the request fails, and the component is given back the state
-    /// that it had before.
+    /// What cannot be kept has not been done: the request fails, and the component is given back
+    /// the state that it had before.
     fn kept(
         &mut self,
         result: Result<Bytes, DeliveryError>,
@@ -472,8 +473,8 @@ impl Replica {
     }
 }
 
-/// A state that can be kept. One that did not even fit into the component's reply is too large like any other: what
-/// has made it so is undone.
+/// A state that can be kept. One that did not even fit into the component's reply is too large like
+/// any other: what has made it so is undone.
 fn within_bounds(state: Result<Bytes, DeliveryError>) -> Result<Bytes, DeliveryError> {
     match state {
         Ok(state) if state.len() > STATE_MAX => Err(DeliveryError::TooLarge { limit: STATE_MAX }),

@@ -10,15 +10,16 @@ use std::collections::VecDeque;
 pub const TABLE_MAX: usize = 1024;
 /// The most bytes of them, the newest apart: with the largest state they fit into one message.
 const TABLE_BYTES_MAX: usize = 768 * 1024;
-/// Callers that are known by what they have got; those beyond, the longest silent first, are forgotten.
+/// Callers that are known by what they have got; those beyond, the longest silent first, are
+/// forgotten.
 const CALLERS_MAX: usize = 256;
 /// What an entry takes beside its reply, about.
 const ENTRY: usize = 32;
 
 /// The replies of one service.
 ///
-/// A caller says with each request below which of its numbers it has all its answers: those replies go, and
-/// what comes under such a number is late and not served any more.
+/// A caller says with each request below which of its numbers it has all its answers: those replies
+/// go, and what comes under such a number is late and not served any more.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Table {
     served: VecDeque<Served>,

@@ -11,12 +11,12 @@ use std::time::Duration;
 /// The most bytes of terms: a service on a thousand nodes with names of the greatest length.
 pub(super) const TERMS_MAX: usize = 48 * 1024;
 
-/// The most nodes of a list that are shown: as many as a person compares at a glance, and few enough for a
-/// fault's text.
+/// The most nodes of a list that are shown: as many as a person compares at a glance, and few
+/// enough for a fault's text.
 const SHOWN: usize = 8;
 
-/// On what the safety of an election rests. Members who count majorities of other lists, or leases of other
-/// lengths, may each elect somebody.
+/// On what the safety of an election rests. Members who count majorities of other lists, or leases
+/// of other lengths, may each elect somebody.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Terms {
     members: Vec<NodeName>,
@@ -58,8 +58,8 @@ impl Terms {
         self.on_partition == OnPartition::Continue && theirs.on_partition == OnPartition::Continue
     }
 
-    /// Whether what is done by the one can be followed by the others: only their lists differ, and not in all.
-    /// Or else they are two services that have one name by mistake.
+    /// Whether what is done by the one can be followed by the others: only their lists differ, and
+    /// not in all. Or else they are two services that have one name by mistake.
     pub(super) fn shares_state(&self, theirs: &Terms) -> bool {
         let strict = |terms: &Terms| terms.on_partition == OnPartition::Stop;
         self.kind == theirs.kind
@@ -85,8 +85,8 @@ impl Terms {
         theirs: &Terms,
         mut keeps: impl FnMut(&NodeName) -> bool,
     ) -> bool {
-        // Whoever begins anew waits for what it may have promised before, as long as its new terms say: where
-        // that was longer by the old ones, it may be counted by two.
+        // Whoever begins anew waits for what it may have promised before, as long as its new terms
+        // say: where that was longer by the old ones, it may be counted by two.
         if self.hello_interval != theirs.hello_interval {
             return false;
         }

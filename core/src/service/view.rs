@@ -13,11 +13,13 @@ pub enum ServiceState {
     Standby,
     /// It knows who serves, and has not, or not yet, what that one has.
     Behind,
-    /// It knows who serves by another list of nodes, and learns from that one; it has no vote there.
+    /// It knows who serves by another list of nodes, and learns from that one; it has no vote
+    /// there.
     Learner,
     /// It knows of nobody who serves. It votes, and stands for election when it is its turn.
     Candidate,
-    /// Nodes were told different things of the service, and by what this one was told nobody may serve.
+    /// Nodes were told different things of the service, and by what this one was told nobody may
+    /// serve.
     Fenced,
     /// Its component takes nothing: it was stopped or isolated, or the node is at rest.
     Resting,

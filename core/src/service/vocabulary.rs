@@ -59,16 +59,19 @@ pub enum ReplicaOutput {
     /// The role has changed, or whether this standby is in step.
     Became(Role),
     /// Let the component serve this, and say what came of it by
-    /// [`Replica::handle_executed`](super::Replica::handle_executed), with its state afterwards where that is wanted.
+    /// [`Replica::handle_executed`](super::Replica::handle_executed), with its state afterwards
+    /// where that is wanted.
     Execute {
         /// The request.
         request: Bytes,
         /// The state is wanted too.
         save: bool,
     },
-    /// Ask the component for its state, for [`Replica::handle_saved`](super::Replica::handle_saved).
+    /// Ask the component for its state, for
+    /// [`Replica::handle_saved`](super::Replica::handle_saved).
     Save,
-    /// Give the component this state, and say so by [`Replica::handle_loaded`](super::Replica::handle_loaded).
+    /// Give the component this state, and say so by
+    /// [`Replica::handle_loaded`](super::Replica::handle_loaded).
     Load {
         /// The state.
         state: Bytes,
@@ -85,9 +88,10 @@ pub enum ReplicaOutput {
         /// Which.
         kind: FaultKind,
     },
-    /// Another node was told something else of the service than this one. Who serves until that is mended is
-    /// decided by who could still elect somebody by the other terms. Or it was told nothing, and should have been;
-    /// or so many things were told that this one cannot tell them apart any more.
+    /// Another node was told something else of the service than this one. Who serves until that is
+    /// mended is decided by who could still elect somebody by the other terms. Or it was told
+    /// nothing, and should have been; or so many things were told that this one cannot tell them
+    /// apart any more.
     Disputed {
         /// In what, and what is to be written.
         detail: String,
@@ -102,9 +106,9 @@ pub enum ReplicaOutput {
         /// Which.
         with: NodeName,
     },
-    /// Find out whether the services that this one depends on are served now, by asking whoever serves
-    /// them, and say so by [`Replica::handle_ready`](super::Replica::handle_ready) once they are. A new inquiry
-    /// takes the place of the last one.
+    /// Find out whether the services that this one depends on are served now, by asking whoever
+    /// serves them, and say so by [`Replica::handle_ready`](super::Replica::handle_ready) once they
+    /// are. A new inquiry takes the place of the last one.
     Inquire,
     /// Answer a caller.
     Answer {

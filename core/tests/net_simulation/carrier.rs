@@ -1,4 +1,5 @@
-//! One end of a cable loses its carrier, and a switch stands between: the other end learns it by another way.
+//! One end of a cable loses its carrier, and a switch stands between: the other end learns it by
+//! another way.
 
 use crate::world::{CALM, MS, STORM, World, for_seeds, name};
 use blastema_core::net::link::LinkState;
@@ -26,8 +27,8 @@ impl World {
         links.iter().find(|link| link.0 == wire).unwrap().2.state()
     }
 
-    /// Sends from node 1 to node 0 every millisecond from the pull of wire 0 at node 0 on, and answers
-    /// the longest time that any message takes.
+    /// Sends from node 1 to node 0 every millisecond from the pull of wire 0 at node 0 on, and
+    /// answers the longest time that any message takes.
     fn slowest_around_the_pull(&mut self) -> Duration {
         self.run(2000 * MS);
         assert_eq!(self.state(0, 1), LinkState::Up);
@@ -137,7 +138,8 @@ fn what_is_pulled_and_plugged_in_a_storm_comes_back_every_time() {
     });
 }
 
-/// Node 2 tells node 1 in the name of node 0, every 5 ms, that node 0 has no links, and once that it has.
+/// Node 2 tells node 1 in the name of node 0, every 5 ms, that node 0 has no links, and once that
+/// it has.
 #[test]
 fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing_down() {
     for_seeds(30..35, |seed| {

@@ -44,8 +44,8 @@ impl World {
     }
 }
 
-/// Publishes `count` messages from node 0 to node 1 while single links fail, or nodes between the two, one
-/// after the other. Answers how many failed.
+/// Publishes `count` messages from node 0 to node 1 while single links fail, or nodes between the
+/// two, one after the other. Answers how many failed.
 fn single_faults(world: &mut World, count: usize, every: usize) -> usize {
     world.run(1000 * MS);
     assert!(world.all_up());
@@ -62,8 +62,8 @@ fn single_faults(world: &mut World, count: usize, every: usize) -> usize {
                 world.repair(what);
                 failed = None;
             }
-            // A single fault: all links are well when the next one comes, and the routers have had a
-            // moment to tell each other so.
+            // A single fault: all links are well when the next one comes, and the routers have had
+            // a moment to tell each other so.
             None if n % every == 0 && well > 1 => {
                 let nodes = world.nodes.len() as u64;
                 let what = if nodes > 2 && world.random.chance(0.3) {
@@ -89,8 +89,8 @@ fn single_faults(world: &mut World, count: usize, every: usize) -> usize {
     faults
 }
 
-/// Node 0 and 1, and some others, on a ring in any order, with some more cables across: no single cable
-/// or node parts them.
+/// Node 0 and 1, and some others, on a ring in any order, with some more cables across: no single
+/// cable or node parts them.
 fn any_network(seed: u64) -> World {
     let mut random = Random::new(seed);
     let nodes = 3 + random.below(5) as usize;
@@ -128,8 +128,8 @@ fn single_faults_cost_nothing_and_no_gap_is_longer_than_two_intervals() {
     });
 }
 
-/// No settling: until five seconds after a failure its link is dear, and by costs alone both copies might
-/// take one way.
+/// No settling: until five seconds after a failure its link is dear, and by costs alone both copies
+/// might take one way.
 #[test]
 fn in_any_network_a_single_fault_at_any_time_costs_copies_over_relays_nothing() {
     let seeds = if cfg!(debug_assertions) { 0..8 } else { 0..40 };
@@ -144,7 +144,8 @@ fn in_any_network_a_single_fault_at_any_time_costs_copies_over_relays_nothing() 
         assert!(world.returned.is_empty());
         assert!(world.gap <= 2 * INTERVAL, "{:?}", world.gap);
         assert_eq!(world.session(1, 0).counters().missed, 0);
-        // Where one way is left, it is followed by routes, and those may lead in a circle for a moment.
+        // Where one way is left, it is followed by routes, and those may lead in a circle for a
+        // moment.
         let nodes = world.nodes.iter().flatten();
         let circles: u64 = nodes.map(|node| node.router.refusals().unexpected).sum();
         assert!(circles <= more as u64, "{circles} in a circle, at {more} faults");

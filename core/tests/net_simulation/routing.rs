@@ -42,8 +42,8 @@ fn lie(origin: usize, (life, sequence): (u64, u32), to: &[usize]) -> Advertiseme
     Advertisement { stamp, node, edges, withdrawn: false }
 }
 
-/// The way from 0 to 2 is over 3, and there is traffic on it. Node 1 is next to 0 alone, and tells it the
-/// n-th of its lies every 20 ms.
+/// The way from 0 to 2 is over 3, and there is traffic on it. Node 1 is next to 0 alone, and tells
+/// it the n-th of its lies every 20 ms.
 fn under_lies(seed: u64, lies: impl Fn(u32) -> Vec<Advertisement>) -> World {
     let mut world = World::new(seed, 4, &[(0, 1), (0, 3), (3, 2)], CALM);
     world.run(1000 * MS);

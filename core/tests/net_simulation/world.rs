@@ -288,7 +288,8 @@ impl World {
         }
     }
 
-    /// Changes one bit. What an application says is for a check of its own: here all of it must be true.
+    /// Changes one bit. What an application says is for a check of its own: here all of it must be
+    /// true.
     fn strike(&mut self, frame: &Bytes) -> Bytes {
         const DATA: u8 = 2;
         const HEADERS: u64 = 11;

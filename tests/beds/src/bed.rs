@@ -21,8 +21,8 @@ pub(crate) enum Kind {
     /// Two taps with a relay in user space: like real Ethernet, the kernel tells of a second change
     /// within a second only when that is over.
     Tap,
-    /// Each end has a cable to a switch of its own, so that the one that is pulled at its first end keeps
-    /// its carrier at the other.
+    /// Each end has a cable to a switch of its own, so that the one that is pulled at its first end
+    /// keeps its carrier at the other.
     Switch,
 }
 

@@ -121,7 +121,8 @@ async fn stream(parcels: Sender<Parcel>) {
     }
 }
 
-/// The node that measures: how often, how cables are pulled, both namespaces, and then a node's words.
+/// The node that measures: how often, how cables are pulled, both namespaces, and then a node's
+/// words.
 pub(crate) async fn measure(arguments: &[String]) -> Result<(), String> {
     let [count, how, own, other, rest @ ..] = arguments else { return Err("COUNT HOW".into()) };
     let count: u64 = count.parse().map_err(|_| "COUNT is a number")?;

@@ -1,8 +1,8 @@
 //! Three hosts with two cables each, made of network namespaces, and what real cables do: they are
 //! pulled, go silent, and flap.
 //!
-//! `tests/beds/run` starts it with the rights and tools that it needs. It is both the one who breaks
-//! the cables and, in processes of their own, the nodes whose cables are broken.
+//! `tests/beds/run` starts it with the rights and tools that it needs. It is both the one who
+//! breaks the cables and, in processes of their own, the nodes whose cables are broken.
 #![allow(clippy::print_stdout, reason = "what happens is what this program is for")]
 
 mod bed;

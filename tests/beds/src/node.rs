@@ -12,7 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 
-/// The pause between two messages of one stream: fast enough that some are under way at every moment.
+/// The pause between two messages of one stream: fast enough that some are under way at every
+/// moment.
 const PACE: Duration = Duration::from_millis(5);
 /// How often links are looked at, to say when one changes.
 const LOOK: Duration = Duration::from_millis(20);
@@ -219,7 +220,8 @@ async fn tell_faults(node: Node) {
     }
 }
 
-/// Says how links and sessions are whenever that changes, and how many messages were accepted in vain.
+/// Says how links and sessions are whenever that changes, and how many messages were accepted in
+/// vain.
 async fn tell_changes(node: Node) {
     let mut before: BTreeMap<String, String> = BTreeMap::new();
     let mut dead = 0;

@@ -21,8 +21,8 @@ struct Trial {
     hosts: Vec<Host>,
 }
 
-/// Runs all trials, or those whose names contain one of the words after the first, which is what the
-/// names of namespaces begin with.
+/// Runs all trials, or those whose names contain one of the words after the first, which is what
+/// the names of namespaces begin with.
 pub(crate) fn run(arguments: &[String]) -> Result<(), String> {
     let (prefix, wanted) = arguments.split_first().ok_or("a prefix for namespaces is missing")?;
     let mut failed = Vec::new();
@@ -100,8 +100,8 @@ impl Trial {
         self.count()
     }
 
-    /// Breaks a cable, waits until both ends have named the fault, mends it, and waits until both have
-    /// it back.
+    /// Breaks a cable, waits until both ends have named the fault, mends it, and waits until both
+    /// have it back.
     fn injure(
         &mut self,
         how: &str,

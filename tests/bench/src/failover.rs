@@ -1,10 +1,10 @@
 //! From a cut cable to the next reply, between two nodes with several cables.
 //!
-//! The cable that is in use is cut, at a random moment, and a request is made in the same instant: its
-//! reply has come when the fault was found, another cable taken, and what was under way repeated.
-//! Meanwhile a numbered stream goes the same way, of which nothing may be lost or doubled. Cuts follow
-//! each other as fast as cables come back, so that nearly every one falls into the second after another.
-//! `CUTS=n` sets how many there are of each kind.
+//! The cable that is in use is cut, at a random moment, and a request is made in the same instant:
+//! its reply has come when the fault was found, another cable taken, and what was under way
+//! repeated. Meanwhile a numbered stream goes the same way, of which nothing may be lost or
+//! doubled. Cuts follow each other as fast as cables come back, so that nearly every one falls into
+//! the second after another. `CUTS=n` sets how many there are of each kind.
 
 use crate::measure::Quantiles;
 use blastema::core::net::LinkId;
@@ -17,7 +17,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Cables that were cut must prove themselves before they count again; so many, and one is always ready.
+/// Cables that were cut must prove themselves before they count again; so many, and one is always
+/// ready.
 const CABLES: usize = 4;
 const HELLO: Duration = Duration::from_millis(5);
 const PACE: Duration = Duration::from_millis(1);

@@ -1,7 +1,8 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
-//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput] [monitored] [failover] [takeover] [overloaded]`;
-//! without arguments, all of them. `ROUNDS=n` sets how often the rows of a table are run in turn.
+//! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
+//! [monitored] [failover] [takeover] [overloaded]`; without arguments, all of them. `ROUNDS=n` sets
+//! how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
 mod failover;

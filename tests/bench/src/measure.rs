@@ -1,4 +1,5 @@
-//! Rows that are run in turn within one process, so that their ratios hold while the machine drifts.
+//! Rows that are run in turn within one process, so that their ratios hold while the machine
+//! drifts.
 
 use std::time::Duration;
 

@@ -1,4 +1,5 @@
-//! A request of 64 bytes and its reply between processes, beside a bare ping-pong over the same medium.
+//! A request of 64 bytes and its reply between processes, beside a bare ping-pong over the same
+//! medium.
 //!
 //! This process is pinned to the first core and every other to the second, bare or not.
 
@@ -31,8 +32,8 @@ impl Handle<Echo> for Mirror {
     }
 }
 
-/// Another process: `bare MEDIUM ADDRESS`, or `node MEDIUM NAME (OWN NEIGHBOUR ADDRESS)...`, or the same
-/// with `single` for a node on one thread.
+/// Another process: `bare MEDIUM ADDRESS`, or `node MEDIUM NAME (OWN NEIGHBOUR ADDRESS)...`, or the
+/// same with `single` for a node on one thread.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     match arguments {

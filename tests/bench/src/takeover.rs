@@ -1,10 +1,12 @@
-//! From the kill of the process that serves to the first reply of its standby, between processes over UDP.
+//! From the kill of the process that serves to the first reply of its standby, between processes
+//! over UDP.
 //!
-//! Three processes carry a service; a fourth, this one, asks it without a pause. At a random moment the one
-//! that serves is killed as `kill -9` does, and is started again. A row ends with what became of all requests:
-//! every one adds one, so that the last sum tells whether any was lost or done twice. With cold standbys the
-//! sum begins anew, and requests in flight end as `OutcomeUnknown`, which is counted.
-//! `N=n` sets how often each kind is killed, `KINDS=hot,warm,cold` which.
+//! Three processes carry a service; a fourth, this one, asks it without a pause. At a random moment
+//! the one that serves is killed as `kill -9` does, and is started again. A row ends with what
+//! became of all requests: every one adds one, so that the last sum tells whether any was lost or
+//! done twice. With cold standbys the sum begins anew, and requests in flight end as
+//! `OutcomeUnknown`, which is counted. `N=n` sets how often each kind is killed,
+//! `KINDS=hot,warm,cold` which.
 
 use crate::measure::Quantiles;
 use blastema::core::random::Random;
@@ -191,8 +193,8 @@ impl Book {
         }
     }
 
-    /// Where a state is kept, the greatest sum is how often it was added; two requests with one sum are
-    /// one that was lost.
+    /// Where a state is kept, the greatest sum is how often it was added; two requests with one sum
+    /// are one that was lost.
     fn print(&self, keeps: bool) {
         let added = self.sums.last().copied().unwrap_or(0);
         let (asked, unknown, failed) = (self.asked, self.unknown, self.failed);

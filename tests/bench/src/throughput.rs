@@ -1,8 +1,8 @@
 //! How much two nodes carry: small reliable messages per second, and messages of a mebibyte beside
 //! bare TCP.
 //!
-//! This process is pinned to the first core and every other to the second, bare or not. `SIZES=small`
-//! or `large` and `MEDIA=udp` or `tcp` narrow it down, for a profile.
+//! This process is pinned to the first core and every other to the second, bare or not.
+//! `SIZES=small` or `large` and `MEDIA=udp` or `tcp` narrow it down, for a profile.
 
 use crate::measure::Table;
 use crate::process::{Peer, addresses, pin, serve_until_told, texts};
@@ -140,7 +140,8 @@ async fn served_by(sink: &Sender<Count>) -> u64 {
     }
 }
 
-/// Sends so many messages, two batches at a time under way, and answers how many per second were served.
+/// Sends so many messages, two batches at a time under way, and answers how many per second were
+/// served.
 async fn sent<M: Event>(
     node: &Node,
     sink: &str,

@@ -1,5 +1,5 @@
-//! Whatever bytes arrive as a message or a reply: no panic, no memory beyond the contract's limit, and
-//! what is taken survives being sent on.
+//! Whatever bytes arrive as a message or a reply: no panic, no memory beyond the contract's limit,
+//! and what is taken survives being sent on.
 
 #![no_main]
 

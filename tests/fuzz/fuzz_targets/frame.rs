@@ -1,4 +1,5 @@
-//! Whatever bytes arrive as a link's frame: no panic, and what is taken is the same when it is sent on.
+//! Whatever bytes arrive as a link's frame: no panic, and what is taken is the same when it is sent
+//! on.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! What a TCP peer sends, cut into frames: no bytes panic, and none make it hold more than the limit.
+//! What a TCP peer sends, cut into frames: no bytes panic, and none make it hold more than the
+//! limit.
 #![no_main]
 
 use blastema_transports::tcp::framing;

@@ -1,5 +1,5 @@
-//! Whatever frames arrive at whatever times, an ISO-TP node neither panics nor holds more than it may,
-//! never answers more than it is asked, and comes to rest when the bus falls silent.
+//! Whatever frames arrive at whatever times, an ISO-TP node neither panics nor holds more than it
+//! may, never answers more than it is asked, and comes to rest when the bus falls silent.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Whatever its neighbours say at whatever times, a router neither panics nor remembers more than it may.
+//! Whatever its neighbours say at whatever times, a router neither panics nor remembers more than
+//! it may.
 
 #![no_main]
 

@@ -1,4 +1,5 @@
-//! Whatever bytes arrive as what routers tell each other: no panic, and what is taken is the same when it is sent on.
+//! Whatever bytes arrive as what routers tell each other: no panic, and what is taken is the same
+//! when it is sent on.
 
 #![no_main]
 

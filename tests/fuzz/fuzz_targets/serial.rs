@@ -1,5 +1,5 @@
-//! What comes from a serial line, in pieces: no bytes panic or make it hold more than a frame takes, and a
-//! frame that comes whole after all of it is found.
+//! What comes from a serial line, in pieces: no bytes panic or make it hold more than a frame
+//! takes, and a frame that comes whole after all of it is found.
 #![no_main]
 
 use blastema_transports::serial::framing::{Deframer, encode};

@@ -1,8 +1,8 @@
 //! The invariants of the README's map, held as tests.
 //!
-//! Each rule is a function from the tree of files to its breaches. The first half applies the rules to
-//! this project; the second half shows each of them a small tree that breaks it, since a rule that
-//! cannot fail proves nothing.
+//! Each rule is a function from the tree of files to its breaches. The first half applies the rules
+//! to this project; the second half shows each of them a small tree that breaks it, since a rule
+//! that cannot fail proves nothing.
 
 mod packages;
 mod pages;

@@ -351,8 +351,8 @@ pub(crate) fn tokens_of(stream: TokenStream) -> Vec<Token> {
     out
 }
 
-/// Reads the little of TOML that Cargo's manifests in this project use: sections, and entries on one
-/// line or on several lines of one list.
+/// Reads the little of TOML that Cargo's manifests in this project use: sections, and entries on
+/// one line or on several lines of one list.
 fn manifest(path: &str, text: &str) -> Manifest {
     let mut section = String::new();
     let mut package = None;

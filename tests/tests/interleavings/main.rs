@@ -2,8 +2,8 @@
 //!
 //! loom runs each model below once for each order, and for each value that the memory model of the
 //! language lets a load see. The sources are the product's own, built here a second time: they name
-//! their atomics and locks in `crate::sync`, and here that is loom's. What they need of the rest of the
-//! product and no model touches has stand-ins.
+//! their atomics and locks in `crate::sync`, and here that is loom's. What they need of the rest of
+//! the product and no model touches has stand-ins.
 //!
 //! ```text
 //! cargo test -p blastema-tests --test interleavings             # all models
@@ -70,8 +70,8 @@ mod context {
     pub(crate) struct Context<C>(std::marker::PhantomData<C>);
 }
 
-/// Switches from a thread that could go on, in one run. Two find nearly every fault that is known of
-/// such code (Musuvathi and Qadeer, 2007); three leave room, and the whole takes seconds.
+/// Switches from a thread that could go on, in one run. Two find nearly every fault that is known
+/// of such code (Musuvathi and Qadeer, 2007); three leave room, and the whole takes seconds.
 const PREEMPTIONS: usize = 3;
 
 /// Lets one thread wait until another wakes it.
@@ -90,8 +90,8 @@ fn bell() -> (Arc<Bell>, Waker) {
 
 type Model = (&'static str, fn());
 
-/// No test harness: it would let models run beside each other, and run the unit tests of the product's
-/// files, which have no model around them.
+/// No test harness: it would let models run beside each other, and run the unit tests of the
+/// product's files, which have no model around them.
 #[expect(clippy::print_stdout, reason = "it says which model runs, as a test harness does")]
 fn main() {
     let wanted: Vec<String> =

@@ -52,8 +52,9 @@ async fn one_for_all_stops_in_reverse_order_and_starts_in_order() {
     node.expect_no_faults().await;
 }
 
-/// What becomes of `a`, `b`, a supervisor of `c` and `d`, `e` and `f` in this order, some on threads of their
-/// own, the others spread over three arbiters, when `b` panics. Their ends and beginnings take time.
+/// What becomes of `a`, `b`, a supervisor of `c` and `d`, `e` and `f` in this order, some on
+/// threads of their own, the others spread over three arbiters, when `b` panics. Their ends and
+/// beginnings take time.
 async fn over_all_arbiters(strategy: Strategy) -> Vec<String> {
     let strings = Strings::default();
     let pair = SupervisorSpec::new("pair", Strategy::OneForOne)

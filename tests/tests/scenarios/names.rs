@@ -1,5 +1,5 @@
-//! Names of the whole robot, which nodes claim and lose: three nodes that each have a link to each other,
-//! in virtual time.
+//! Names of the whole robot, which nodes claim and lose: three nodes that each have a link to each
+//! other, in virtual time.
 
 use blastema::prelude::*;
 use blastema::{

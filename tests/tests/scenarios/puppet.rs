@@ -1,4 +1,5 @@
-//! A component that does what the test says: strings are pulled for its hooks, requests tell it the rest.
+//! A component that does what the test says: strings are pulled for its hooks, requests tell it the
+//! rest.
 
 use blastema::prelude::*;
 use blastema::{Down, Incarnation, RequestError};
@@ -98,8 +99,8 @@ impl Strings {
         })
     }
 
-    /// The next time that `hook` of the puppet `name` is called, it does this; pulled twice, the time
-    /// after that too.
+    /// The next time that `hook` of the puppet `name` is called, it does this; pulled twice, the
+    /// time after that too.
     pub(crate) fn pull(&self, name: &str, hook: &str, pull: Pull) {
         self.inner().pulls.entry(format!("{name} {hook}")).or_default().push_back(pull);
     }

@@ -12,7 +12,8 @@ use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A node that comes to rest when a component needs more than one restart, and whom its outputs were called for.
+/// A node that comes to rest when a component needs more than one restart, and whom its outputs
+/// were called for.
 fn robot(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
     let applied: Arc<Mutex<Vec<Fault>>> = Arc::default();
     let outputs = applied.clone();

@@ -59,6 +59,7 @@ async fn who_watches_a_supervisor_is_told_when_it_gives_up_and_when_it_is_stoppe
     let strings = Strings::default();
     let group = SupervisorSpec::new("group", Strategy::OneForOne)
         .intensity(0, SECOND)
+        .when_exceeded(WhenExceeded::Escalate)
         .child(strings.spec("arm"));
     let builder = Node::builder("module1").child(strings.spec("widow")).supervisor(group);
     let node = TestNode::start(builder).await;

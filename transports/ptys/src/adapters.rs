@@ -13,15 +13,15 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use tempfile::TempDir;
 
-/// How much an adapter holds for a program that does not read, in bytes: the longest message of the suite,
-/// so that a test which gets no time for a while loses nothing.
+/// How much an adapter holds for a program that does not read, in bytes: the longest message of the
+/// suite, so that a test which gets no time for a while loses nothing.
 const MEMORY: usize = 512 * 1024;
 
 /// Adapters from this number on answer no commands, as many do.
 const MUTE: u8 = 100;
 
-/// A bus with adapters that can be unplugged and plugged in again. Those from number 100 on answer no commands,
-/// as many do not.
+/// A bus with adapters that can be unplugged and plugged in again. Those from number 100 on answer
+/// no commands, as many do not.
 ///
 /// All of its methods panic where the system has no ptys.
 pub struct Adapters {

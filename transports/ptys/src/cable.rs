@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use tempfile::TempDir;
 
-/// Two ends, `left` and `right`, that can be unplugged and plugged in again. Where they are opened with
-/// different speeds, neither understands the other.
+/// Two ends, `left` and `right`, that can be unplugged and plugged in again. Where they are opened
+/// with different speeds, neither understands the other.
 ///
 /// ```
 /// let cable = blastema_ptys::Cable::new();
@@ -54,7 +54,8 @@ impl Default for Cable {
     }
 }
 
-/// How often a slow cable moves something. On a busy computer it does so more rarely, and is slower.
+/// How often a slow cable moves something. On a busy computer it does so more rarely, and is
+/// slower.
 const TICK: Timespec = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
 
 impl Cable {
@@ -63,8 +64,8 @@ impl Cable {
         Cable::default()
     }
 
-    /// A cable that carries so many bytes a second each way, or a little less: what it is given beyond waits
-    /// in the system, as it does before a real port.
+    /// A cable that carries so many bytes a second each way, or a little less: what it is given
+    /// beyond waits in the system, as it does before a real port.
     pub fn slow(bytes_per_second: usize) -> Self {
         let mut cable = Cable::default();
         cable.unplug();

@@ -1,11 +1,11 @@
 //! CAN interfaces of the system, by SocketCAN: classic and FD.
 //!
-//! * A bus has a speed. The kernel is given no more than a few frames; what waits, waits here, where
-//!   it is bounded and counted.
-//! * An interface that is down, or was removed, is said to be closed at once, and opened again within a
-//!   second of its return.
-//! * A controller that leaves the bus after too many errors (bus off) says so, and the interface is closed
-//!   until it is back.
+//! * A bus has a speed. The kernel is given no more than a few frames; what waits, waits here,
+//!   where it is bounded and counted.
+//! * An interface that is down, or was removed, is said to be closed at once, and opened again
+//!   within a second of its return.
+//! * A controller that leaves the bus after too many errors (bus off) says so, and the interface is
+//!   closed until it is back.
 //! * The kernel sorts out what is for others; what other things on the bus say is not seen.
 
 mod layout;
@@ -38,11 +38,12 @@ use tokio::time::Sleep;
 /// ```
 pub type CanBus = CanNode<CanSocket>;
 
-/// How large the kernel's send buffer is asked to be, in bytes: it makes of it the smallest that it has,
-/// half a dozen frames. An interface's own queue has room for ten, so that this fills first, and tells us
-/// when there is room again.
+/// How large the kernel's send buffer is asked to be, in bytes: it makes of it the smallest that it
+/// has, half a dozen frames. An interface's own queue has room for ten, so that this fills first,
+/// and tells us when there is room again.
 const SEND_BUFFER: usize = 1;
-/// When a full queue of the interface, which other programs use too, is tried again: a few frames' time.
+/// When a full queue of the interface, which other programs use too, is tried again: a few frames'
+/// time.
 const FULL_PAUSE: Duration = Duration::from_millis(1);
 /// What an interface's MTU is that carries CAN FD.
 const FD_MTU: u32 = 72;
@@ -86,7 +87,8 @@ impl CanSocket {
         options.set_send_buffer_size(SEND_BUFFER)?;
         // A socket of an interface that is down says so, once.
         options.take_error()?.map_or(Ok(()), Err)?;
-        // The kernel tells the rest of the system that it is off the bus as if its cable were pulled.
+        // The kernel tells the rest of the system that it is off the bus as if its cable were
+        // pulled.
         let carrier = std::fs::read_to_string(format!("/sys/class/net/{interface}/carrier"));
         if carrier.is_ok_and(|carrier| carrier.trim() == "0") {
             return Err(self.bus_off());
@@ -99,8 +101,9 @@ impl CanSocket {
                  on`, or leave fd=true out"
             )));
         }
-        // A socket is a socket: tokio has none of this kind, and needs to know only that it sends and
-        // receives whole pieces. (socketcan's own asynchronous socket is not woken when there is room.)
+        // A socket is a socket: tokio has none of this kind, and needs to know only that it sends
+        // and receives whole pieces. (socketcan's own asynchronous socket is not woken when there
+        // is room.)
         UnixDatagram::from_std(socket.as_raw_socket().try_clone()?.into())
     }
 

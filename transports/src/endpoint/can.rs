@@ -1,4 +1,5 @@
-//! What the endpoint strings of CAN say: a node of a bus, reached by SocketCAN or by a serial adapter.
+//! What the endpoint strings of CAN say: a node of a bus, reached by SocketCAN or by a serial
+//! adapter.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,15 +13,15 @@ pub struct CanNodeConfig {
     pub address: u8,
     /// How we are called where two nodes have one address. A node sets its own name.
     pub name: String,
-    /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then. All
-    /// nodes of the bus must do alike.
+    /// Identifiers of 11 bits, for buses and adapters that know no others: addresses 0 to 30 then.
+    /// All nodes of the bus must do alike.
     pub short_ids: bool,
     /// The largest frame, in bytes. A larger one keeps others waiting longer.
     pub mtu: usize,
     /// How many frames wait for the bus; beyond, they are dropped.
     pub queue_frames: usize,
-    /// After so many parts we want to be asked whether to go on; 0 is never. Smaller protects a slow
-    /// receiver, and costs time.
+    /// After so many parts we want to be asked whether to go on; 0 is never. Smaller protects a
+    /// slow receiver, and costs time.
     pub block_size: u8,
     /// How long a peer is to pause between two parts for us: none, 100 to 900 µs, or 1 to 127 ms.
     pub separation: Duration,
@@ -47,13 +48,13 @@ impl Default for CanNodeConfig {
 pub struct CanConfig {
     /// The interface, such as `can0`.
     pub interface: String,
-    /// CAN FD frames of up to 64 bytes, instead of classic ones of up to 8. All nodes of the bus must be
-    /// able to.
+    /// CAN FD frames of up to 64 bytes, instead of classic ones of up to 8. All nodes of the bus
+    /// must be able to.
     pub fd: bool,
     /// The payload of CAN FD frames goes at the bus's higher bit rate.
     pub bit_rate_switch: bool,
-    /// The bus's bit rate, in bits a second. It sets nothing: it is what hellos are paced by, for an
-    /// interface of the system does not say how fast it is.
+    /// The bus's bit rate, in bits a second. It sets nothing: it is what hellos are paced by, for
+    /// an interface of the system does not say how fast it is.
     pub bitrate: u32,
     /// Who we are there.
     pub node: CanNodeConfig,
@@ -76,7 +77,8 @@ impl CanConfig {
 pub const SLCAN_BIT_RATES: [u32; 9] =
     [10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000];
 
-/// The bit rates for the payload of CAN FD frames that adapters have a command for, in bits a second.
+/// The bit rates for the payload of CAN FD frames that adapters have a command for, in bits a
+/// second.
 pub const SLCAN_DATA_RATES: [u32; 2] = [2_000_000, 5_000_000];
 
 /// A CAN adapter on a serial port (SLCAN), as in `slcan:///dev/ttyACM0?bitrate=500000&address=3`.
@@ -92,8 +94,8 @@ pub struct SlcanConfig {
     pub fd: bool,
     /// The payload of CAN FD frames goes at `data_bitrate`.
     pub bit_rate_switch: bool,
-    /// The bus's bit rate for the payload of CAN FD frames, one of [`SLCAN_DATA_RATES`]. Adapters want to
-    /// know it also where it is not used.
+    /// The bus's bit rate for the payload of CAN FD frames, one of [`SLCAN_DATA_RATES`]. Adapters
+    /// want to know it also where it is not used.
     pub data_bitrate: u32,
     /// The serial line's speed, in bits a second. Adapters on USB do not mind it.
     pub baud: u32,

@@ -35,8 +35,8 @@ pub enum EndpointProblem {
         /// All that there are.
         known: Vec<String>,
     },
-    /// There is no IP address where one must stand. Names of hosts are not looked up: who answers would
-    /// depend on a server, and it takes time.
+    /// There is no IP address where one must stand. Names of hosts are not looked up: who answers
+    /// would depend on a server, and it takes time.
     #[error(
         "`{found}` is no IP address: write it in numbers, as in 10.0.0.1:7400 or [fd00::1]:7400"
     )]
@@ -50,7 +50,8 @@ pub enum EndpointProblem {
         /// The address with a port.
         example: String,
     },
-    /// An IPv6 address stands there without brackets, so that its end and the port run into each other.
+    /// An IPv6 address stands there without brackets, so that its end and the port run into each
+    /// other.
     #[error("an IPv6 address stands in brackets: write {example}")]
     NoBrackets {
         /// What may have been meant.
@@ -64,8 +65,9 @@ pub enum EndpointProblem {
         /// What stands there.
         found: String,
     },
-    /// The group belongs to the protocols of the network itself, and every computer there is in it or may
-    /// be (RFC 5771, RFC 4291). Those that begin with 239 are for everybody's own use (RFC 2365).
+    /// The group belongs to the protocols of the network itself, and every computer there is in it
+    /// or may be (RFC 5771, RFC 4291). Those that begin with 239 are for everybody's own use (RFC
+    /// 2365).
     #[error(
         "`{found}` is a group of the network's own protocols: write one for your own use, as in \
          239.255.0.1 or ff15::1"

@@ -6,8 +6,8 @@
 //! medium   where            settings
 //! ```
 //!
-//! A pure parser: it opens nothing and looks nothing up. Deliberately not here: whether an interface, a
-//! port or a file exists; that the transport finds out, and again after every loss.
+//! A pure parser: it opens nothing and looks nothing up. Deliberately not here: whether an
+//! interface, a port or a file exists; that the transport finds out, and again after every loss.
 
 mod can;
 mod error;
@@ -169,8 +169,9 @@ impl Endpoint {
         }
     }
 
-    /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the CAN
-    /// bus, the name of an end in memory; nothing on a serial line, which leads to one peer only.
+    /// Reads a peer's address as this medium writes it: `10.0.0.2:7400`, a path, a number on the
+    /// CAN bus, the name of an end in memory; nothing on a serial line, which leads to one peer
+    /// only.
     ///
     /// # Errors
     /// The text is no address there.
@@ -219,8 +220,8 @@ impl Endpoint {
         })
     }
 
-    /// Finds what is wrong with settings that were not read from a text, such as an address of our own that
-    /// nobody can have.
+    /// Finds what is wrong with settings that were not read from a text, such as an address of our
+    /// own that nobody can have.
     ///
     /// # Errors
     /// What is wrong, and what to write.

@@ -5,8 +5,8 @@ use blastema_core::suggestion::nearest;
 use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
 
-/// The settings of one endpoint string. Each is asked for by its key; what nobody has asked for at the
-/// end is unknown.
+/// The settings of one endpoint string. Each is asked for by its key; what nobody has asked for at
+/// the end is unknown.
 pub(super) struct Settings<'a> {
     text: &'a str,
     medium: &'static str,

@@ -1,5 +1,5 @@
-//! What can be no address of our own, or of a neighbour, and other settings that make no sense wherever they
-//! come from.
+//! What can be no address of our own, or of a neighbour, and other settings that make no sense
+//! wherever they come from.
 
 use super::{LEAST_BYTES, is_interface};
 #[cfg(feature = "tcp")]
@@ -10,14 +10,14 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 #[cfg(feature = "tcp")]
 use std::time::Duration;
 
-/// Whether it is everybody's on a network. Which addresses are so on one network alone, such as 10.0.0.255,
-/// its interface knows, and nobody else.
+/// Whether it is everybody's on a network. Which addresses are so on one network alone, such as
+/// 10.0.0.255, its interface knows, and nobody else.
 pub(super) fn is_broadcast(ip: IpAddr) -> bool {
     ip == IpAddr::V4(Ipv4Addr::BROADCAST)
 }
 
-/// Whether a group is one of the network's own protocols: 224.0.0.0/24 is (RFC 5771, section 4), and of
-/// IPv6 all that are assigned for good (RFC 4291, section 2.7: without the flag T).
+/// Whether a group is one of the network's own protocols: 224.0.0.0/24 is (RFC 5771, section 4),
+/// and of IPv6 all that are assigned for good (RFC 4291, section 2.7: without the flag T).
 #[cfg(feature = "udp")]
 pub(super) fn is_reserved(group: IpAddr) -> bool {
     match group {

@@ -31,12 +31,12 @@ pub enum StopBits {
     Two,
 }
 
-/// Who turns a line of RS-485. A driver keeps what it was told when the port is closed, until the next start of
-/// the system or longer.
+/// Who turns a line of RS-485. A driver keeps what it was told when the port is closed, until the
+/// next start of the system or longer.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum DirectionControl {
-    /// The port's driver does what it did, which is most often nothing. An adapter that turns the line by
-    /// itself needs no more.
+    /// The port's driver does what it did, which is most often nothing. An adapter that turns the
+    /// line by itself needs no more.
     #[default]
     Unchanged,
     /// Not the port's driver, whatever it was told before: RTS is as on any line.
@@ -45,14 +45,15 @@ pub enum DirectionControl {
     Driver(Rs485),
 }
 
-/// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers it after.
+/// How the port's driver turns a line of RS-485 (Linux): it raises RTS before it sends, and lowers
+/// it after.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Rs485 {
     /// RTS is low while it sends, and high otherwise.
     pub rts_low: bool,
-    /// How long RTS is there before the first byte, in whole milliseconds; a port with parts of one is not
-    /// opened. Some drivers do without.
+    /// How long RTS is there before the first byte, in whole milliseconds; a port with parts of one
+    /// is not opened. Some drivers do without.
     pub before: Duration,
     /// How long RTS stays after the last byte, likewise.
     pub after: Duration,
@@ -69,8 +70,8 @@ impl Rs485 {
     }
 }
 
-/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter or driver turns it, or a
-/// USB device (CDC-ACM).
+/// A serial line with one node at each end: RS-232, RS-422, RS-485 whose adapter or driver turns
+/// it, or a USB device (CDC-ACM).
 ///
 /// ```
 /// use blastema_transports::SerialConfig;
@@ -80,10 +81,11 @@ impl Rs485 {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct SerialConfig {
-    /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in again.
+    /// The port. Best one of `/dev/serial/by-id/`, which stays the same when it is plugged in
+    /// again.
     pub path: PathBuf,
-    /// The line's speed, in bits a second; both ends must have the same. A USB device (CDC-ACM) without a
-    /// line is not held to one of 115,200 and more; below, it limits what is sent.
+    /// The line's speed, in bits a second; both ends must have the same. A USB device (CDC-ACM)
+    /// without a line is not held to one of 115,200 and more; below, it limits what is sent.
     pub baud: u32,
     /// The parity bit. The frames' checksum finds more than it does.
     pub parity: Parity,
@@ -93,13 +95,13 @@ pub struct SerialConfig {
     pub hardware_flow: bool,
     /// Whether and how the port's driver turns a line of RS-485.
     pub rs485: DirectionControl,
-    /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048: a
-    /// larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers. What is
-    /// larger than the other end's is noise to it.
+    /// The largest frame, in bytes. By default what takes 50 ms on the line, but from 96 to 2,048:
+    /// a larger one keeps others, and hellos, waiting behind it; of a smaller one, more is headers.
+    /// What is larger than the other end's is noise to it.
     pub mtu: Option<usize>,
-    /// How much of one urgency may wait for the line, in time that it takes to send, and eight of the
-    /// largest frames at least; beyond, frames are dropped. More rides out longer bursts, and makes
-    /// everything later while they last.
+    /// How much of one urgency may wait for the line, in time that it takes to send, and eight of
+    /// the largest frames at least; beyond, frames are dropped. More rides out longer bursts, and
+    /// makes everything later while they last.
     pub queue_time: Duration,
 }
 

@@ -1,13 +1,15 @@
-//! Frames on a line that may lose, change and invent bytes: a pure machine, given bytes from outside.
+//! Frames on a line that may lose, change and invent bytes: a pure machine, given bytes from
+//! outside.
 //!
 //! ```text
 //! 0 │ COBS of: frame … CRC-32C │ 0        the checksum is little-endian
 //! ```
 //!
-//! COBS (Cheshire and Baker, 1999) takes every zero out of a frame, so that a zero is nothing but an
-//! end: after any garbage, the next zero is where understanding begins again. There is one before each
-//! frame too, so that garbage ends before the frame and takes nothing of it along. CRC-32C finds every
-//! change of up to five bits in the frames of a slow line (up to 655 bytes; Koopman 2002).
+//! COBS (Cheshire and Baker, 1999) takes every zero out of a frame, so that a zero is nothing but
+//! an end: after any garbage, the next zero is where understanding begins again. There is one
+//! before each frame too, so that garbage ends before the frame and takes nothing of it along.
+//! CRC-32C finds every change of up to five bits in the frames of a slow line (up to 655 bytes;
+//! Koopman 2002).
 
 use bytes::Bytes;
 use crc::{CRC_32_ISCSI, Crc};
@@ -73,8 +75,8 @@ impl Deframer {
         Deframer { held: Vec::new(), limit: encoded_length(mtu) - 2, lost: false }
     }
 
-    /// Takes bytes from the front of `input` up to the end of a frame or of noise, and says which it
-    /// was; `None` when more must come first.
+    /// Takes bytes from the front of `input` up to the end of a frame or of noise, and says which
+    /// it was; `None` when more must come first.
     pub fn push(&mut self, input: &mut &[u8]) -> Option<Result<Bytes, InvalidFrame>> {
         while let Some(end) = input.iter().position(|&byte| byte == 0) {
             self.hold(&input[..end]);

@@ -3,11 +3,11 @@
 use blastema_core::Instant;
 use std::time::Duration;
 
-/// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait in the
-/// system's buffer.
+/// So much time of the line is written at once. Shorter wakes us more often, longer lets more wait
+/// in the system's buffer.
 pub(super) const PIECE: Duration = Duration::from_millis(5);
-/// One part in so many more time is taken than the line's speed asks for: the clocks of serial ports are off
-/// by some percent, and what is written too fast stays in the system's buffer.
+/// One part in so many more time is taken than the line's speed asks for: the clocks of serial
+/// ports are off by some percent, and what is written too fast stays in the system's buffer.
 const SLACK: u32 = 32;
 /// How soon it is looked again at a device that may be faster than its line's speed says.
 const LOOK: Duration = Duration::from_millis(1);
@@ -49,8 +49,8 @@ pub(super) enum DriverBacklog {
 }
 
 impl LinePacer {
-    /// For a device to which the speed may mean nothing: it is written to as fast as it takes, unless it
-    /// turns out that there is a line behind it.
+    /// For a device to which the speed may mean nothing: it is written to as fast as it takes,
+    /// unless it turns out that there is a line behind it.
     pub(super) fn of_device() -> Self {
         LinePacer { trial: Some(Trial::default()), ..LinePacer::default() }
     }
@@ -90,7 +90,8 @@ impl LinePacer {
             trial.taken += span;
             return;
         }
-        // Whoever is woken very late finds the line idle, and may not fill the system's buffer for that.
+        // Whoever is woken very late finds the line idle, and may not fill the system's buffer for
+        // that.
         let owed = if self.waited { PIECE } else { Duration::ZERO };
         let from = self.free.filter(|free| *free + owed >= now).unwrap_or(now);
         (self.free, self.waited) = (Some(from + span + span / SLACK), false);
@@ -122,7 +123,8 @@ mod tests {
         Instant::from_millis(10_000 + millis)
     }
 
-    /// How much time of the line is written within a second by somebody who is woken so late each time.
+    /// How much time of the line is written within a second by somebody who is woken so late each
+    /// time.
     fn written(late: Duration) -> Duration {
         let (mut pace, mut now, mut sum) = (LinePacer::default(), at(0), Duration::ZERO);
         while now < at(1_000) {
@@ -173,8 +175,8 @@ mod tests {
         assert!(pace.due(DriverBacklog::Nothing, at(30)).is_some());
     }
 
-    /// How much time of the line a device takes within some seconds that holds so much at most, and gives
-    /// out so many times as much as its line would carry.
+    /// How much time of the line a device takes within some seconds that holds so much at most, and
+    /// gives out so many times as much as its line would carry.
     fn taken_by(seconds: u64, memory: Duration, times: u32) -> Duration {
         let (mut pace, mut now) = (LinePacer::of_device(), at(0));
         let (mut sum, mut inside, mut outside) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);

@@ -1,15 +1,17 @@
-//! Serial lines with a node at each end: RS-232, RS-422, RS-485, and USB devices that look like one.
+//! Serial lines with a node at each end: RS-232, RS-422, RS-485, and USB devices that look like
+//! one.
 //!
 //! * **Frames** are found again after any garbage ([`framing`]); a wrong speed at the other end is
 //!   nothing but garbage.
-//! * **A slow line** is given no more than it carries (its pace), so that what waits, waits here, where it
-//!   is bounded in time and counted, and not in the system's buffers, where hellos would wait behind it:
-//!   they wait for the one frame that is going out.
-//! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a USB
-//!   adapter have its old name again, and opened again by its path, with back-off.
+//! * **A slow line** is given no more than it carries (its pace), so that what waits, waits here,
+//!   where it is bounded in time and counted, and not in the system's buffers, where hellos would
+//!   wait behind it: they wait for the one frame that is going out.
+//! * **Unplugged**, a port reads as an end, or its writes fail: it is closed at once, which lets a
+//!   USB adapter have its old name again, and opened again by its path, with back-off.
 //!
-//! On two wires of RS-485 the adapter must turn the line by itself, or the port's driver, which is asked to
-//! by [`Rs485`]; two nodes that speak at once spoil each other's frames, which the session repeats.
+//! On two wires of RS-485 the adapter must turn the line by itself, or the port's driver, which is
+//! asked to by [`Rs485`]; two nodes that speak at once spoil each other's frames, which the session
+//! repeats.
 
 mod config;
 mod line_pacer;
@@ -39,14 +41,15 @@ use tokio_serial::{ClearBuffer, DataBits, ErrorKind, FlowControl, SerialPort, Se
 const FAST: u64 = 1_000_000;
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
-/// So many frames may wait at least: as many as a session has on its way that does not know yet how slow
-/// the line is.
+/// So many frames may wait at least: as many as a session has on its way that does not know yet how
+/// slow the line is.
 const LEAST_FRAMES: usize = 8;
 /// The fewest bytes that are written at once: a hello, on the slowest lines.
 const LEAST_PIECE: usize = 32;
 /// So many bytes are written at once to a device without a line of its own.
 const DEVICE_PIECE: usize = 1024;
-/// From this speed on, one of a device without a line may mean nothing. Who asks for less knows of a line.
+/// From this speed on, one of a device without a line may mean nothing. Who asks for less knows of
+/// a line.
 const NOMINAL_BAUD: u32 = 115_200;
 
 /// A serial line as a medium.
@@ -251,8 +254,8 @@ impl FrameMedium for SerialLine {
     }
 }
 
-/// Lets the port's driver turn the line for as long as something goes out. It keeps that when the port is
-/// closed, so that it can be said before the port is opened as a line.
+/// Lets the port's driver turn the line for as long as something goes out. It keeps that when the
+/// port is closed, so that it can be said before the port is opened as a line.
 #[cfg(target_os = "linux")]
 fn turn_by_driver(path: &Path, rs485: &Rs485) -> io::Result<()> {
     if ![rs485.before, rs485.after].into_iter().all(Rs485::is_whole) {

@@ -3,7 +3,8 @@
 //! * The adapter is brought onto the bus step by step, whether it answers or not; one that an ended
 //!   program left open is closed first.
 //! * It is given frames no faster than the bus carries them, so that its memory, whose size nobody
-//!   knows, does not overflow; nor faster than its own line does, so that little waits in the system.
+//!   knows, does not overflow; nor faster than its own line does, so that little waits in the
+//!   system.
 //! * Unplugged, the port is closed at once and opened again by its path, with back-off.
 
 use crate::can_node::{CanNode, CanPort};
@@ -26,8 +27,8 @@ use tokio_serial::{ErrorKind, SerialPort, SerialStream};
 
 /// So many bytes are read at once: what the system holds of a terminal.
 const CHUNK: usize = 4096;
-/// So many bytes may wait in the system before an adapter whose line is slower than the bus: what is urgent
-/// waits behind them.
+/// So many bytes may wait in the system before an adapter whose line is slower than the bus: what
+/// is urgent waits behind them.
 const HELD_MAX: u32 = 128;
 /// How soon it is looked again whether they have gone.
 const LOOK: Duration = Duration::from_millis(1);
@@ -260,8 +261,8 @@ impl Line {
         Poll::Ready(Ok(()))
     }
 
-    /// Says what brings the adapter onto the bus, and keeps the time of its answers. The answer is whether
-    /// it is there.
+    /// Says what brings the adapter onto the bus, and keeps the time of its answers. The answer is
+    /// whether it is there.
     fn carry_on(&mut self, task: &mut Context<'_>, now: Instant) -> io::Result<bool> {
         while !self.dialogue.is_open() {
             if let Some(command) = self.dialogue.poll_command(now) {

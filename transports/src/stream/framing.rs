@@ -81,11 +81,12 @@ pub fn decode_preamble(bytes: [u8; PREAMBLE]) -> Result<u16, FramingError> {
     }
 }
 
-/// The longest path of a socket that Linux takes, in bytes (`sun_path` is 108 with its closing zero).
+/// The longest path of a socket that Linux takes, in bytes (`sun_path` is 108 with its closing
+/// zero).
 pub const LONGEST_PATH: usize = 107;
 
-/// What a node says first on every connection between sockets with paths: the path at which it listens.
-/// A path that no socket can have is cut off.
+/// What a node says first on every connection between sockets with paths: the path at which it
+/// listens. A path that no socket can have is cut off.
 pub fn encode_path_preamble(path: &[u8]) -> Vec<u8> {
     let path = &path[..path.len().min(LONGEST_PATH)];
     let [high, low] = (path.len() as u16).to_be_bytes();
@@ -123,8 +124,8 @@ pub fn encode_header(length: usize) -> [u8; HEADER] {
 
 /// Takes the first frame from the buffer, if it is all there.
 ///
-/// A buffer without a whole frame in it is shorter than `HEADER + limit`, whatever came from outside:
-/// who reads only then never holds more than that and one read.
+/// A buffer without a whole frame in it is shorter than `HEADER + limit`, whatever came from
+/// outside: who reads only then never holds more than that and one read.
 ///
 /// # Errors
 /// The announced frame is larger than `limit`.
@@ -144,8 +145,8 @@ pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, Fram
 
 /// How many bytes should be read next, into a buffer without a whole frame in it.
 ///
-/// A large frame is read to its end, and with it the header of the next, so that each lies in memory of its
-/// own and nothing of it is moved.
+/// A large frame is read to its end, and with it the header of the next, so that each lies in
+/// memory of its own and nothing of it is moved.
 pub(super) fn room(buffer: &BytesMut, limit: usize) -> usize {
     let length = buffer.first_chunk::<HEADER>().map_or(0, |header| u32::from_be_bytes(*header));
     match usize::try_from(length).unwrap_or(usize::MAX) {

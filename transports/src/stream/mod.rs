@@ -1,5 +1,5 @@
-//! Connections that carry frames with their length before them, a stream for each peer, over whatever
-//! makes streams: TCP, Unix-domain sockets.
+//! Connections that carry frames with their length before them, a stream for each peer, over
+//! whatever makes streams: TCP, Unix-domain sockets.
 //!
 //! A transport listens and connects in one. A peer is known by the address at which *it* listens,
 //! whoever of the two made the connection: whoever connects says so first ([`framing`]). The first

@@ -60,8 +60,8 @@ impl StreamSendQueue {
         self.written = 0;
     }
 
-    /// Writes until all is written or the kernel has no more room; the answer is how many frames went
-    /// out whole.
+    /// Writes until all is written or the kernel has no more room; the answer is how many frames
+    /// went out whole.
     pub(super) fn write(
         &mut self,
         stream: &impl ByteStream,

@@ -14,8 +14,8 @@ use std::task::{self, Poll};
 use std::time::Duration;
 use tokio::time::Sleep;
 
-/// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With jitter,
-/// so that many who lost the same peer do not come back as one.
+/// The limit is how late a peer that is back, and does not dial us itself, may be noticed. With
+/// jitter, so that many who lost the same peer do not come back as one.
 const BACKOFF: Backoff = Backoff {
     first: Duration::from_millis(20),
     factor: 2,
@@ -89,8 +89,8 @@ impl<F: StreamFamily> StreamPeer<F> {
         self.state = ConnectionState::Connected(Connection { stream, buffer: BytesMut::new() });
     }
 
-    /// The connection failed or broke: a pause begins, twice as long after each failure. The answer is
-    /// how many frames are lost with it.
+    /// The connection failed or broke: a pause begins, twice as long after each failure. The answer
+    /// is how many frames are lost with it.
     pub(super) fn rest(&mut self) -> u64 {
         self.failures = self.failures.saturating_add(1);
         let seed = F::seed(&self.address);

@@ -53,8 +53,8 @@ pub(super) async fn greet(
     Ok((stream, port))
 }
 
-/// Says on which port we listen. It is the first word on a new connection, whose empty buffer takes it
-/// whole.
+/// Says on which port we listen. It is the first word on a new connection, whose empty buffer takes
+/// it whole.
 pub(super) fn introduce(stream: &TcpStream, port: u16) -> io::Result<()> {
     match SockRef::from(stream).send(&encode_preamble(port))? {
         PREAMBLE => Ok(()),

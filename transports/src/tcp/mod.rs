@@ -1,7 +1,7 @@
 //! Connections over IP: frames in a TCP stream for each peer (the module `stream`).
 //!
-//! A peer cannot claim another host's address: the address is where the connection comes from, only the
-//! port is claimed. (So there must be no address translation on the way.)
+//! A peer cannot claim another host's address: the address is where the connection comes from, only
+//! the port is claimed. (So there must be no address translation on the way.)
 
 mod handshake;
 
@@ -35,8 +35,8 @@ pub struct TcpConfig {
     /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
     /// machine can connect to a node that does not say otherwise.
     pub bind: SocketAddr,
-    /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the system's
-    /// routes.
+    /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the
+    /// system's routes.
     pub interface: Option<String>,
     /// The largest frame, in bytes. Larger frames keep others waiting longer behind them, and raise
     /// what each connection may hold.

@@ -23,7 +23,8 @@ use tokio::net::UdpSocket;
 
 /// What a datagram carries at most over IPv4: 65,535 less the headers of IP (20) and UDP (8).
 const LARGEST: usize = 65_507;
-/// So many failed reads in a row, and the socket is opened anew: single ones are news of other hosts.
+/// So many failed reads in a row, and the socket is opened anew: single ones are news of other
+/// hosts.
 const ERRORS_IN_A_ROW: u32 = 100;
 /// Memory is taken in pieces of at least this size, and shared by the frames in it.
 const CHUNK: usize = 64 * 1024;
@@ -45,8 +46,8 @@ pub struct UdpConfig {
     /// Only over this interface of the system, such as `eth0`, or `firewire0` for IP over IEEE 1394
     /// (RFC 2734). `None` leaves the choice to the system's routes.
     pub interface: Option<String>,
-    /// A multicast group to hear as well; what is sent to its address reaches all who hear it. Several
-    /// transports of one machine may hear the same.
+    /// A multicast group to hear as well; what is sent to its address reaches all who hear it.
+    /// Several transports of one machine may hear the same.
     pub group: Option<SocketAddr>,
     /// Over how many routers frames to the group may go, less one: 1 is this network only.
     pub hops: u32,
@@ -230,8 +231,8 @@ impl Udp {
                         return Turn::Empty;
                     }
                 }
-                // An ICMP message about an earlier datagram comes back as an error of the socket. It
-                // is news of one peer, and no reason to give up the others.
+                // An ICMP message about an earlier datagram comes back as an error of the socket.
+                // It is news of one peer, and no reason to give up the others.
                 Err(error) => {
                     self.outlet.counters.errors += 1;
                     self.errors_in_a_row += 1;

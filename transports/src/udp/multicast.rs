@@ -1,9 +1,9 @@
 //! Hearing a multicast group: one datagram reaches all who do.
 //!
-//! A transport that hears a group has two sockets. One is bound to the group and only hears; it shares
-//! its address with every other transport of this machine that hears the same. The other is the
-//! transport's own: everything is sent from it, so that each of them is known by an address of its own,
-//! and can be answered there.
+//! A transport that hears a group has two sockets. One is bound to the group and only hears; it
+//! shares its address with every other transport of this machine that hears the same. The other is
+//! the transport's own: everything is sent from it, so that each of them is known by an address of
+//! its own, and can be answered there.
 
 use crate::bound_address::confine;
 use crate::udp::UdpConfig;
@@ -31,7 +31,8 @@ pub(crate) fn own_address(
     Ok(SocketAddr::new(ip, wanted.port()))
 }
 
-/// Makes our own socket send to the group over the right interface, and to those of this machine, too.
+/// Makes our own socket send to the group over the right interface, and to those of this machine,
+/// too.
 pub(crate) fn speak(own: &UdpSocket, config: &UdpConfig) -> io::Result<()> {
     let (local, socket) = (own.local_addr()?, SockRef::from(own));
     match local.ip() {

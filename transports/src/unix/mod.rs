@@ -2,10 +2,11 @@
 //! (the module `stream`).
 //!
 //! * **A peer** is known by the path of its socket, which all must spell alike.
-//! * **Who may speak** is decided by the permissions of the socket file and of its folder. Whoever may
-//!   connect could claim any path.
-//! * **A file that a dead process has left behind** is taken over: a lock beside it, which dies with its
-//!   process, tells whether somebody still listens there. What is no socket is never removed.
+//! * **Who may speak** is decided by the permissions of the socket file and of its folder. Whoever
+//!   may connect could claim any path.
+//! * **A file that a dead process has left behind** is taken over: a lock beside it, which dies
+//!   with its process, tells whether somebody still listens there. What is no socket is never
+//!   removed.
 //! * **A peer that dies** is noticed at once, for the system closes its connections.
 
 mod config;

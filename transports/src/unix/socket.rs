@@ -25,7 +25,8 @@ use tokio::io::AsyncReadExt;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::time::timeout;
 
-/// A socket that listens at a path, whatever a dead process has left there. The file goes when this does.
+/// A socket that listens at a path, whatever a dead process has left there. The file goes when this
+/// does.
 #[derive(Debug)]
 pub struct PathListener {
     pub(super) socket: UnixListener,
@@ -40,8 +41,8 @@ impl PathListener {
     /// Listens there, for whom the file's permissions let in.
     ///
     /// # Errors
-    /// Somebody else listens, something else lies there, or the system refuses it; [`explain`] says what
-    /// helps.
+    /// Somebody else listens, something else lies there, or the system refuses it; [`explain`] says
+    /// what helps.
     ///
     /// # Panics
     /// Outside of a tokio runtime with IO.
@@ -80,8 +81,8 @@ impl PathListener {
         self.socket.accept().await.map(|(stream, _)| stream)
     }
 
-    /// Whether its file is still there, so that somebody can connect: the system says nothing when one is
-    /// removed.
+    /// Whether its file is still there, so that somebody can connect: the system says nothing when
+    /// one is removed.
     pub fn stands(&self) -> bool {
         file_at(&self.path).is_ok_and(|file| file == self.file)
     }
@@ -198,8 +199,8 @@ pub(super) async fn greet(
     Ok((stream, path))
 }
 
-/// Says at which path we listen. It is the first word on a new connection, whose empty buffer takes it
-/// whole.
+/// Says at which path we listen. It is the first word on a new connection, whose empty buffer takes
+/// it whole.
 pub(super) fn introduce(stream: &UnixStream, path: &Path) -> io::Result<()> {
     let preamble = encode_path_preamble(path.as_os_str().as_bytes());
     match SockRef::from(stream).send(&preamble)? {

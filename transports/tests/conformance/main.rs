@@ -120,8 +120,8 @@ impl End {
         assert!(waited.is_ok(), "{what}: {:?}", self.counters().await);
     }
 
-    /// Sends until it arrives there, for a medium may lose frames while a peer comes back. The answer
-    /// is whether anything else arrived before.
+    /// Sends until it arrives there, for a medium may lose frames while a peer comes back. The
+    /// answer is whether anything else arrived before.
     async fn send_until_received(
         &self,
         to: &MediumAddress,

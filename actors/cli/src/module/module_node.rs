@@ -41,9 +41,10 @@ const FLOW_QUEUE: usize = 4_096;
 const PASSIVE_QUEUE: usize = 512;
 /// Messages that wait for an object that no flow ends at.
 const QUEUE: usize = 512;
-/// How often both ends of a cable send a hello: after three and a half intervals without one a silent
-/// cut is found. Longer, and after the return of both cables the links are up too late for sessions,
-/// which wait for two seconds; shorter, and a busy machine delays hellos beyond the limit.
+/// How often both ends of a cable send a hello: after three and a half intervals without one a
+/// silent cut is found. Longer, and after the return of both cables the links are up too late for
+/// sessions, which wait for two seconds; shorter, and a busy machine delays hellos beyond the
+/// limit.
 const HELLO: Duration = Duration::from_millis(if cfg!(debug_assertions) { 100 } else { 50 });
 /// What the cable of the paper's Fig. 9 costs.
 const FIRST_COST: u16 = 10;

@@ -123,7 +123,8 @@ async fn guarded(
             catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx)))
         };
         if let (Some(thread), Some(false)) = (&thread, call.map(RunningCall::end)) {
-            // Its order was given to a successor, or has failed: nothing more is done about it here.
+            // Its order was given to a successor, or has failed: nothing more is done about it
+            // here.
             thread.end_late();
             return Poll::Pending;
         }

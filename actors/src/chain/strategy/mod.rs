@@ -1,5 +1,5 @@
-//! Strategies: one actor per mechanism of recovery, made when it is first needed and let go when it has
-//! had nothing to do for a while.
+//! Strategies: one actor per mechanism of recovery, made when it is first needed and let go when it
+//! has had nothing to do for a while.
 //!
 //! ```text
 //! Recoverer ──CarryOut{order}──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
@@ -28,17 +28,17 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
 /// A way to recover that the application brings along.
 ///
-/// It is handed to the node by name, and called for the faults that the plan answers by that name. It
-/// is made when it is first needed, and dropped when it has had nothing to do for a while.
+/// It is handed to the node by name, and called for the faults that the plan answers by that name.
+/// It is made when it is first needed, and dropped when it has had nothing to do for a while.
 ///
-/// Orders for different places are carried out at the same time: whatever must be remembered between
-/// them is kept in a cell. A strategy that panics, or takes longer than [`RecoveryOrder::within`], has failed, and
-/// the recoverer goes on up its ladder.
+/// Orders for different places are carried out at the same time: whatever must be remembered
+/// between them is kept in a cell. A strategy that panics, or takes longer than
+/// [`RecoveryOrder::within`], has failed, and the recoverer goes on up its ladder.
 ///
 /// Each strategy has a thread of its own. Where it blocks that thread for longer than
-/// [`callback_limit`](crate::NodeBuilder::callback_limit), the order that it blocks for has failed, the thread is
-/// abandoned, and a fault of `chain/strategy/<name>` says so; the other orders that it had are given to a new
-/// instance of it, on a fresh thread, from their beginning.
+/// [`callback_limit`](crate::NodeBuilder::callback_limit), the order that it blocks for has failed,
+/// the thread is abandoned, and a fault of `chain/strategy/<name>` says so; the other orders that
+/// it had are given to a new instance of it, on a fresh thread, from their beginning.
 ///
 /// ```
 /// use blastema::core::recovery::{RecoveryDone, Failed, RecoveryOrder};

@@ -41,13 +41,14 @@ impl SafeOutputs {
     /// Something comes to rest. In a node that is at rest, nothing acts any more.
     pub(crate) async fn apply(&self, fault: &Fault) {
         if !self.resting.load(Relaxed) {
-            // It ends in every case: with an outcome, or with the thread that no system has any more.
+            // It ends in every case: with an outcome, or with the thread that no system has any
+            // more.
             let _ = self.call(fault).await;
         }
     }
 
-    /// The whole node comes to rest. What is returned completes when the outputs are applied, or have taken longer
-    /// than they may.
+    /// The whole node comes to rest. What is returned completes when the outputs are applied, or
+    /// have taken longer than they may.
     pub(crate) fn rest(&self, fault: &Fault) -> oneshot::Receiver<()> {
         self.resting.store(true, Relaxed);
         self.call(fault)

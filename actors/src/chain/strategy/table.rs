@@ -100,8 +100,8 @@ impl StrategyTable {
         })
     }
 
-    /// Makes the strategy that carries `measure` out: a built-in one on this arbiter, one of the application's own
-    /// on a thread that it has for itself, unless all of the node runs on one.
+    /// Makes the strategy that carries `measure` out: a built-in one on this arbiter, one of the
+    /// application's own on a thread that it has for itself, unless all of the node runs on one.
     ///
     /// # Errors
     /// There is none, or no thread is left for it.

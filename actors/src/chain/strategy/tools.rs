@@ -25,8 +25,8 @@ pub(crate) struct StrategyTargets {
     pub(crate) rest_node: Recipient<EnterSafeState>,
 }
 
-/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and the
-/// components of its own node.
+/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and
+/// the components of its own node.
 #[derive(Clone)]
 pub struct StrategyContext(Arc<StrategyTargets>);
 
@@ -35,8 +35,8 @@ impl StrategyContext {
         StrategyContext(Arc::new(tools))
     }
 
-    /// Where messages of contract `M` to the object of this name can be sent: what helps a component may
-    /// be known to itself, or to a neighbour, alone.
+    /// Where messages of contract `M` to the object of this name can be sent: what helps a
+    /// component may be known to itself, or to a neighbour, alone.
     ///
     /// # Errors
     /// As [`Node::sender`](crate::Node::sender).
@@ -44,8 +44,8 @@ impl StrategyContext {
         self.0.registry.sender(name)
     }
 
-    /// Replaces the life that the fault struck by the next one; its siblings fare as their supervisor's
-    /// strategy says. Resolves when all of them are at work.
+    /// Replaces the life that the fault struck by the next one; its siblings fare as their
+    /// supervisor's strategy says. Resolves when all of them are at work.
     ///
     /// # Errors
     /// The new life did not come to be, or the supervisor has given up.
@@ -55,8 +55,8 @@ impl StrategyContext {
         judge(keeper.restart.send(RestartChild { object, fault }).await)
     }
 
-    /// Lets a component go on in its next life on a thread of its own; its queue comes along. Resolves when
-    /// it is at work there.
+    /// Lets a component go on in its next life on a thread of its own; its queue comes along.
+    /// Resolves when it is at work there.
     ///
     /// # Errors
     /// It has a thread of its own already, or the whole node lives on one; or as
@@ -81,7 +81,8 @@ impl StrategyContext {
     /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
     ///
     /// # Errors
-    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no network.
+    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
+    /// network.
     pub async fn isolate(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(place, true, "a recovery strategy says so").await
     }
@@ -114,8 +115,8 @@ impl StrategyContext {
         }
     }
 
-    /// Applies the safe outputs, and puts the object to rest: its life ends, it is isolated, and only a
-    /// person brings it back. A fault that is in no object puts the whole node to rest.
+    /// Applies the safe outputs, and puts the object to rest: its life ends, it is isolated, and
+    /// only a person brings it back. A fault that is in no object puts the whole node to rest.
     ///
     /// # Errors
     /// The object is not kept by any supervisor.

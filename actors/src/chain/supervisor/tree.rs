@@ -7,7 +7,8 @@ use blastema_contract::supervisor::{ReadTree, SupervisionTree, SupervisionTreeCh
 use blastema_core::recovery::ChildStatus;
 use std::time::Duration;
 
-/// A supervisor below that does not say how it stands within this time is shown without its children.
+/// A supervisor below that does not say how it stands within this time is shown without its
+/// children.
 const READ_LIMIT: Duration = Duration::from_millis(500);
 
 impl SupervisorActor {

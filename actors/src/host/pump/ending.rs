@@ -183,8 +183,8 @@ impl<C: Component> ComponentExecutor<C> {
         self.life.token.has_ended() && !self.over
     }
 
-    /// Ends without a report, after having been given up. Who gave this life up knows of its end, but
-    /// perhaps not yet of those before it.
+    /// Ends without a report, after having been given up. Who gave this life up knows of its end,
+    /// but perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
         self.bury(Blame::Log);

@@ -1,11 +1,13 @@
 //! Serves one component's life: hooks, timers, tasks and the data lane, every poll under the guard.
 //!
-//! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and only
-//! the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that unwinds borrows
-//! it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a guard of its own.
+//! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and
+//! only the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that
+//! unwinds borrows it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a
+//! guard of its own.
 
 mod at_once;
 mod ending;
+mod lifecycle;
 mod outbox;
 mod shared;
 
@@ -16,7 +18,7 @@ use outbox::DeferredReport;
 use super::anchor::{Blame, ComponentCell, CurrentPlacement};
 use super::arbiters::ArbiterSlot;
 use super::chores::{DueWork, ScheduledWork};
-use super::course::{EndReason, Hook, IncarnationLifecycle, LifecycleReport, LifecycleStep};
+use super::course::{EndReason, Hook, IncarnationLifecycle, LifecycleStep};
 use super::label::label;
 use super::life::IncarnationState;
 use super::pulse::ArbiterHeartbeat;
@@ -30,9 +32,8 @@ use crate::letter::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
 use crate::panics::PanicGuard;
 use crate::platform;
 use actix::Recipient;
-use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{FaultDeclared, StateReported};
-use blastema_core::{DeliveryError, FaultKind, Incarnation, Instant, Lifecycle};
+use blastema_contract::child::ChildReport;
+use blastema_core::{DeliveryError, Incarnation, Instant};
 use std::any::TypeId;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -325,7 +326,8 @@ impl<C: Component> ComponentExecutor<C> {
                 }
             }
         }
-        // A message follows each round and timer, so that those which are late all the time leave room.
+        // A message follows each round and timer, so that those which are late all the time leave
+        // room.
         if !std::mem::take(&mut self.message_next)
             && let Some(chore) = self.chores.next_due()
         {
@@ -443,62 +445,6 @@ impl<C: Component> ComponentExecutor<C> {
             self.grant();
         }
         Progress::Wait
-    }
-
-    fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
-        let silent = self.anchor.record.injected.is_silent();
-        if hook == Hook::Execute && result.is_ok() && !silent {
-            self.slot.stamp.end_round();
-        }
-        self.course.handle_done(hook, result);
-        self.tell_news();
-    }
-
-    /// Passes on what the course has to tell, and keeps the rest of the host in step with it.
-    fn tell_news(&mut self) {
-        for news in self.course.poll_news() {
-            match news {
-                LifecycleReport::State(state, reason) => self.enter(state, reason),
-                LifecycleReport::Unavailable { reason, retry_in } => {
-                    self.chores.limit(DueWork::Retry, retry_in);
-                    let object = self.anchor.record.name.clone();
-                    let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
-                    let declared = FaultDeclared { object, incarnation, kind, detail: reason };
-                    self.outbox.push(DeferredReport::Declared(declared));
-                }
-                LifecycleReport::Child(event) => {
-                    self.chores.cancel_limit(DueWork::ReadyLimit);
-                    self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
-                    self.outbox.push(DeferredReport::Child(event, self.life.incarnation));
-                }
-            }
-        }
-    }
-
-    fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
-        self.anchor.record.set_state(state);
-        self.slot.stamp.expect_signs(state == Lifecycle::Active);
-        self.chores.set_active(state == Lifecycle::Active);
-        if state == Lifecycle::Active {
-            self.anchor.record.claim_names();
-        }
-        let incarnation = self.life.incarnation;
-        // States that were passed through within one poll are not told one by one.
-        if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
-            && last.incarnation == incarnation
-            && last.reason.is_none()
-            && reason.is_none()
-        {
-            last.state = state;
-            return;
-        }
-        let object = self.anchor.record.name.clone();
-        self.outbox.push(DeferredReport::State(StateReported {
-            object,
-            incarnation,
-            state,
-            reason,
-        }));
     }
 
     /// Builds the component; user code, so it runs under the guard.

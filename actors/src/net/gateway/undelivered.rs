@@ -22,7 +22,8 @@ const REASONS: [DeadReason; 5] = [
     DeadReason::Isolated,
 ];
 
-/// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer has at most.
+/// Subscriptions of the past of which it is known what they were, of all peers: as many as one peer
+/// has at most.
 const PAST_MAX: usize = 16 * 1024;
 
 /// Counts the events of one topic that do not go to one peer.
@@ -31,8 +32,8 @@ pub(super) struct UndeliveredEvents {
     node: NodeName,
     contract: String,
     topic: Option<ObjectName>,
-    /// Those that are not in the office yet, by reason: whoever publishes pays for nothing else, however many find
-    /// no room.
+    /// Those that are not in the office yet, by reason: whoever publishes pays for nothing else,
+    /// however many find no room.
     counts: [AtomicU64; REASONS.len()],
 }
 
@@ -97,8 +98,8 @@ impl GatewayActor {
         self.past.values().for_each(|past| past.losses.collect());
     }
 
-    /// Ends a subscription that the peer has not ended: what is lost of it is counted until the peer's next session
-    /// is open.
+    /// Ends a subscription that the peer has not ended: what is lost of it is counted until the
+    /// peer's next session is open.
     pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &DeliveryError) {
         if let Some(Forwarded { by, losses, .. }) = self.end_forward(forward)
             && self.past.len() < PAST_MAX
@@ -115,7 +116,8 @@ impl GatewayActor {
         past.iter().for_each(|key| drop(self.past.remove(key)));
     }
 
-    /// Counts an event that found its subscription ended. If the peer has ended it, nobody misses the event.
+    /// Counts an event that found its subscription ended. If the peer has ended it, nobody misses
+    /// the event.
     pub(super) fn bury_late(&self, forward: (NodeId, u32)) {
         if let Some(past) = self.past.get(&forward) {
             past.losses.write_down(past.reason, 1);
@@ -139,8 +141,8 @@ impl GatewayActor {
         }
     }
 
-    /// What counts the events that went to the peer under this number: the version of a contract is added to that of
-    /// the subscription, so that it is the nearest below.
+    /// What counts the events that went to the peer under this number: the version of a contract is
+    /// added to that of the subscription, so that it is the nearest below.
     fn losses_under(&self, peer: NodeId, number: u32) -> Option<&UndeliveredEvents> {
         let below = (peer, 0)..=(peer, number);
         let present = self.forwards.range(below.clone()).next_back();

@@ -12,8 +12,8 @@ use blastema_core::detection::LinkCondition;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::{LinkId, LinkState};
 
-/// What those who tell others of our neighbours must know. A ground is a network, by its place among
-/// those that discover.
+/// What those who tell others of our neighbours must know. A ground is a network, by its place
+/// among those that discover.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) enum NeighbourChange {

@@ -17,8 +17,8 @@ async fn three() -> (Robot, [Module; 3]) {
     (robot, [left, right, middle])
 }
 
-/// Somebody says all this to `module` again and again, in the name of `source`, while it is asked by a
-/// friend and answers. Answers what was declared.
+/// Somebody says all this to `module` again and again, in the name of `source`, while it is asked
+/// by a friend and answers. Answers what was declared.
 async fn under_fire(
     (victim, friend): (&Module, &Module),
     (source, direct): (&str, bool),

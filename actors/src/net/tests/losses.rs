@@ -3,7 +3,8 @@
 use super::*;
 use blastema_contract::router::PathReported;
 
-/// What this module has counted of messages to `right`: object or topic, contract, reason, how many.
+/// What this module has counted of messages to `right`: object or topic, contract, reason, how
+/// many.
 fn counted(module: &Module) -> Vec<(String, String, DeadReason, u64)> {
     let right = NodeName::new("right").unwrap();
     let counts = module.host.dead_letters.counts().into_iter();

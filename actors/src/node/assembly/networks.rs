@@ -31,8 +31,8 @@ pub(in crate::node) struct Networks {
     pub(super) described: BTreeSet<NodeName>,
 }
 
-/// How long a node that ends waits until its peers have what was sent to them. One that is gone must
-/// not keep it.
+/// How long a node that ends waits until its peers have what was sent to them. One that is gone
+/// must not keep it.
 const FAREWELL: Duration = Duration::from_secs(1);
 /// How often it looks whether they have.
 const FAREWELL_LOOK: Duration = Duration::from_millis(5);
@@ -181,8 +181,9 @@ pub(super) fn claims_setup(
     }
 }
 
-/// How long a node listens after its start before it grants itself a name, where hellos come so often:
-/// a link that failed once lately is up after nine of them, and the rest is for sessions on slow media.
+/// How long a node listens after its start before it grants itself a name, where hellos come so
+/// often: a link that failed once lately is up after nine of them, and the rest is for sessions on
+/// slow media.
 fn settling(hello_interval: Duration) -> Duration {
     (hello_interval * 12 + Duration::from_millis(400)).min(Duration::from_secs(30))
 }

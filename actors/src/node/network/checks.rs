@@ -10,8 +10,8 @@ use blastema_transports::endpoint::is_interface;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link must be
-/// known to be dead within a minute.
+/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link
+/// must be known to be dead within a minute.
 const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
 
 impl Network {

@@ -28,8 +28,8 @@ pub(in crate::node) struct StartedNetwork {
     pub(in crate::node) transports: Vec<ObjectName>,
 }
 
-/// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so long
-/// looks dead to its neighbours; on a computer that is never overloaded, less is fine.
+/// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
+/// long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
 pub(super) const HELLO_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Medium {

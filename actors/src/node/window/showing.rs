@@ -1,4 +1,5 @@
-//! What goes on at a window: who comes is shown the node, and a socket that is taken away is made again.
+//! What goes on at a window: who comes is shown the node, and a socket that is taken away is made
+//! again.
 
 use super::open;
 use crate::host::environment::FaultReports;
@@ -21,7 +22,8 @@ use tokio::net::UnixStream;
 use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
 use tracing::info;
 
-/// How often it is looked whether the socket is still there. A look at the folder takes microseconds.
+/// How often it is looked whether the socket is still there. A look at the folder takes
+/// microseconds.
 const LOOK: Duration = Duration::from_millis(500);
 /// After so long a machine that had no descriptor left may have one again.
 const PAUSE: Duration = Duration::from_millis(10);
@@ -133,8 +135,8 @@ impl InspectionServer {
         self.work.push(Box::pin(async move { seen.await.unwrap_or(Done::Closed) }));
     }
 
-    /// Makes the socket again where somebody has removed it. That this cannot be done is a fault until it
-    /// can.
+    /// Makes the socket again where somebody has removed it. That this cannot be done is a fault
+    /// until it can.
     fn look_after_the_socket(&mut self) {
         if self.listener.as_ref().is_some_and(PathListener::stands) {
             return;

@@ -122,8 +122,8 @@ arrays! {
     0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30 31 32
 }
 
-/// An array of any length as a field of its own, where [`Described`], as serde, ends at 32 elements.
-/// The derives encode it through [`crate::contract::field::array`].
+/// An array of any length as a field of its own, where [`Described`], as serde, ends at 32
+/// elements. The derives encode it through [`crate::contract::field::array`].
 pub trait ArrayField {
     /// Whether it takes no bytes at all.
     const EMPTY: bool;

@@ -11,10 +11,11 @@ const TEXT_LIMIT: usize = 128;
 
 /// A [`Layout`] as an owned value: a table of types, the described one first.
 ///
-/// A type refers to the types inside of it by their places in the table, so that recursive types are
-/// finite. Two layouts whose endless unfoldings are the same have the same description, however the
-/// program is cut into types: equal rows are one row, and rows stand in the order in which a walk,
-/// breadth first, meets them. The [fingerprint](crate::ContractIdentity::fingerprint) relies on it.
+/// A type refers to the types inside of it by their places in the table, so that recursive types
+/// are finite. Two layouts whose endless unfoldings are the same have the same description, however
+/// the program is cut into types: equal rows are one row, and rows stand in the order in which a
+/// walk, breadth first, meets them. The [fingerprint](crate::ContractIdentity::fingerprint) relies
+/// on it.
 ///
 /// A description that was decoded is sound, whoever sent it: its references lead to rows, and its
 /// size, its names and its units are bounded and printable.

@@ -14,7 +14,8 @@ const PATH_LIMIT: usize = 200;
 /// The longest text for one type, in letters; what is longer ends in dots.
 const TYPE_TEXT_LIMIT: usize = 96;
 
-/// What differs between two parties' forms of one contract: at least one line, each about one thing.
+/// What differs between two parties' forms of one contract: at least one line, each about one
+/// thing.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct Difference {
     /// The contract's name on this side.
@@ -38,7 +39,8 @@ pub enum ContractPart {
     Reply,
 }
 
-/// Compares two structures and says what differs, one line for each thing; none when they are the same.
+/// Compares two structures and says what differs, one line for each thing; none when they are the
+/// same.
 pub fn compare(
     half: ContractPart,
     here: &LayoutDescription,

@@ -6,8 +6,8 @@
 //! codec itself decodes a message with two fields swapped without complaint.
 //!
 //! A field's type is given as a function, so that a type which contains itself is no endless
-//! constant. [`LayoutDescription`](crate::LayoutDescription) is the same thing as an owned value that
-//! travels to another node.
+//! constant. [`LayoutDescription`](crate::LayoutDescription) is the same thing as an owned value
+//! that travels to another node.
 
 mod described;
 
@@ -118,8 +118,8 @@ pub struct Variant<R: Clone + 'static> {
     pub fields: Fields<R>,
 }
 
-/// A type that may stand in a contract: its structure is known, it is the same on every platform and
-/// in every run, and it comes out of the codec as it went in.
+/// A type that may stand in a contract: its structure is known, it is the same on every platform
+/// and in every run, and it comes out of the codec as it went in.
 ///
 /// Derive it with `#[derive(Structure)]`; do not implement it by hand.
 ///
@@ -156,7 +156,8 @@ pub trait Described: Serialize + DeserializeOwned + 'static {
     /// The type's structure.
     fn layout() -> &'static Layout;
 
-    /// The vector of bytes that the encoding ends with, if it ends with one: a large one is sent as it lies.
+    /// The vector of bytes that the encoding ends with, if it ends with one: a large one is sent as
+    /// it lies.
     fn last_bytes(&mut self) -> Option<&mut Vec<u8>> {
         None
     }
@@ -168,7 +169,8 @@ pub trait Described: Serialize + DeserializeOwned + 'static {
 }
 
 impl<R: Clone> Shape<R> {
-    /// The same shape with every reference to another type replaced, in the order in which they stand.
+    /// The same shape with every reference to another type replaced, in the order in which they
+    /// stand.
     #[must_use]
     pub fn map<S: Clone>(&self, mut change: impl FnMut(&R) -> S) -> Shape<S> {
         match self {

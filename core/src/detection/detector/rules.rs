@@ -89,7 +89,8 @@ impl Detector {
         }
     }
 
-    /// Whoever stands still behind a hang is remembered, so that its silence is known for a symptom.
+    /// Whoever stands still behind a hang is remembered, so that its silence is known for a
+    /// symptom.
     fn judge_hang(
         &mut self,
         object: &ObjectName,
@@ -326,10 +327,11 @@ impl Detector {
         }
     }
 
-    /// Somebody who stands still does so behind a hang, or because of what else is wrong with itself,
-    /// or because of what it depends on.
+    /// Somebody who stands still does so behind a hang, or because of what else is wrong with
+    /// itself, or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
-        // Also where the culprit has been replaced elsewhere: its victims stand until they are freed.
+        // Also where the culprit has been replaced elsewhere: its victims stand until they are
+        // freed.
         let behind = self.behind.get(object).copied();
         let behind = behind.filter(|&id| self.is_hang(id) || self.chronicle.stands(id));
         let own = || {

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 /// Rounds that a window holds at least: of fewer, one that is missed is already a large share.
 const ROUNDS_LEAST: u64 = 10;
-/// Messages of one window that nobody waited for any more: fewer are callers that changed their mind.
+/// Messages of one window that nobody waited for any more: fewer are callers that changed their
+/// mind.
 const EXPIRED_LEAST: u64 = 3;
 /// Windows in a row that must be bad.
 const WINDOWS: u32 = 2;
@@ -108,8 +109,8 @@ impl Lateness {
             let expired_here = reading.expired.saturating_sub(expired);
             let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero();
             self.bad = if rounds || messages { self.bad + 1 } else { 0 };
-            // What was late because of somebody is so until a window is good: the end of a load is no
-            // fault of those who were behind it.
+            // What was late because of somebody is so until a window is good: the end of a load is
+            // no fault of those who were behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
             self.counts = Counts { missed: missed_here, expired: expired_here, root };
             self.window = Window { since: now, due, missed, expired: reading.expired };

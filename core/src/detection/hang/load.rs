@@ -10,7 +10,8 @@ use crate::detection::hang::occupancy::Occupancy;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// A thread that is free less often than in one of five looks makes its components wait for each other.
+/// A thread that is free less often than in one of five looks makes its components wait for each
+/// other.
 const SATURATED: f32 = 0.8;
 /// The interval of the usual looks, by which a span is turned into a number of them.
 const LOOK: Duration = Duration::from_millis(10);
@@ -21,8 +22,8 @@ fn looks_in(span: Duration) -> usize {
 }
 
 impl Arbiter {
-    /// Who has kept this component from the thread for so long: the one that was on it most often, or
-    /// the one that was so when an overload began and still is for half as often.
+    /// Who has kept this component from the thread for so long: the one that was on it most often,
+    /// or the one that was so when an overload began and still is for half as often.
     pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<SlotId> {
         let looks = looks_in(span);
         if self.occupancy.busy(looks) < SATURATED {
@@ -55,7 +56,8 @@ impl Component {
         }
         let root = around.kept_by(silent_for);
         if around.hangs() {
-            // A hang is the root of what happens behind it. What was given up is not judged any more.
+            // A hang is the root of what happens behind it. What was given up is not judged any
+            // more.
             around.arbiter.filter(|arbiter| arbiter.fenced_since.is_none())?;
         } else if root.is_some() || self.is_flooded(around, looked, silent_for) {
             let slot = around.slot;
@@ -157,7 +159,8 @@ impl Component {
 }
 
 impl HangDetector {
-    /// Finds the roots of those who are late, and tells each when it is new, or its victims are more.
+    /// Finds the roots of those who are late, and tells each when it is new, or its victims are
+    /// more.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
         let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
         let home = |slot| Some(self.component(slot)?.judged.arbiter);

@@ -1,14 +1,14 @@
-//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write in
-//! passing.
+//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write
+//! in passing.
 //!
 //! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
-//! for each the time at which it first saw it stand. An arbiter whose beat stands while a component is
-//! on its thread *hangs*, and that component is the culprit. Where the beat goes on, a handler whose turn
-//! stands *waits*.
+//! for each the time at which it first saw it stand. An arbiter whose beat stands while a component
+//! is on its thread *hangs*, and that component is the culprit. Where the beat goes on, a handler
+//! whose turn stands *waits*.
 //!
-//! A component that works and is late, by its rounds, its signs of life or its messages, is *overloaded*;
-//! where another one keeps their thread, that one is, and the late ones are its victims. What a victim
-//! suffers is told after its root was.
+//! A component that works and is late, by its rounds, its signs of life or its messages, is
+//! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
+//! victims. What a victim suffers is told after its root was.
 //!
 //! A culprit is not condemned by what the scanner itself missed: when it was not scheduled for a
 //! while, everything seen before is void.
@@ -270,7 +270,8 @@ impl HangDetector {
         })
     }
 
-    /// Which components have something in service, which turn it is, and since when at least; by slot.
+    /// Which components have something in service, which turn it is, and since when at least; by
+    /// slot.
     pub fn busy(&self) -> impl Iterator<Item = (SlotId, u64, Instant)> + '_ {
         let known = (0..).zip(&self.components);
         known.filter_map(|(slot, component)| {

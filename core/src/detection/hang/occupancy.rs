@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Who was found on a thread in the latest looks.
 ///
-/// It costs a store for each look, and no clock. What happens in step with the looks is misjudged, as by
-/// any sample.
+/// It costs a store for each look, and no clock. What happens in step with the looks is misjudged,
+/// as by any sample.
 ///
 /// ```
 /// use blastema_core::occupancy::Occupancy;

@@ -17,17 +17,18 @@ pub struct HangDetectorConfig {
     /// How far apart two looks may be. More means that the scanner itself was not scheduled. Ten of
     /// the usual intervals: shorter voids good observations on a busy machine.
     pub gap: Duration,
-    /// How long a beat may stand before the arbiter's components are not judged for awaiting too long,
-    /// and not for silence where no component is on the thread. Several beats, and well below the
-    /// shortest tolerance for silence.
+    /// How long a beat may stand before the arbiter's components are not judged for awaiting too
+    /// long, and not for silence where no component is on the thread. Several beats, and well below
+    /// the shortest tolerance for silence.
     pub standstill: Duration,
-    /// How long messages must have been late before that is an overload. Shorter reports single bursts.
+    /// How long messages must have been late before that is an overload. Shorter reports single
+    /// bursts.
     pub dwell: Duration,
-    /// How long nothing may be late before an overload is over. Shorter reports one that comes and goes
-    /// as many.
+    /// How long nothing may be late before an overload is over. Shorter reports one that comes and
+    /// goes as many.
     pub relief: Duration,
-    /// Over how long, at least, rounds and expired requests are counted. Two such windows in a row must
-    /// be bad. Shorter reports single delays; longer finds an overload later.
+    /// Over how long, at least, rounds and expired requests are counted. Two such windows in a row
+    /// must be bad. Shorter reports single delays; longer finds an overload later.
     pub window: Duration,
 }
 
@@ -57,8 +58,8 @@ pub struct HangLimits {
     pub max_wait: Duration,
     /// How long it may give no sign of life, if it is expected to.
     pub max_silence: Option<MaxSilence>,
-    /// How long neither it nor its arbiter may move, if it is asked whether it is alive: whoever moves
-    /// could answer.
+    /// How long neither it nor its arbiter may move, if it is asked whether it is alive: whoever
+    /// moves could answer.
     pub max_unanswered: Option<Duration>,
     /// How long a message may wait in its queue.
     pub max_delay: Duration,
@@ -189,8 +190,8 @@ pub enum LivenessEvent {
         /// Who is late behind it, on the same thread.
         victims: Vec<ObjectName>,
     },
-    /// A component has taken no message for longer than one may wait, although some wait and its thread
-    /// is free.
+    /// A component has taken no message for longer than one may wait, although some wait and its
+    /// thread is free.
     Stuck {
         /// Who.
         object: ObjectName,

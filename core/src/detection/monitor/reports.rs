@@ -1,5 +1,5 @@
-//! What the watch thread has seen: handlers that take too long, overload, silence, and a process that
-//! stood still.
+//! What the watch thread has seen: handlers that take too long, overload, silence, and a process
+//! that stood still.
 
 use super::Monitor;
 use crate::detection::Finding;
@@ -132,7 +132,8 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is void.
+    /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
+    /// void.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
         self.stalls += 1;
         self.inquiry.handle_stall(gap, now);

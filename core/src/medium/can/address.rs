@@ -47,8 +47,8 @@ impl fmt::Display for BusAddress {
 pub enum Addressing {
     /// 29 bits: addresses 0 to 254.
     Extended {
-        /// 0 to 7; the lowest goes first where several speak at once. ISO 15765-2 recommends 6, so that
-        /// what controls a machine goes before what is longer than a frame.
+        /// 0 to 7; the lowest goes first where several speak at once. ISO 15765-2 recommends 6, so
+        /// that what controls a machine goes before what is longer than a frame.
         priority: u8,
     },
     /// 11 bits, the upper half of the identifiers: addresses 0 to 30.
@@ -99,8 +99,8 @@ impl Addressing {
         }
     }
 
-    /// Who speaks to whom; `None` for an identifier that other things on the bus use. The priority is
-    /// the speaker's business.
+    /// Who speaks to whom; `None` for an identifier that other things on the bus use. The priority
+    /// is the speaker's business.
     pub fn parties(self, id: CanId) -> Option<AddressInfo> {
         let number = id.number();
         let (to_all, target, source) = match (self, id) {

@@ -7,11 +7,11 @@
 //!     └─────────────────────────► Lost ◄────────────────────┘
 //! ```
 //!
-//! Whoever hears that another node speaks under its address, says its claim again; the one who comes
-//! second falls silent. Who has held the address for a while goes before who has just come, so that a
-//! node that is plugged in with a wrong address does not put a running robot out of order (J1939 decides
-//! by the name alone). Otherwise the lesser name goes first, and between two of one name the lesser
-//! number, which each draws anew.
+//! Whoever hears that another node speaks under its address, says its claim again; the one who
+//! comes second falls silent. Who has held the address for a while goes before who has just come,
+//! so that a node that is plugged in with a wrong address does not put a running robot out of order
+//! (J1939 decides by the name alone). Otherwise the lesser name goes first, and between two of one
+//! name the lesser number, which each draws anew.
 //!
 //! Nobody takes another address by itself: the neighbours are configured with this one.
 
@@ -25,7 +25,8 @@ use std::time::Duration;
 const NAME_MAX: usize = 64;
 /// How long others have to object, as in J1939-81.
 const PATIENCE: Duration = Duration::from_millis(250);
-/// So long after a claim the next is said at the earliest: a flood of claims is not answered by another.
+/// So long after a claim the next is said at the earliest: a flood of claims is not answered by
+/// another.
 const PAUSE: Duration = Duration::from_millis(50);
 /// The same where something else is said under our address, which may be an echo of what we said.
 const LONG_PAUSE: Duration = Duration::from_secs(1);
@@ -39,7 +40,8 @@ const FORM: u8 = 1;
 pub struct AddressClaimed {
     /// It has held the address for a while.
     pub held: bool,
-    /// Drawn anew by each who claims, so that two of one name are told apart, and an echo from another.
+    /// Drawn anew by each who claims, so that two of one name are told apart, and an echo from
+    /// another.
     pub number: u32,
     /// How people call it.
     pub name: String,

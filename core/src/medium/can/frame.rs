@@ -12,7 +12,8 @@ const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 const STANDARD_MAX: u32 = 0x7ff;
 const EXTENDED_MAX: u32 = 0x1fff_ffff;
 
-/// What a frame is about. On the bus, of two that begin at the same time the lower number goes first.
+/// What a frame is about. On the bus, of two that begin at the same time the lower number goes
+/// first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum CanId {
     /// 11 bits.
@@ -97,7 +98,8 @@ impl Format {
         }
     }
 
-    /// The least length that a frame can have and that holds so many bytes; `None` beyond the largest.
+    /// The least length that a frame can have and that holds so many bytes; `None` beyond the
+    /// largest.
     pub fn length_for(self, bytes: usize) -> Option<usize> {
         match self {
             _ if bytes <= CLASSIC_MAX => Some(bytes),
@@ -169,8 +171,9 @@ impl CanFrame {
     }
 }
 
-/// How many bits a frame with so many bytes takes on the bus, with the pause after it. Stuffed bits are
-/// counted as a tenth: it is every fifth at worst. A faster rate for FD's data is not counted on.
+/// How many bits a frame with so many bytes takes on the bus, with the pause after it. Stuffed bits
+/// are counted as a tenth: it is every fifth at worst. A faster rate for FD's data is not counted
+/// on.
 ///
 /// ```
 /// // 3,472 full classic frames a second at 500 kbit/s.

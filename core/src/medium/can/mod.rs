@@ -1,5 +1,5 @@
-//! What a CAN bus needs, as pure logic: frames, who speaks to whom, messages longer than a frame, and
-//! the text that serial adapters speak.
+//! What a CAN bus needs, as pure logic: frames, who speaks to whom, messages longer than a frame,
+//! and the text that serial adapters speak.
 //!
 //! ```text
 //!        messages ──► isotp ──► frames ──► socket                 (SocketCAN)

@@ -7,20 +7,20 @@
 //!        │ hello 8, echo of our 40 ──────────► │  it lives now, and hears us: it is the neighbour
 //! ```
 //!
-//! A hello that goes on from the neighbour's last one is taken at once. One that does not (another life,
-//! another interval, a number that was passed or is far ahead) makes a *claimant*. It becomes the
-//! neighbour with a further hello that goes on from its first, and that echoes what we said only after
-//! that, if the neighbour has been silent since, and should not have been. A hello with a changed bit has
-//! no sequel, one that was made up without hearing us no echo, and one of a life that is over echoes what
-//! we said while that life was there.
+//! A hello that goes on from the neighbour's last one is taken at once. One that does not (another
+//! life, another interval, a number that was passed or is far ahead) makes a *claimant*. It becomes
+//! the neighbour with a further hello that goes on from its first, and that echoes what we said
+//! only after that, if the neighbour has been silent since, and should not have been. A hello with
+//! a changed bit has no sequel, one that was made up without hearing us no echo, and one of a life
+//! that is over echoes what we said while that life was there.
 //!
-//! What was recorded and comes again cannot echo what we said later. So a hello that echoes more of us
-//! outdoes one that echoes less: whoever repeats the past keeps nobody from becoming the neighbour, and does
-//! not stay it, also where we began anew and heard the past first.
+//! What was recorded and comes again cannot echo what we said later. So a hello that echoes more of
+//! us outdoes one that echoes less: whoever repeats the past keeps nobody from becoming the
+//! neighbour, and does not stay it, also where we began anew and heard the past first.
 //!
-//! Which life is the present one is thus decided by who answers, and not by whose number is greater: a
-//! node whose clock was set back while it was off is no worse off than another. Of two that both answer,
-//! the first has the link.
+//! Which life is the present one is thus decided by who answers, and not by whose number is
+//! greater: a node whose clock was set back while it was off is no worse off than another. Of two
+//! that both answer, the first has the link.
 
 use super::quality::QualityEstimator;
 use super::{Link, Neighbour, NeighbourRecord, PeerRefusal};
@@ -30,8 +30,8 @@ use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use std::time::Duration;
 
-/// A hello's number may be ahead by so many more intervals than have passed since the last one came,
-/// which may have waited on its way. Those that it has passed are missed, and two may be.
+/// A hello's number may be ahead by so many more intervals than have passed since the last one
+/// came, which may have waited on its way. Those that it has passed are missed, and two may be.
 const AHEAD_MAX: u64 = 2;
 
 /// Of numbers that were passed, so many are remembered.
@@ -74,8 +74,8 @@ impl Link {
         }
     }
 
-    /// Counts every refusal. Tells each the second time in a row, and only when it is another than the
-    /// last that was told.
+    /// Counts every refusal. Tells each the second time in a row, and only when it is another than
+    /// the last that was told.
     pub(super) fn refuse(&mut self, refusal: Option<PeerRefusal>) {
         self.refusals.unexpected += 1;
         if refusal.is_none() || refusal == self.refused {
@@ -89,7 +89,8 @@ impl Link {
         }
     }
 
-    /// Is it the neighbour who speaks, and when is the next hello due? What says nothing is counted.
+    /// Is it the neighbour who speaks, and when is the next hello due? What says nothing is
+    /// counted.
     pub(super) fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> HelloArrival {
         let Some(heard) = &mut self.neighbour else {
             self.begin_with(hello, interval, now);
@@ -138,8 +139,9 @@ impl Link {
         sent.find(|sequence| *sequence == echo.sequence)
     }
 
-    /// Whether this hello shows that the claimant, whose it is, hears us now, while the neighbour is
-    /// silent or does not. If there was none, or one that says less, its is the claim from now on.
+    /// Whether this hello shows that the claimant, whose it is, hears us now, while the neighbour
+    /// is silent or does not. If there was none, or one that says less, its is the claim from now
+    /// on.
     fn has_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
         let answered = self.echo_in(hello);
         let silent = self.neighbour.as_ref().is_none_or(|heard| {
@@ -169,8 +171,8 @@ impl Link {
         }
     }
 
-    /// What our next hello echoes, if it is the claimant's turn: while the neighbour speaks as well, every
-    /// other time, and where that hears us, only if the claimant does, too.
+    /// What our next hello echoes, if it is the claimant's turn: while the neighbour speaks as
+    /// well, every other time, and where that hears us, only if the claimant does, too.
     pub(super) fn claimants_turn(&self) -> Option<(Incarnation, u32, Instant)> {
         let (number, said) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
         let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= said)?;

@@ -6,10 +6,10 @@ use std::time::Duration;
 
 /// Estimates when the next of a series of numbered signs of life arrives.
 ///
-/// The series is sent once per interval; nothing is known of the sender's clock. The estimate is the
-/// mean of `arrival - interval * number` over the last arrivals, plus the next number's interval
-/// (Chen, Toueg, Aguilera, IEEE ToC 51(5), 2002, section 5.3). Unlike a timer that every arrival
-/// restarts, it does not carry the delay of the last message into the next deadline.
+/// The series is sent once per interval; nothing is known of the sender's clock. The estimate is
+/// the mean of `arrival - interval * number` over the last arrivals, plus the next number's
+/// interval (Chen, Toueg, Aguilera, IEEE ToC 51(5), 2002, section 5.3). Unlike a timer that every
+/// arrival restarts, it does not carry the delay of the last message into the next deadline.
 #[derive(Clone, Debug)]
 pub(crate) struct ArrivalEstimator {
     interval: Duration,
@@ -112,9 +112,9 @@ impl ArrivalEstimator {
         Instant::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
     }
 
-    /// How surprising the silence is by now: φ of Hayashibara et al. (SRDS 2004), here from the expected
-    /// arrival and the spread around it. 1 is one in ten, 3 one in a thousand, if delays were normally
-    /// distributed. They are not: it is a score for people, and decides nothing.
+    /// How surprising the silence is by now: φ of Hayashibara et al. (SRDS 2004), here from the
+    /// expected arrival and the spread around it. 1 is one in ten, 3 one in a thousand, if delays
+    /// were normally distributed. They are not: it is a score for people, and decides nothing.
     pub(crate) fn phi(&self, now: Instant) -> f32 {
         let count = self.offsets.len().max(1) as f64;
         let mean = self.sum as f64 / count;

@@ -8,7 +8,8 @@ use crate::net::wire::node_id::NodeId;
 use std::time::Duration;
 
 impl Link {
-    /// From now on hellos are said to all links of a bus at once: this one only says when one is due.
+    /// From now on hellos are said to all links of a bus at once: this one only says when one is
+    /// due.
     pub(in crate::net) fn join_bus(&mut self) {
         self.on_bus = true;
     }
@@ -62,7 +63,8 @@ impl Link {
         let interval = interval.min(Self::INTERVAL_MAX);
         if interval > self.config.hello_interval {
             self.config.hello_interval = interval;
-            // Hellos are numbered by their interval: echoes of the old numbers say nothing any more.
+            // Hellos are numbered by their interval: echoes of the old numbers say nothing any
+            // more.
             self.sent.clear();
             self.claimant = None;
             if let Some(heard) = &mut self.neighbour {

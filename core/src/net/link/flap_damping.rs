@@ -5,7 +5,8 @@ use crate::Instant;
 use crate::net::wire::frame::HelloState;
 
 impl Link {
-    /// Whether a link that is suspect is heard again, and only for how often it was not is not trusted.
+    /// Whether a link that is suspect is heard again, and only for how often it was not is not
+    /// trusted.
     pub fn is_proving(&self) -> bool {
         self.state == LinkState::Suspect && self.proving
     }

@@ -1,8 +1,8 @@
 //! The links over one transport, as one machine.
 //!
-//! Where each leads along a cable of its own, they have nothing to do with each other, and each says its
-//! own hello. On a bus, which all nodes hear, that would be a hello from each node to each other; there
-//! the bundle says one [greeting](crate::net::wire::bus_hello) for all of them:
+//! Where each leads along a cable of its own, they have nothing to do with each other, and each
+//! says its own hello. On a bus, which all nodes hear, that would be a hello from each node to each
+//! other; there the bundle says one [greeting](crate::net::wire::bus_hello) for all of them:
 //!
 //! ```text
 //! link to b ─┐ word to b (changed: goes first)
@@ -50,8 +50,9 @@ pub enum LinkSetOutput {
 }
 
 impl LinkSet {
-    /// So many neighbours have a word in one greeting: with a name of ten letters, eight classic frames of
-    /// CAN. More makes every greeting longer; with fewer, a neighbour learns later that it is not heard.
+    /// So many neighbours have a word in one greeting: with a name of ten letters, eight classic
+    /// frames of CAN. More makes every greeting longer; with fewer, a neighbour learns later that
+    /// it is not heard.
     pub const WORDS: usize = 2;
     /// All greetings of a bus together may take one part in so many of it.
     const SHARE: u64 = 10;
@@ -99,15 +100,15 @@ impl LinkSet {
         }
     }
 
-    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most on each link,
-    /// or a tenth together on a bus.
+    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most on
+    /// each link, or a tenth together on a bus.
     pub fn handle_rate(&mut self, bytes_per_second: u64) {
         self.bytes_per_second = Some(bytes_per_second);
         self.pace();
     }
 
-    /// The largest frame has so many bytes. On a slow medium hellos are at least so far apart as it takes, so
-    /// that one which waits for it is not late by an interval.
+    /// The largest frame has so many bytes. On a slow medium hellos are at least so far apart as it
+    /// takes, so that one which waits for it is not late by an interval.
     pub fn handle_mtu(&mut self, mtu: usize) {
         self.mtu = mtu;
         self.each(|link| link.handle_mtu(mtu));

@@ -9,12 +9,13 @@
 //!                                               Down
 //! ```
 //!
-//! Each end says in its hellos whether it would use the link, and uses it only while the other would:
-//! what one end sends, the other takes.
+//! Each end says in its hellos whether it would use the link, and uses it only while the other
+//! would: what one end sends, the other takes.
 //!
-//! What a hello says is believed at once where it goes on from the last one. Where it contradicts that, such
-//! as a new life of the neighbour's, it is believed when it has been confirmed both ways (see
-//! `acquaintance`): a frame that was changed on its way, made up, or late by a life takes nothing down.
+//! What a hello says is believed at once where it goes on from the last one. Where it contradicts
+//! that, such as a new life of the neighbour's, it is believed when it has been confirmed both ways
+//! (see `acquaintance`): a frame that was changed on its way, made up, or late by a life takes
+//! nothing down.
 //!
 //! A link does not queue, repeat or order anything: that is the session's business, end to end.
 
@@ -67,8 +68,8 @@ pub struct Link {
     calm: u32,
     /// It is suspect for what was, and not for what is.
     proving: bool,
-    /// It has failed since it was trusted last: it carries what has no other way, until it has proved itself as
-    /// often as it has failed lately.
+    /// It has failed since it was trusted last: it carries what has no other way, until it has
+    /// proved itself as often as it has failed lately.
     damped: bool,
     given_up: RemoteDownNotice,
     /// It is one of a bus: others say its hellos, of which this one is due.
@@ -197,8 +198,9 @@ impl Link {
         }
     }
 
-    /// Whether what comes is taken. A neighbour may send packets before its hello that it uses the link is
-    /// here. Nothing but hellos brings a link up: what else comes has no number, and may be of the past.
+    /// Whether what comes is taken. A neighbour may send packets before its hello that it uses the
+    /// link is here. Nothing but hellos brings a link up: what else comes has no number, and may be
+    /// of the past.
     fn takes(&self, frame: &Frame) -> bool {
         match frame {
             Frame::Hello(_) | Frame::Greeting(_) => true,
@@ -240,15 +242,16 @@ impl Link {
         self.mtu = mtu;
     }
 
-    /// The transport knows that the medium, or the connection, is gone: no need to wait for silence.
+    /// The transport knows that the medium, or the connection, is gone: no need to wait for
+    /// silence.
     pub fn handle_loss(&mut self, now: Instant) {
         if self.carries() {
             self.go_down("the transport lost the neighbour", now);
         }
     }
 
-    /// The interface has lost its carrier: the cable is pulled, or the other end is switched off. What
-    /// is heard later proves the contrary. The reason is for people.
+    /// The interface has lost its carrier: the cable is pulled, or the other end is switched off.
+    /// What is heard later proves the contrary. The reason is for people.
     pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
         if self.carries() {
             self.go_down(reason, now);
@@ -357,7 +360,8 @@ impl Link {
         }
     }
 
-    /// When silence, or deafness of the neighbour, will have lasted so long past the expected hello.
+    /// When silence, or deafness of the neighbour, will have lasted so long past the expected
+    /// hello.
     fn due(&self, after_percent: u32) -> Option<Instant> {
         let heard = self.neighbour.as_ref()?;
         let interval = heard.arrivals.interval();
@@ -404,9 +408,9 @@ impl Link {
     }
 
     fn say_hello(&mut self, now: Instant) {
-        // Numbered and sent by the absolute schedule, never "an interval after the last one": a late
-        // hello must not shift the later ones. Counted from the clock's origin, the number also
-        // goes on rising when this machine is built anew in a running process.
+        // Numbered and sent by the absolute schedule, never "an interval after the last one": a
+        // late hello must not shift the later ones. Counted from the clock's origin, the number
+        // also goes on rising when this machine is built anew in a running process.
         let nanos = self.interval().as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
@@ -542,7 +546,8 @@ fn percent(span: Duration, percent: u32) -> Duration {
     span * percent / 100
 }
 
-/// How many more than three hellos must be lost in a row until that is less likely than 1 in 100,000.
+/// How many more than three hellos must be lost in a row until that is less likely than 1 in
+/// 100,000.
 fn hellos_beyond_three(loss_permille: u16) -> u32 {
     match loss_permille {
         0..=20 => 0,

@@ -10,8 +10,8 @@ pub struct Quality {
     pub round_trip: Option<Duration>,
     /// Its smoothed deviation.
     pub jitter: Duration,
-    /// How many of a thousand hellos were lost, over the last 64: the neighbour's on their way here,
-    /// or ours on their way there, whichever is more.
+    /// How many of a thousand hellos were lost, over the last 64: the neighbour's on their way
+    /// here, or ours on their way there, whichever is more.
     pub loss_permille: u16,
     /// Loss or round trip is beyond its limit.
     pub degraded: bool,
@@ -48,8 +48,8 @@ impl Default for Quality {
 
 /// A degraded link costs this many times as much: any other way is taken first.
 const DEGRADED: u32 = 8;
-/// A link becomes dearer at once, and cheaper only when it has been dear for so long: traffic that is
-/// moved by a bad spell moves back once in this time at most.
+/// A link becomes dearer at once, and cheaper only when it has been dear for so long: traffic that
+/// is moved by a bad spell moves back once in this time at most.
 const SETTLING: Duration = Duration::from_secs(5);
 
 impl QualityEstimator {
@@ -57,8 +57,8 @@ impl QualityEstimator {
         self.quality
     }
 
-    /// A round trip was measured. RFC 6298's smoothing: an eighth of each new round trip, a quarter of
-    /// each deviation.
+    /// A round trip was measured. RFC 6298's smoothing: an eighth of each new round trip, a quarter
+    /// of each deviation.
     pub(super) fn handle_round_trip(&mut self, sample: Duration) {
         let quality = &mut self.quality;
         match quality.round_trip {

@@ -4,8 +4,8 @@ use crate::net::wire::WireError;
 use crate::net::wire::frame::{FRAME_HEADER, Frame, RoutingFragment};
 use bytes::{Bytes, BytesMut};
 
-/// The most bytes that are put together: one advertisement with all neighbours, and what it takes back, are
-/// 677, and of more a router makes several.
+/// The most bytes that are put together: one advertisement with all neighbours, and what it takes
+/// back, are 677, and of more a router makes several.
 const WHOLE_MAX: usize = 1_024;
 /// What a part's frame puts before it: which part it is.
 const PART_HEADER: usize = FRAME_HEADER + 1;
@@ -26,8 +26,8 @@ pub(super) fn frames_of(bytes: Bytes, mtu: usize) -> Vec<Frame> {
         .collect()
 }
 
-/// Puts parts together that come in their order. Where one is missing, the rest is worth nothing: routers
-/// repeat what is not confirmed.
+/// Puts parts together that come in their order. Where one is missing, the rest is worth nothing:
+/// routers repeat what is not confirmed.
 #[derive(Debug, Default)]
 pub(super) struct RoutingReassembly {
     held: BytesMut,

@@ -1,8 +1,8 @@
 //! The neighbour's word, by another way, that it has given the link up.
 //!
-//! It is an accelerator: its interface has lost its carrier and ours has not, where a switch stands between.
-//! Whoever has given a link up says so, or nothing, on the link itself. So hellos that come all the same
-//! and say that it is ready show that the word was a mistake, or a lie.
+//! It is an accelerator: its interface has lost its carrier and ours has not, where a switch stands
+//! between. Whoever has given a link up says so, or nothing, on the link itself. So hellos that
+//! come all the same and say that it is ready show that the word was a mistake, or a lie.
 
 use super::{Link, LinkState};
 use crate::Instant;
@@ -13,15 +13,16 @@ const CONTRADICTIONS: u32 = 2;
 
 #[derive(Debug, Default)]
 pub(super) struct RemoteDownNotice {
-    /// How many hellos have contradicted it since; `None` where it does not count, or was never said.
+    /// How many hellos have contradicted it since; `None` where it does not count, or was never
+    /// said.
     pub(super) since: Option<u32>,
     /// It was contradicted lately: until then it does not count.
     disbelieved_until: Instant,
 }
 
 impl Link {
-    /// The neighbour is said to have given the link up. It is suspect until hellos say the contrary, or are
-    /// missing for so long that it is down.
+    /// The neighbour is said to have given the link up. It is suspect until hellos say the
+    /// contrary, or are missing for so long that it is down.
     pub fn handle_given_up(&mut self, now: Instant) {
         if self.carries() && !self.is_given_up() && self.given_up.disbelieved_until <= now {
             self.given_up.since = Some(0);

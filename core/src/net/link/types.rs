@@ -16,21 +16,21 @@ pub struct LinkConfig {
     pub incarnation: Incarnation,
     /// Who must be at the other end; `None` takes whoever speaks first.
     pub expected: Option<NodeName>,
-    /// How long after the start, and five hellos, whoever is at the other end may take to prove that it
-    /// is there, before it is told as missing.
+    /// How long after the start, and five hellos, whoever is at the other end may take to prove
+    /// that it is there, before it is told as missing.
     pub peer_timeout: Duration,
-    /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link sooner
-    /// and costs more.
+    /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link
+    /// sooner and costs more.
     pub hello_interval: Duration,
-    /// So many percent of an interval after its time, a missing hello makes the link suspect: traffic
-    /// avoids it where it can. Lower fails over sooner, and more often for nothing.
+    /// So many percent of an interval after its time, a missing hello makes the link suspect:
+    /// traffic avoids it where it can. Lower fails over sooner, and more often for nothing.
     pub suspect_after_percent: u32,
-    /// So many percent of an interval after its time, a missing hello takes the link down. On a link
-    /// that loses hellos anyway, more must be missing, so that loss alone takes it down once in some
-    /// 100,000 hellos.
+    /// So many percent of an interval after its time, a missing hello takes the link down. On a
+    /// link that loses hellos anyway, more must be missing, so that loss alone takes it down once
+    /// in some 100,000 hellos.
     pub down_after_percent: u32,
-    /// So many hellos bring a new link up, where each that is missing takes back two; a link that was
-    /// down needs twice as many for each time that it went down lately.
+    /// So many hellos bring a new link up, where each that is missing takes back two; a link that
+    /// was down needs twice as many for each time that it went down lately.
     pub up_after_hellos: u32,
     /// A link that loses more than this of a thousand hellos is degraded.
     pub degraded_loss_permille: u16,
@@ -45,14 +45,14 @@ impl LinkConfig {
             node,
             incarnation,
             expected: None,
-            // A process begins within a second, and a computer that is switched on with it takes longer
-            // and is found later.
+            // A process begins within a second, and a computer that is switched on with it takes
+            // longer and is found later.
             peer_timeout: Duration::from_secs(5),
-            // A process that shares its cores stands still for some 100 ms when they are overloaded;
-            // with 50 ms, such a link is suspect, and not yet down.
+            // A process that shares its cores stands still for some 100 ms when they are
+            // overloaded; with 50 ms, such a link is suspect, and not yet down.
             hello_interval: Duration::from_millis(50),
-            // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in a
-            // row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
+            // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in
+            // a row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
             suspect_after_percent: 100,
             down_after_percent: 250,
             up_after_hellos: 3,
@@ -136,7 +136,8 @@ pub enum LinkOutput {
         /// Why, for people.
         reason: &'static str,
     },
-    /// Nobody has proved to be at the other end since the start. When somebody does, `Changed` says so.
+    /// Nobody has proved to be at the other end since the start. When somebody does, `Changed` says
+    /// so.
     Missing {
         /// Somebody speaks there, and does not hear us.
         heard: bool,

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 /// Tells a message's age from the sender's stamp, without comparing clocks.
 ///
-/// `arrival - stamp` is the age plus an unknown constant. The least that was seen lately belongs to a
-/// message that came as fast as the network allows; what another took more than that, it waited on the
-/// way: in a buffer, for a path, for a repetition. The age is therefore short by the fastest passage,
-/// less than a round trip.
+/// `arrival - stamp` is the age plus an unknown constant. The least that was seen lately belongs to
+/// a message that came as fast as the network allows; what another took more than that, it waited
+/// on the way: in a buffer, for a path, for a repetition. The age is therefore short by the fastest
+/// passage, less than a round trip.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AgeEstimator {
     /// The least of the present window, and of the one before, in microseconds.

@@ -2,14 +2,16 @@
 
 use crate::net::session::size_class::SizeClass;
 
-/// The messages that should wait: one round trip's worth of a fast sender. Beyond, senders are told to stop.
+/// The messages that should wait: one round trip's worth of a fast sender. Beyond, senders are told
+/// to stop.
 pub(super) const MESSAGES: usize = 1024;
-/// The bytes of small ones, likewise; of bulk half as many, beside them: for it that is one round trip's worth, and
-/// the first large one closes the hall in any case.
+/// The bytes of small ones, likewise; of bulk half as many, beside them: for it that is one round
+/// trip's worth, and the first large one closes the hall in any case.
 const BYTES: usize = 1 << 20;
-/// So many times as much of either waits at most, whatever senders were told: what should, the one that was too much,
-/// and what is on its way here meanwhile, by two ways (`redundant` has its own) of 1 MiB and one message more each. Of
-/// bulk that is at most 1/2 + 1 + 2 * (1 + 1) MiB; of messages 1024 + 2 * 2048.
+/// So many times as much of either waits at most, whatever senders were told: what should, the one
+/// that was too much, and what is on its way here meanwhile, by two ways (`redundant` has its own)
+/// of 1 MiB and one message more each. Of bulk that is at most 1/2 + 1 + 2 * (1 + 1) MiB; of
+/// messages 1024 + 2 * 2048.
 pub(super) const TIMES: usize = 6;
 
 /// The count of what waits for all bindings to one peer.
@@ -54,7 +56,8 @@ impl PendingBudget {
         BudgetVerdict::Closing(load)
     }
 
-    /// Counts out messages of so many bytes each. Answers with what senders that were told to stop may go on.
+    /// Counts out messages of so many bytes each. Answers with what senders that were told to stop
+    /// may go on.
     pub(super) fn leave(&mut self, all: impl Iterator<Item = usize>) -> Vec<SizeClass> {
         for bytes in all {
             let half = &mut self.halves[SizeClass::of(bytes) as usize];

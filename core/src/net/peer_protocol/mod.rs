@@ -5,8 +5,8 @@
 //! name, version and fingerprint, and what follows carries only a number. Whatever was promised is
 //! resolved: with the reply, or when the session with the callee's node ends.
 //!
-//! A peer's part of it lives as long as the session with it. Each session has an epoch, so that what
-//! was begun in one is never answered in the next.
+//! A peer's part of it lives as long as the session with it. Each session has an epoch, so that
+//! what was begun in one is never answered in the next.
 
 mod age;
 mod budget;
@@ -50,8 +50,8 @@ const CALLS_MAX: usize = 64 * 1024;
 /// For the caller to see its deadline pass by itself.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// The machine of one node's dealings with all others. It waits for nothing: silence is the session's
-/// matter, and callers mind their deadlines.
+/// The machine of one node's dealings with all others. It waits for nothing: silence is the
+/// session's matter, and callers mind their deadlines.
 #[derive(Debug, Default)]
 pub struct PeerProtocol {
     peers: BTreeMap<NodeId, PeerRecord>,
@@ -86,8 +86,9 @@ struct PeerRecord {
 }
 
 impl PeerProtocol {
-    /// An exchange in the place of one that failed. No number of the old one's is used again; what waited in it
-    /// is lost for this reason, and what comes back of its sessions is known. Callers have been told.
+    /// An exchange in the place of one that failed. No number of the old one's is used again; what
+    /// waited in it is lost for this reason, and what comes back of its sessions is known. Callers
+    /// have been told.
     pub fn reborn(&self, why: &DeliveryError) -> Self {
         let mut next = PeerProtocol {
             next_subscription: self.next_subscription,
@@ -237,8 +238,8 @@ impl PeerProtocol {
         }
     }
 
-    /// The answer to [`PeerProtocolOutput::Bind`]: this is bound, or why not, and the contract as it is
-    /// known here.
+    /// The answer to [`PeerProtocolOutput::Bind`]: this is bound, or why not, and the contract as
+    /// it is known here.
     pub fn handle_bound(
         &mut self,
         peer: NodeId,
@@ -334,8 +335,8 @@ impl PeerProtocol {
         }
     }
 
-    /// This node listens to a topic from now on, by the present version of its contract and the earlier
-    /// ones that it understands; or no more, if there is none.
+    /// This node listens to a topic from now on, by the present version of its contract and the
+    /// earlier ones that it understands; or no more, if there is none.
     pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
         let before = self.interests.remove(&topic);
         if let Some(RemoteTopic { subscription, .. }) = before {
@@ -501,7 +502,8 @@ impl PeerProtocol {
     }
 }
 
-/// A request is not going to be answered in this session: it waits for the next one, or is resolved.
+/// A request is not going to be answered in this session: it waits for the next one, or is
+/// resolved.
 fn give_up(
     state: &mut PeerRecord,
     outputs: &mut VecDeque<PeerProtocolOutput>,

@@ -100,8 +100,8 @@ impl PeerSession {
         }
     }
 
-    /// The peer says that an object has no room. Answers whether that is news, and of which object; `None`
-    /// if nothing was bound that this could be about.
+    /// The peer says that an object has no room. Answers whether that is news, and of which object;
+    /// `None` if nothing was bound that this could be about.
     pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.entry(object.clone()).or_default();
@@ -109,8 +109,8 @@ impl PeerSession {
         full.insert(binding).then(|| (object.clone(), news))
     }
 
-    /// The peer says that an object has room again. Answers likewise; `None` also if the contrary was not
-    /// said.
+    /// The peer says that an object has room again. Answers likewise; `None` also if the contrary
+    /// was not said.
     pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.get_mut(object)?;
@@ -187,8 +187,8 @@ fn ticks(span: Duration) -> u64 {
     u64::try_from(span.as_micros()).unwrap_or(u64::MAX) / TICK_US
 }
 
-/// Hands a message over as its contract wants it to travel. Channels of subscriptions are even, those of
-/// bindings odd.
+/// Hands a message over as its contract wants it to travel. Channels of subscriptions are even,
+/// those of bindings odd.
 pub(super) fn carry(
     peer: NodeId,
     (channel, delivery, strand): BindingRoute,

@@ -8,18 +8,18 @@
 //!      │ ◄───────────────────────── room 1    │  the last that waited has been taken
 //! ```
 //!
-//! Each object has a line of its own for each peer, so that nobody waits for another's receiver. What a
-//! peer may have waiting is what its side can have under way before it has heard that it is to stop.
-//! Whoever goes on after that loses what does not fit, and it is counted.
+//! Each object has a line of its own for each peer, so that nobody waits for another's receiver.
+//! What a peer may have waiting is what its side can have under way before it has heard that it is
+//! to stop. Whoever goes on after that loses what does not fit, and it is counted.
 
 use crate::ObjectName;
 use crate::net::wire::Refusals;
 use crate::net::wire::node_id::NodeId;
 use std::collections::{BTreeMap, VecDeque};
 
-/// The messages of one peer that wait here at most: twice what its two ordered streams and the way to
-/// them hold, once for what they hold when it is told to stop, and once for what follows until it has
-/// heard.
+/// The messages of one peer that wait here at most: twice what its two ordered streams and the way
+/// to them hold, once for what they hold when it is told to stop, and once for what follows until
+/// it has heard.
 pub const MESSAGES_MAX: usize = 20 * 1024;
 /// Their bytes, likewise.
 pub const BYTES_MAX: usize = 20 << 20;
@@ -104,8 +104,8 @@ impl<T> ReceiveBacklog<T> {
         Some(message)
     }
 
-    /// That message does not wait any more. Answers the binding by which the peer is to be told to go on,
-    /// if it was the last.
+    /// That message does not wait any more. Answers the binding by which the peer is to be told to
+    /// go on, if it was the last.
     pub fn handle_taken(&mut self, peer: NodeId, object: &ObjectName) -> Option<u32> {
         let guest = self.peers.get_mut(&peer)?;
         let line = guest.lines.get_mut(object)?;

@@ -1,10 +1,10 @@
-//! Requests of other nodes that are known by an identity: each takes effect at most once, however often
-//! it is sent.
+//! Requests of other nodes that are known by an identity: each takes effect at most once, however
+//! often it is sent.
 //!
-//! A caller that has lost the way to its answer sends the request again in the next session. Here it is
-//! known by the caller's node, its incarnation and the request's identity: what is being served is not
-//! begun again, and what was answered is answered with the same reply. A request that failed is forgotten:
-//! its caller was told, and sending it again is the caller's decision.
+//! A caller that has lost the way to its answer sends the request again in the next session. Here
+//! it is known by the caller's node, its incarnation and the request's identity: what is being
+//! served is not begun again, and what was answered is answered with the same reply. A request that
+//! failed is forgotten: its caller was told, and sending it again is the caller's decision.
 
 use super::types::SessionEpoch;
 use crate::net::wire::node_id::NodeId;
@@ -82,7 +82,8 @@ impl ReplyCache {
         RequestVerdict::Serve
     }
 
-    /// The sending that was served is answered, with a reply or with an error. Answers who is to be told.
+    /// The sending that was served is answered, with a reply or with an error. Answers who is to be
+    /// told.
     pub(super) fn resolve(
         &mut self,
         asker: RequestOrigin,

@@ -89,7 +89,8 @@ pub enum PeerProtocolOutput {
         /// What.
         message: GatherBuffer,
     },
-    /// Does this object take this contract? Answer with [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
+    /// Does this object take this contract? Answer with
+    /// [`Exchange::handle_bound`](super::PeerProtocol::handle_bound).
     Bind {
         /// Who asks.
         peer: NodeId,
@@ -182,8 +183,8 @@ pub enum PeerProtocolOutput {
         subscription: u32,
         /// Which topic.
         topic: TopicContract,
-        /// The contract as the peer knows it, and then the earlier versions that it understands. What is
-        /// sent by the n-th of them goes under the number and n.
+        /// The contract as the peer knows it, and then the earlier versions that it understands.
+        /// What is sent by the n-th of them goes under the number and n.
         identities: Vec<PeerIdentity>,
     },
     /// Send no more of this.
@@ -204,7 +205,8 @@ pub enum PeerProtocolOutput {
         /// The event.
         payload: Bytes,
     },
-    /// Another node's fault for our recoverer; confirm with [`Exchange::handle_noticed`](super::PeerProtocol::handle_noticed).
+    /// Another node's fault for our recoverer; confirm with
+    /// [`Exchange::handle_noticed`](super::PeerProtocol::handle_noticed).
     Notice {
         /// Whose.
         peer: NodeId,
@@ -217,7 +219,8 @@ pub enum PeerProtocolOutput {
     },
     /// A fault that we told a peer of has arrived, or its session has ended before it had.
     Noticed {
-        /// The number that was given to [`Exchange::handle_notice`](super::PeerProtocol::handle_notice).
+        /// The number that was given to
+        /// [`Exchange::handle_notice`](super::PeerProtocol::handle_notice).
         number: u64,
         /// It has arrived.
         arrived: bool,
@@ -234,8 +237,8 @@ pub enum PeerProtocolOutput {
         /// Who.
         peer: NodeId,
     },
-    /// The session is over: drop what the peer had here, its bindings and subscriptions, and what it
-    /// has said of its objects' room.
+    /// The session is over: drop what the peer had here, its bindings and subscriptions, and what
+    /// it has said of its objects' room.
     Forget {
         /// Whose.
         peer: NodeId,

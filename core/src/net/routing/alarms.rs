@@ -1,7 +1,7 @@
 //! What was told of as a fault, until it is over.
 //!
-//! Somebody says again and again whatever goes on: announcements are repeated every ten seconds, and the
-//! holder of a name is asked as often. What nobody says any more for a minute has ended.
+//! Somebody says again and again whatever goes on: announcements are repeated every ten seconds,
+//! and the holder of a name is asked as often. What nobody says any more for a minute has ended.
 
 use super::{Router, RouterAlarm, RouterOutput};
 use crate::net::active_alarms::QUIET;

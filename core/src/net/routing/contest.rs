@@ -6,10 +6,10 @@
 //!  A ──defend──► B ──► C     it is: A' is kept out, and told so
 //! ```
 //!
-//! A node that begins anew has its name from its old life at once: the links that led to the old one have
-//! told of its end. Only while routes still lead to the old life is a new one disputed, and had it ended
-//! without anybody's knowing, it does not defend itself. Where two halves of a network meet that have each
-//! a node of this name, the older life stays, everywhere.
+//! A node that begins anew has its name from its old life at once: the links that led to the old
+//! one have told of its end. Only while routes still lead to the old life is a new one disputed,
+//! and had it ended without anybody's knowing, it does not defend itself. Where two halves of a
+//! network meet that have each a node of this name, the older life stays, everywhere.
 
 use super::{LinkHealth, LinkId, LinkStatus, Router, RouterAlarm, RouterOutput};
 use crate::net::link::Neighbour;
@@ -98,8 +98,9 @@ impl Router {
         self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(from));
     }
 
-    /// Whether somebody who has our name, and a greater life, says something new. What an earlier life of
-    /// ours has said, before the clock that numbers lives was set back, others can only repeat.
+    /// Whether somebody who has our name, and a greater life, says something new. What an earlier
+    /// life of ours has said, before the clock that numbers lives was set back, others can only
+    /// repeat.
     pub(super) fn is_more_than_a_rumour(&mut self, theirs: AdvertisementId) -> bool {
         match self.unconfirmed_incarnation {
             Some((known, since)) if known.incarnation == theirs.incarnation => {
@@ -173,7 +174,8 @@ impl Router {
             return self.tell_collision(held, advertisement.node);
         }
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
-        // Also where a later life is held, which has ended, and an earlier one defends itself against it.
+        // Also where a later life is held, which has ended, and an earlier one defends itself
+        // against it.
         let news = held.is_none_or(|held| {
             held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
         });

@@ -10,14 +10,14 @@ use crate::{Incarnation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-/// How long what was said before a withdrawal counts: what is true follows at once, and no session must
-/// notice.
+/// How long what was said before a withdrawal counts: what is true follows at once, and no session
+/// must notice.
 const BELIEF: Duration = Duration::from_millis(50);
-/// Above this a number is not outdone but withdrawn: ours must not come to those that were. Half a year of
-/// counting is left.
+/// Above this a number is not outdone but withdrawn: ours must not come to those that were. Half a
+/// year of counting is left.
 const JUMP_MAX: u32 = u32::MAX - (1 << 20);
-/// How many withdrawals of a node are remembered: the echo of one is no news, and what it took back is not
-/// taken again. Of more lies at once, some are withdrawn again.
+/// How many withdrawals of a node are remembered: the echo of one is no news, and what it took back
+/// is not taken again. Of more lies at once, some are withdrawn again.
 const WITHDRAWN_MAX: usize = 8;
 /// Lies in our name within this time that are no accident, and how many.
 const FORGED_PERIOD: Duration = Duration::from_secs(10);
@@ -60,8 +60,8 @@ impl Router {
         self.known.get(&origin).map(|known| &known.advertisement)
     }
 
-    /// An origin's newest advertisement, and before it, in one frame, what the origin has withdrawn to
-    /// begin below it: frames overtake each other.
+    /// An origin's newest advertisement, and before it, in one frame, what the origin has withdrawn
+    /// to begin below it: frames overtake each other.
     fn told_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
         let newest = self.advertisement(origin)?;
         let withdrawn = self.known.get(&origin).and_then(|known| known.withdrawn.front().copied());
@@ -185,8 +185,8 @@ impl Router {
                     confirmed.push(stamp);
                     self.learn(advertisement, link);
                 }
-                // Of two that differ and have one stamp, everybody takes the same, which comes to its
-                // origin sooner or later (RFC 2328, 13.1).
+                // Of two that differ and have one stamp, everybody takes the same, which comes to
+                // its origin sooner or later (RFC 2328, 13.1).
                 Some(held)
                     if (held.stamp, held.withdrawn, &held.edges)
                         > (stamp, advertisement.withdrawn, &advertisement.edges) =>
@@ -200,7 +200,8 @@ impl Router {
                         adjacent.pending.remove(&stamp.origin);
                     }
                 }
-                // Confirmed, so that it is not repeated; not kept, so that it is asked for once it counts.
+                // Confirmed, so that it is not repeated; not kept, so that it is asked for once it
+                // counts.
                 Some(_) if contested => {
                     confirmed.push(stamp);
                     self.tell_why(link, stamp.origin);
@@ -260,9 +261,9 @@ impl Router {
         self.flood(origin, Some(from));
     }
 
-    /// Somebody says something in our name: what a router of ours once said, or a lie. We say something
-    /// newer (RFC 2328, 13.4), or, where nothing can be, withdraw it and count anew. Answers no where what
-    /// we say is newer already.
+    /// Somebody says something in our name: what a router of ours once said, or a lie. We say
+    /// something newer (RFC 2328, 13.4), or, where nothing can be, withdraw it and count anew.
+    /// Answers no where what we say is newer already.
     pub(super) fn hear_of_ourselves(
         &mut self,
         advertisement: &Advertisement,
@@ -291,7 +292,8 @@ impl Router {
             } else if theirs.sequence >= JUMP_MAX {
                 self.begin_anew(advertisement.withdrawal());
             } else {
-                // Also where this router was built anew within its node's life: it continues the count.
+                // Also where this router was built anew within its node's life: it continues the
+                // count.
                 self.own.stamp.sequence = theirs.sequence;
                 self.renew();
             }
@@ -299,8 +301,9 @@ impl Router {
         true
     }
 
-    /// Takes back what was said in our name, and says what is true, in one frame, since frames overtake each
-    /// other. Who does not hear it, answers our next announcement by what it still has, and hears it again.
+    /// Takes back what was said in our name, and says what is true, in one frame, since frames
+    /// overtake each other. Who does not hear it, answers our next announcement by what it still
+    /// has, and hears it again.
     fn begin_anew(&mut self, withdrawal: Advertisement) {
         self.remember_withdrawn(withdrawal.stamp);
         self.own.stamp.sequence = 1;

@@ -19,8 +19,9 @@ impl Router {
         if self.barred.contains_key(&link) || self.isolated.contains(&packet.source) {
             self.refusals.isolated += 1;
         } else if packet.source == self.id {
-            // It went in a circle, as packets may while nodes hear of a change one after the other, and is
-            // repeated. Or somebody uses our name; then the session asks no more often than it would.
+            // It went in a circle, as packets may while nodes hear of a change one after the other,
+            // and is repeated. Or somebody uses our name; then the session asks no more often than
+            // it would.
             self.refusals.unexpected += 1;
             self.give_back(&packet, UndeliveredReason::TooManyHops);
         } else if packet.destination != self.id {
@@ -62,8 +63,8 @@ impl Router {
         }
     }
 
-    /// The same over ways that have as little in common as can be, each written into its copy: the first
-    /// one that arrives counts. A way that is too small for it is left out.
+    /// The same over ways that have as little in common as can be, each written into its copy: the
+    /// first one that arrives counts. A way that is too small for it is left out.
     pub fn handle_copies(
         &mut self,
         destination: NodeId,
@@ -91,14 +92,16 @@ impl Router {
         };
         let copies: Vec<_> = (0..).zip(ways).filter_map(copy).collect();
         if copies.len() < 2 {
-            // One way alone is followed by routes, each node knowing an alternate; or it is said why none is.
+            // One way alone is followed by routes, each node knowing an alternate; or it is said
+            // why none is.
             return self.handle_segment(destination, class, segment.clone());
         }
         self.outputs.extend(copies);
     }
 
-    /// Passes a copy on by the way that is written in it, and by no other: on one of its own it would go
-    /// where another copy goes already, or in a circle. What no copy brings, the session repeats.
+    /// Passes a copy on by the way that is written in it, and by no other: on one of its own it
+    /// would go where another copy goes already, or in a circle. What no copy brings, the session
+    /// repeats.
     fn follow(&mut self, packet: Packet) {
         let Packet { class, hops, destination, source, passed, payload } = packet;
         let Payload::Copy { copy, mut relays, segment } = payload else { return };
@@ -134,8 +137,8 @@ impl Router {
         links.get(usize::from(copy) % links.len().max(1)).copied()
     }
 
-    /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a change one
-    /// after the other may each believe that another is nearer.
+    /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a
+    /// change one after the other may each believe that another is nearer.
     pub(super) fn forward(&mut self, mut packet: Packet, from: LinkId) {
         let here_before = packet.passed.contains(&self.id);
         let (false, Some(hops)) = (here_before, packet.hops.checked_sub(1)) else {
@@ -183,8 +186,8 @@ impl Router {
         }
     }
 
-    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off; none
-    /// that has had the packet.
+    /// The look-up: the next hop if it is well, else the alternate, else whichever is better off;
+    /// none that has had the packet.
     pub(super) fn choose(&self, destination: NodeId, had: &[NodeId]) -> Option<LinkId> {
         self.routes.get(&destination)?.choose(&self.links, had)
     }

@@ -47,7 +47,8 @@ pub struct Router {
     known: BTreeMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
-    /// The ways of copies, computed when the first goes to a node after a change: as many as routes.
+    /// The ways of copies, computed when the first goes to a node after a change: as many as
+    /// routes.
     ways: BTreeMap<NodeId, Vec<DisjointPath>>,
     /// The paths must be computed anew, then.
     compute_at: Option<Instant>,
@@ -102,8 +103,9 @@ impl DatabaseEntry {
     }
 }
 
-/// A link's smallest MTU in bytes: the hello of a node with the longest name fits, and half of a frame and
-/// more is the message's. Only what routers tell each other is cut below the packet, by the link.
+/// A link's smallest MTU in bytes: the hello of a node with the longest name fits, and half of a
+/// frame and more is the message's. Only what routers tell each other is cut below the packet, by
+/// the link.
 pub const MTU_MIN: usize = 96;
 
 impl Router {
@@ -180,8 +182,8 @@ impl Router {
         heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
     }
 
-    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while the
-    /// only ones lead over links that may have failed as well, which is known in a moment.
+    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while
+    /// the only ones lead over links that may have failed as well, which is known in a moment.
     pub fn verdict(&mut self, node: NodeId, now: Instant) -> Option<bool> {
         self.now = now;
         if self.compute_at.is_some() {
@@ -264,8 +266,8 @@ impl Router {
         }
     }
 
-    /// A node is isolated: nothing is taken from it or sent there, no packet of it is passed on, and
-    /// no way leads over it. Or it is let in again.
+    /// A node is isolated: nothing is taken from it or sent there, no packet of it is passed on,
+    /// and no way leads over it. Or it is let in again.
     pub fn handle_isolation(&mut self, node: &NodeName, isolated: bool, now: Instant) {
         self.now = now;
         let id = NodeId::of(node);

@@ -6,10 +6,11 @@
 //!  A ───gave up 1───── B      of several links with B, A names the one: B has said what it calls it
 //! ```
 //!
-//! What is missing in the neighbour's newest announcement, and was in the one before, has been withdrawn;
-//! what was in neither is not announced yet, and says nothing. That others can lie in its name is no
-//! danger: the link becomes suspect, and dear, which diverts traffic where there is another way; it goes
-//! on as soon as the neighbour's hellos say the contrary, and then such words do not count for a while.
+//! What is missing in the neighbour's newest announcement, and was in the one before, has been
+//! withdrawn; what was in neither is not announced yet, and says nothing. That others can lie in
+//! its name is no danger: the link becomes suspect, and dear, which diverts traffic where there is
+//! another way; it goes on as soon as the neighbour's hellos say the contrary, and then such words
+//! do not count for a while.
 
 use super::{LinkId, Router, RouterOutput};
 use crate::net::routing::topology::Adjacency;

@@ -361,7 +361,8 @@ fn a_restarted_node_is_told_with_its_new_life() {
     let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
     reborn.stamp.incarnation = Incarnation(2);
 
-    // Its neighbours have heard the new life instead of the old one, and have proved the links anew.
+    // Its neighbours have heard the new life instead of the old one, and have proved the links
+    // anew.
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
     tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
     let (node, incarnation) = (named("far"), Incarnation(1));

@@ -59,7 +59,8 @@ impl Adjacency {
     }
 }
 
-/// A path whose segments are smaller carries nothing: too many nodes pass on what fits into too small frames.
+/// A path whose segments are smaller carries nothing: too many nodes pass on what fits into too
+/// small frames.
 pub(crate) const SEGMENT_MIN: usize = 40;
 
 /// The bytes of a segment that fits into a frame of this size.
@@ -68,8 +69,9 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
 }
 
 impl Route {
-    /// The largest segment that both paths carry, with the list of those who pass it on. A way that becomes
-    /// longer while it is under way adds two of them at most, or it comes back as too large.
+    /// The largest segment that both paths carry, with the list of those who pass it on. A way that
+    /// becomes longer while it is under way adds two of them at most, or it comes back as too
+    /// large.
     pub(crate) fn segment_limit(&self) -> usize {
         const MORE: usize = 2;
         let relays = usize::from(self.relays.min(HOPS_MAX));
@@ -86,8 +88,8 @@ impl Route {
             || self.cost < next.cost
     }
 
-    /// The next hop or the alternate, whichever is better off now, the next hop if both are alike; never
-    /// to one of `had`.
+    /// The next hop or the alternate, whichever is better off now, the next hop if both are alike;
+    /// never to one of `had`.
     pub(crate) fn choose(
         &self,
         links: &BTreeMap<LinkId, Adjacency>,
@@ -214,8 +216,8 @@ impl<'a> Topology<'a> {
         found
     }
 
-    /// What an edge costs and carries that both its ends announce. The dearer and the narrower word counts:
-    /// nobody draws traffic by boasting alone.
+    /// What an edge costs and carries that both its ends announce. The dearer and the narrower word
+    /// counts: nobody draws traffic by boasting alone.
     fn agreed(&self, from: NodeId, to: NodeId, cost: u16, mtu: u16) -> Option<(u16, u16)> {
         let (back, mtu_back) = self.back(to, from)?;
         Some((cost.max(back), mtu.min(mtu_back)))
@@ -228,8 +230,8 @@ impl<'a> Topology<'a> {
         self.announced(id).map(|edge| (edge.to, edge.cost, edge.mtu)).collect()
     }
 
-    /// What another node says of its links; one that could not carry an announcement carries none of
-    /// our traffic either, and one to another life than the one that speaks does not lead to it.
+    /// What another node says of its links; one that could not carry an announcement carries none
+    /// of our traffic either, and one to another life than the one that speaks does not lead to it.
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
         known.iter().filter(|edge| {
@@ -239,8 +241,8 @@ impl<'a> Topology<'a> {
         })
     }
 
-    /// What `id` says of its link to `other`, if it says that it has one. Of our own links their hellos
-    /// have asked the other end; what they cost to there is our own word.
+    /// What `id` says of its link to `other`, if it says that it has one. Of our own links their
+    /// hellos have asked the other end; what they cost to there is our own word.
     fn back(&self, id: NodeId, other: NodeId) -> Option<(u16, u16)> {
         if id == self.here || other == self.here {
             let neighbour = if id == self.here { other } else { id };

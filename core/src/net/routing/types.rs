@@ -24,8 +24,8 @@ pub struct RouterConfig {
     pub lifetime: Duration,
     /// How often neighbours compare what they know; ten times as rarely over narrow media.
     pub compare: Duration,
-    /// After how long an advertisement is repeated that a neighbour has not confirmed; ten times as long
-    /// over narrow media.
+    /// After how long an advertisement is repeated that a neighbour has not confirmed; ten times as
+    /// long over narrow media.
     pub resend: Duration,
     /// How many nodes may pass a packet on, at most 31.
     pub hops: u8,
@@ -41,7 +41,8 @@ impl RouterConfig {
             refresh: Duration::from_secs(10),
             lifetime: Duration::from_secs(35),
             compare: Duration::from_secs(1),
-            // Several round trips of any medium that a robot has, and still within one hello or two.
+            // Several round trips of any medium that a robot has, and still within one hello or
+            // two.
             resend: Duration::from_millis(40),
             hops: 16,
         }
@@ -160,8 +161,8 @@ pub enum RouterOutput {
         /// Who is ignored.
         refused: NodeName,
     },
-    /// Another node of our name is in the network. The older life is taken for it, and the other is kept
-    /// out by all.
+    /// Another node of our name is in the network. The older life is taken for it, and the other is
+    /// kept out by all.
     NameTaken {
         /// The other's incarnation.
         incarnation: Incarnation,

@@ -20,24 +20,26 @@ pub struct SessionConfig {
     pub incarnation: Incarnation,
     /// The peer's name.
     pub peer: NodeName,
-    /// Sessions of this machine are numbered above this. A machine that is built anew within one life
-    /// of its node must be given a greater number than the one before ever used.
+    /// Sessions of this machine are numbered above this. A machine that is built anew within one
+    /// life of its node must be given a greater number than the one before ever used.
     pub number: u32,
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
-    /// rides out longer outages; shorter gives messages back sooner. While there is a path whose answers
-    /// take long, it is three of the present timeouts instead, if these are longer.
+    /// rides out longer outages; shorter gives messages back sooner. While there is a path whose
+    /// answers take long, it is three of the present timeouts instead, if these are longer.
     pub idle_timeout: Duration,
     /// The most bytes of one message. Bounds what a peer can make us collect.
     pub message_max: usize,
-    /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of bulk half
-    /// as many beside them. Beyond, senders are told to stop. Of small ones, and of bulk, twice as many as this are
-    /// taken all the same: for bulk that is four times what should be there, for one message may be a quarter of it.
+    /// The bytes of small messages that should wait or be unacknowledged in one stream at most; of
+    /// bulk half as many beside them. Beyond, senders are told to stop. Of small ones, and of bulk,
+    /// twice as many as this are taken all the same: for bulk that is four times what should be
+    /// there, for one message may be a quarter of it.
     pub buffer_bytes: usize,
     /// The number of messages of both together, likewise: twice as many are taken.
     pub buffer_messages: usize,
     /// How many parts of a stream may be on their way, and may arrive ahead of their turn.
     pub window: u32,
-    /// The bytes of data that may be on their way: they should fit into the buffers of the sockets there.
+    /// The bytes of data that may be on their way: they should fit into the buffers of the sockets
+    /// there.
     pub window_bytes: usize,
     /// The largest part in bytes, however large the path's frames are. Larger costs less per byte;
     /// smaller lets control through sooner.

@@ -1,12 +1,14 @@
 //! Copies of one thing that come over several ways: the first is taken, the others are dropped.
 //!
-//! The vector recovery of IEEE 802.1CB (7.4.3.4), which is the duplicate discard of IEC 62439-3 (PRP)
-//! with a window instead of a time. A way that has failed is not noticed by what is delivered, which is
-//! the purpose; so it is counted here, as the standard's latent error detection does.
+//! The vector recovery of IEEE 802.1CB (7.4.3.4), which is the duplicate discard of IEC 62439-3
+//! (PRP) with a window instead of a time. A way that has failed is not noticed by what is
+//! delivered, which is the purpose; so it is counted here, as the standard's latent error detection
+//! does.
 
 use std::collections::VecDeque;
 
-/// How many numbers are remembered: longer than the slowest way is late, at a message each millisecond.
+/// How many numbers are remembered: longer than the slowest way is late, at a message each
+/// millisecond.
 const HISTORY: usize = 512;
 
 /// The history of one stream.

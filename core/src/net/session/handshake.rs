@@ -39,8 +39,8 @@ impl Session {
             self.refusals.count(&WireError::Version { theirs, ours: VERSION });
             return;
         }
-        // The router speaks for lives, whatever their numbers: one that it does not know is over, or forged,
-        // or will be told in a moment.
+        // The router speaks for lives, whatever their numbers: one that it does not know is over,
+        // or forged, or will be told in a moment.
         if let Some(known) = self.known.filter(|known| *known != open.incarnation) {
             match open.incarnation < known {
                 true => self.refusals.stale += 1,
@@ -60,8 +60,8 @@ impl Session {
                 if open.incarnation > peer.incarnation {
                     self.end_with_old_peer(open.incarnation);
                 } else if open.number > peer.number {
-                    // Perhaps it is forged: whoever is at the other end of the present session knows its
-                    // tag, or says that it does not any more.
+                    // Perhaps it is forged: whoever is at the other end of the present session
+                    // knows its tag, or says that it does not any more.
                     self.refusals.unexpected += 1;
                     self.acknowledge();
                     return;

@@ -7,7 +7,8 @@ use bytes::{Bytes, BytesMut};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
-/// Fresh memory for a message of this size, in bytes, costs more than all else that is done with it.
+/// Fresh memory for a message of this size, in bytes, costs more than all else that is done with
+/// it.
 const SPARE_FROM: usize = 128 * 1024;
 /// One is put together while the one before is read.
 const SPARES: usize = 2;
@@ -22,8 +23,8 @@ pub(crate) struct Inbound {
     /// Arrived ahead of their turn; all within the window.
     ahead: BTreeMap<u64, Part>,
     partial: Option<Partial>,
-    /// Where large messages were put together before: taken again once nobody holds those any more. Two of
-    /// the largest message for each stream at most, once such have come.
+    /// Where large messages were put together before: taken again once nobody holds those any more.
+    /// Two of the largest message for each stream at most, once such have come.
     spare: VecDeque<BytesMut>,
     window: u32,
     message_max: usize,
@@ -95,8 +96,9 @@ impl Inbound {
             return Ok(if beyond { ChunkStatus::Beyond } else { ChunkStatus::Again });
         }
         let in_order = sequence == self.next && self.ahead.is_empty();
-        // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement costs a
-        // quarter of what a part does, every fourth: half of what may be on its way at the least.
+        // Every second part at once (RFC 9000, 13.2.2). Of large ones, where an acknowledgement
+        // costs a quarter of what a part does, every fourth: half of what may be on its way at the
+        // least.
         let many = if payload.len() >= LARGE { 4 } else { 2 };
         self.ahead.insert(sequence, Part { first, last, payload });
         while let Some(part) = self.ahead.remove(&self.next) {
@@ -128,7 +130,8 @@ impl Inbound {
             if length > self.message_max {
                 return Err(WireError::TooLarge { what: "a message" });
             }
-            // Room is taken as bytes arrive, four times as much at most, and not as they are promised.
+            // Room is taken as bytes arrive, four times as much at most, and not as they are
+            // promised.
             let large = length >= SPARE_FROM;
             let spare = self.spare.iter_mut().position(|spare| large && spare.try_reclaim(length));
             let bytes = spare.and_then(|at| self.spare.remove(at)).unwrap_or_default();

@@ -9,19 +9,19 @@
 //! ```
 //!
 //! * Both may open at once; the handshake is the same from both ends.
-//! * A peer's session is known by its incarnation and a number that rises within it. A greater number
-//!   ends the old session; a smaller one is refused. Which incarnation is the present one, the router
-//!   says. Tags keep apart what belongs to which.
-//! * Within a session each message of the ordered streams is delivered exactly once and in order. What is small
-//!   enters between the parts of what is large and of another strand, that is for somebody else.
-//!   When a session ends, every message that was not acknowledged is handed back with the reason: it
-//!   was delivered at most once, perhaps not at all.
-//! * What claims to come from the peer is held against what the router knows of its life, and a newer
-//!   session of the same life is believed when the present one's other end has forgotten it.
+//! * A peer's session is known by its incarnation and a number that rises within it. A greater
+//!   number ends the old session; a smaller one is refused. Which incarnation is the present one,
+//!   the router says. Tags keep apart what belongs to which.
+//! * Within a session each message of the ordered streams is delivered exactly once and in order.
+//!   What is small enters between the parts of what is large and of another strand, that is for
+//!   somebody else. When a session ends, every message that was not acknowledged is handed back
+//!   with the reason: it was delivered at most once, perhaps not at all.
+//! * What claims to come from the peer is held against what the router knows of its life, and a
+//!   newer session of the same life is believed when the present one's other end has forgotten it.
 //! * A change of path, told by the router, repeats at once what is not acknowledged.
 //!
-//! What it does not do: wait for the application. What has arrived in order is output at once; whoever
-//! takes it must decide what to do when its receiver is busy.
+//! What it does not do: wait for the application. What has arrived in order is output at once;
+//! whoever takes it must decide what to do when its receiver is busy.
 
 mod best_effort;
 mod config;
@@ -61,7 +61,8 @@ use size_class::SizeClass;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// The version of what sessions say to each other. From 2 on whole messages come between the parts of a large one.
+/// The version of what sessions say to each other. From 2 on whole messages come between the parts
+/// of a large one.
 pub const VERSION: u8 = 2;
 
 /// The machine of one peer node's sessions, one after the other.
@@ -198,7 +199,8 @@ impl Session {
         self.number
     }
 
-    /// Sends a message, exactly once and in the order of its stream: all that is sent so is one strand.
+    /// Sends a message, exactly once and in the order of its stream: all that is sent so is one
+    /// strand.
     ///
     /// # Errors
     /// As [`handle_send_along`](Session::handle_send_along).
@@ -214,8 +216,9 @@ impl Session {
     /// Sends a message, exactly once and in the order of its strand.
     ///
     /// # Errors
-    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`] tells when the
-    /// stream takes more. [`DeliveryError::TooLargeForSession`], [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
+    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`]
+    /// tells when the stream takes more. [`DeliveryError::TooLargeForSession`],
+    /// [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
     pub fn handle_send_along(
         &mut self,
@@ -235,7 +238,8 @@ impl Session {
             state.full[load as usize] = true;
             self.outputs.push_back(SessionOutput::Full { stream, load });
         }
-        // What is on its way here when senders are told to stop, or waits for bindings, has room all the same.
+        // What is on its way here when senders are told to stop, or waits for bindings, has room
+        // all the same.
         if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
             let node = self.config.peer.to_string();
             let why = DeliveryError::WayFull { node, bulk: load == SizeClass::Bulk };
@@ -249,9 +253,10 @@ impl Session {
     /// Sends a message once, if at all: of one channel, the newest that arrives counts.
     ///
     /// # Errors
-    /// [`DeliveryError::Restarting`] while there is no session yet, [`DeliveryError::TooLargeForSession`] also for what the
-    /// path's segments would carry in more than [`PIECES_MAX`](crate::net::wire::segment::PIECES_MAX) pieces,
-    /// otherwise as [`handle_send`](Session::handle_send). The message comes back.
+    /// [`DeliveryError::Restarting`] while there is no session yet,
+    /// [`DeliveryError::TooLargeForSession`] also for what the path's segments would carry in more
+    /// than [`PIECES_MAX`](crate::net::wire::segment::PIECES_MAX) pieces, otherwise as
+    /// [`handle_send`](Session::handle_send). The message comes back.
     pub fn handle_send_newest(
         &mut self,
         channel: u32,
@@ -323,8 +328,8 @@ impl Session {
         self.waiting_since.get_or_insert(now);
     }
 
-    /// The router says that this is the peer's present life: sessions with any other are over, whichever
-    /// number is greater.
+    /// The router says that this is the peer's present life: sessions with any other are over,
+    /// whichever number is greater.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
         self.known = Some(incarnation);
@@ -360,8 +365,8 @@ impl Session {
         }
     }
 
-    /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is about to be
-    /// replaced.
+    /// Takes out what was not acknowledged, and whether some of it was sent, when this machine is
+    /// about to be replaced.
     pub fn take_unacknowledged(&mut self) -> Vec<(Stream, Bytes, bool)> {
         STREAMS
             .into_iter()

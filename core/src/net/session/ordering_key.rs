@@ -3,19 +3,20 @@
 use crate::ObjectName;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Messages of one strand arrive in the order in which a session took them, in each of its streams. What is small, and
-/// of another strand, does not wait behind the rest of what is large, if it fits into one part.
+/// Messages of one strand arrive in the order in which a session took them, in each of its streams.
+/// What is small, and of another strand, does not wait behind the rest of what is large, if it fits
+/// into one part.
 ///
-/// Before the session, messages wait for the binding of their contract, each contract by itself: to one object, what
-/// is of a contract that is bound passes what waits for that of another. And readings of which the newest counts are of
-/// no strand.
+/// Before the session, messages wait for the binding of their contract, each contract by itself: to
+/// one object, what is of a contract that is bound passes what waits for that of another. And
+/// readings of which the newest counts are of no strand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum OrderingKey {
     /// What has no other.
     #[default]
     Common,
-    /// All that is for one object, whatever its contract: it shares the object's queue. Two that are alike by
-    /// chance stay in order, too.
+    /// All that is for one object, whatever its contract: it shares the object's queue. Two that
+    /// are alike by chance stay in order, too.
     Object(u64),
     /// The events of one subscription.
     Subscription(u32),

@@ -104,8 +104,9 @@ fn fits(message: &GatherBuffer, beside: usize, room: usize) -> bool {
 }
 
 impl Outbound {
-    /// For one part so many strands are passed over of which the first message does not fit in; the next search
-    /// goes on behind them. It bounds the work for a part where a thousand strands wait.
+    /// For one part so many strands are passed over of which the first message does not fit in; the
+    /// next search goes on behind them. It bounds the work for a part where a thousand strands
+    /// wait.
     const LOOK: usize = 32;
 
     pub(crate) fn new(window: u32) -> Self {
@@ -164,8 +165,8 @@ impl Outbound {
         self.waiting.push(strand, message);
     }
 
-    /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing is
-    /// left.
+    /// All messages that are not acknowledged, in order, and whether some of it was sent; nothing
+    /// is left.
     pub(crate) fn take_all(&mut self) -> impl Iterator<Item = (Bytes, bool)> + use<> {
         let Outbound { cut, partial, waiting, .. } = std::mem::replace(self, Outbound::new(0));
         let partial = partial.into_iter().map(|partial| partial.message);
@@ -204,8 +205,8 @@ impl Outbound {
         Some((sequence, part))
     }
 
-    /// After each part of what is large, one of whole messages that need not wait for the rest of it: nothing
-    /// of its strand. The large one goes on after them.
+    /// After each part of what is large, one of whole messages that need not wait for the rest of
+    /// it: nothing of its strand. The large one goes on after them.
     fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<GatherBuffer> {
         let large = self.partial.as_ref()?.strand;
         if std::mem::take(&mut self.overtook) {
@@ -289,8 +290,8 @@ impl Outbound {
         if beyond.max(ack.next) > self.next {
             return Err(WireError::Malformed { what: "an acknowledgement of what was never sent" });
         }
-        // Windows only open: an acknowledgement that overtook another one must not close it. None is
-        // wider than ours, whatever the peer promises.
+        // Windows only open: an acknowledgement that overtook another one must not close it. None
+        // is wider than ours, whatever the peer promises.
         let window = ack.window.min(self.window);
         self.limit = self.limit.max(ack.next.saturating_add(window.into()));
         let mut progress = AckResult::default();

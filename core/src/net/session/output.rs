@@ -100,7 +100,7 @@ pub struct SessionCounters {
     pub replicas: u64,
     /// Parts of that stream of which no copy came in time; they were repeated.
     pub missed: u64,
-    /// Parts of that stream of which fewer copies came than of others around: some way does not carry,
-    /// and nobody has noticed by the delivery.
+    /// Parts of that stream of which fewer copies came than of others around: some way does not
+    /// carry, and nobody has noticed by the delivery.
     pub alone: u64,
 }

@@ -5,8 +5,8 @@ use crate::net::session::ordering_key::OrderingKey;
 use std::collections::BTreeMap;
 use std::ops::RangeFrom;
 
-/// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so that however much
-/// waits in one, nothing of another has to be found behind it.
+/// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so
+/// that however much waits in one, nothing of another has to be found behind it.
 #[derive(Debug, Default)]
 pub(super) struct SendQueue {
     /// By strand, in the order of arrival there.

@@ -56,8 +56,8 @@ impl Session {
         self.close_when_done();
     }
 
-    /// On a narrow path an acknowledgement waits longer for something to travel with, for alone it takes a
-    /// third of what a part does.
+    /// On a narrow path an acknowledgement waits longer for something to travel with, for alone it
+    /// takes a third of what a part does.
     fn ack_delay(&self) -> Duration {
         const NARROW_MAX: Duration = Duration::from_millis(50);
         let trip = self.rtt[0].smoothed().filter(|_| self.is_narrow());

@@ -9,8 +9,8 @@ pub(crate) struct RttEstimator {
     deviation: Duration,
     /// The shortest on this path: what is above it was spent in queues.
     least: Option<Duration>,
-    /// Doublings since the last measurement: what a repetition brought may be the answer to the first
-    /// sending (Karn's algorithm).
+    /// Doublings since the last measurement: what a repetition brought may be the answer to the
+    /// first sending (Karn's algorithm).
     backoff: u32,
     narrow: bool,
     shortest: Duration,
@@ -22,8 +22,9 @@ impl RttEstimator {
     const INITIAL: Duration = Duration::from_millis(100);
     /// The same where the medium is probably slow (RFC 6298, 2.1).
     const INITIAL_NARROW: Duration = Duration::from_secs(1);
-    /// The shortest there: a frame, its acknowledgement, which waits a little, and a frame and a hello before
-    /// either, at 9,600 bits a second. What was measured with small messages says nothing of large ones.
+    /// The shortest there: a frame, its acknowledgement, which waits a little, and a frame and a
+    /// hello before either, at 9,600 bits a second. What was measured with small messages says
+    /// nothing of large ones.
     const SHORTEST_NARROW: Duration = Duration::from_millis(400);
     /// The longest there.
     const LONGEST_NARROW: Duration = Duration::from_secs(2);
@@ -91,8 +92,8 @@ impl RttEstimator {
         self.backoff = (self.backoff + 1).min(10);
     }
 
-    /// There is a measurement, another path, or another session. An answer that measures nothing is no
-    /// progress: it may have been on its way since the first sending.
+    /// There is a measurement, another path, or another session. An answer that measures nothing is
+    /// no progress: it may have been on its way since the first sending.
     pub(crate) fn progress(&mut self) {
         self.backoff = 0;
     }

@@ -16,8 +16,8 @@ pub enum SessionState {
     Away,
     /// A path leads there, and each says who it is.
     Opening,
-    /// Messages go to and fro. Where the path has gone meanwhile, the session waits for another for two
-    /// seconds.
+    /// Messages go to and fro. Where the path has gone meanwhile, the session waits for another for
+    /// two seconds.
     Open,
     /// This node ends in order; what was sent is still being delivered.
     Closing,

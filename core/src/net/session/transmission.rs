@@ -13,8 +13,8 @@ use crate::{DeliveryError, Instant};
 const BY_URGENCY: [Stream; 3] = [Stream::Control, Stream::Redundant, Stream::Data];
 
 impl Session {
-    /// Something of ours came back: it is repeated once the routers have had time to find another way,
-    /// and never faster than silence would be taken for loss.
+    /// Something of ours came back: it is repeated once the routers have had time to find another
+    /// way, and never faster than silence would be taken for loss.
     pub fn handle_undelivered(&mut self, reason: UndeliveredReason, now: Instant) {
         self.now = now;
         self.counters.returned += 1;
@@ -36,13 +36,14 @@ impl Session {
         }
     }
 
-    /// The path leads over a medium that is taken for slow until it is measured: a serial line, or CAN.
+    /// The path leads over a medium that is taken for slow until it is measured: a serial line, or
+    /// CAN.
     pub(super) fn is_narrow(&self) -> bool {
         self.path.is_some_and(is_narrow)
     }
 
-    /// Parts that may always be on their way: fewer would wait for a timer at every loss. Of a narrow path
-    /// they would be seconds.
+    /// Parts that may always be on their way: fewer would wait for a timer at every loss. Of a
+    /// narrow path they would be seconds.
     fn congestion_min(&self) -> usize {
         if self.is_narrow() { Self::CONGESTION_NARROW } else { Self::CONGESTION_MIN }
     }
@@ -65,8 +66,8 @@ impl Session {
         let Some(mtu) = self.path else { return false };
         let congested =
             self.flying(0) >= self.congestion || self.flying_bytes(0) >= self.config.window_bytes;
-        // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one travels
-        // alone.
+        // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one
+        // travels alone.
         let ack_room = 32.min(mtu / 8);
         let always = self.congestion_min();
         for stream in BY_URGENCY {
@@ -196,7 +197,8 @@ impl Session {
             if stream != Stream::Redundant {
                 // A window that is not used tells nothing of a larger one (RFC 7661).
                 let used = self.flying(0) + progress.parts >= self.congestion;
-                // Nor does an answer, on a narrow path, of which nobody knows to which sending it is.
+                // Nor does an answer, on a narrow path, of which nobody knows to which sending it
+                // is.
                 let known = queueing.is_some() || !self.is_narrow();
                 if used && known && !crowded {
                     let most = match self.is_narrow() {
@@ -228,8 +230,9 @@ impl Session {
             match load {
                 // Half empty, so that whoever waits can send more than one message.
                 SizeClass::Small => messages <= most / 2 && holds <= should / 2,
-                // One is worth the word, and the next is to be here before the last has gone. What is small may
-                // stand here for ever: it has room of its own, and its senders keep their half.
+                // One is worth the word, and the next is to be here before the last has gone. What
+                // is small may stand here for ever: it has room of its own, and its senders keep
+                // their half.
                 SizeClass::Bulk => messages <= most && holds <= should,
             }
         });

@@ -26,8 +26,8 @@ use crate::net::routing::LinkId;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
-/// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one frame of most
-/// media, and seven of the smallest.
+/// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one
+/// frame of most media, and seven of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
 /// The bytes of one stamp.
 pub(crate) const STAMP: usize = 16;
@@ -71,8 +71,8 @@ pub struct Advertisement {
 pub struct Edge {
     /// To whom.
     pub to: NodeId,
-    /// To which of its lives, as [`life_tag`](Edge::life_tag) has it: while a node begins anew, some know
-    /// its new life already, and their links lead nobody to the old one.
+    /// To which of its lives, as [`life_tag`](Edge::life_tag) has it: while a node begins anew,
+    /// some know its new life already, and their links lead nobody to the old one.
     pub life: u8,
     /// How dear it is to use; at least 1.
     pub cost: u16,
@@ -113,8 +113,8 @@ pub enum RoutingMessage {
 }
 
 impl Edge {
-    /// What an edge says of a life: its last eight bits, which two lives that follow each other share by
-    /// chance at most.
+    /// What an edge says of a life: its last eight bits, which two lives that follow each other
+    /// share by chance at most.
     pub fn life_tag(incarnation: Incarnation) -> u8 {
         incarnation.0 as u8
     }

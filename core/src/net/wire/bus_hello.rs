@@ -15,10 +15,10 @@
 //!   stance: 2 bits │ e: 1 bit, an echo follows │ 3 bits 0 │ loss: 10 bits
 //! ```
 //!
-//! What a hello says to its one neighbour stands in a word here, and the words ride in turn: with turn 3,
-//! each neighbour has one in every third greeting, whose silence in between says nothing. That a greeting
-//! came is a sign of life to all. Of the echoed incarnation and sequence the lower 16 bits are enough: the
-//! one who is spoken to knows the rest.
+//! What a hello says to its one neighbour stands in a word here, and the words ride in turn: with
+//! turn 3, each neighbour has one in every third greeting, whose silence in between says nothing.
+//! That a greeting came is a sign of life to all. Of the echoed incarnation and sequence the lower
+//! 16 bits are enough: the one who is spoken to knows the rest.
 
 use super::frame::HelloState;
 use super::node_id::NodeId;
@@ -30,7 +30,8 @@ use bytes::{BufMut, BytesMut};
 const WORDS_MAX: usize = 255;
 const ECHO: u16 = 1 << 13;
 const LOSS: u16 = (1 << 10) - 1;
-/// The unit in which it is said how long an echo was held, in microseconds: 24 bits are a minute then.
+/// The unit in which it is said how long an echo was held, in microseconds: 24 bits are a minute
+/// then.
 const HELD_UNIT_US: u32 = 4;
 const HELD_MAX: u32 = (1 << 24) - 1;
 

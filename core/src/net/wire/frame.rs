@@ -16,12 +16,12 @@
 //! ```
 //!
 //! The echo says which hello of the neighbour arrived last and how long ago: the neighbour learns
-//! that it is heard, and the round trip without any clock in common. Stance and loss say what this end
-//! thinks of the link, so that both ends use it, or neither. Numbers are big-endian.
-//! On a bus one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
+//! that it is heard, and the round trip without any clock in common. Stance and loss say what this
+//! end thinks of the link, so that both ends use it, or neither. Numbers are big-endian. On a bus
+//! one [greeting](super::bus_hello), kind 3, goes to all in place of a hello to each.
 //!
-//! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte, which part
-//! it is from 0, with 128 added to the last, then the bytes.
+//! What a router says and no frame of the medium carries whole goes in parts, kind 4: one byte,
+//! which part it is from 0, with 128 added to the last, then the bytes.
 //!
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
@@ -89,7 +89,8 @@ pub struct Hello {
 }
 
 /// What one end of a link thinks of it. Both ends must be ready before either uses it, and one that
-/// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC 5880).
+/// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC
+/// 5880).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HelloState {
     /// It knows nothing yet: it has just begun, or begun anew.
@@ -178,14 +179,15 @@ impl RoutingFragment {
     const LAST: u8 = 128;
 }
 
-/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not keep
-/// up carries nothing.
+/// Whether these bytes are a hello, or a greeting. They go before all else: a link that they do not
+/// keep up carries nothing.
 pub fn is_hello(frame: &GatherBuffer) -> bool {
     matches!(frame.pieces()[0], [_, HELLO | GREETING, ..])
 }
 
-/// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what routers tell
-/// each other, and packets of the class [`Control`](crate::net::PacketPriority::Control), such as acknowledgements.
+/// Whether these bytes of a frame should overtake what waits for a slow medium: hellos, what
+/// routers tell each other, and packets of the class
+/// [`Control`](crate::net::PacketPriority::Control), such as acknowledgements.
 pub fn is_urgent(frame: &GatherBuffer) -> bool {
     let [head, body] = frame.pieces();
     match head {

@@ -5,8 +5,8 @@
 //! ```
 //! Numbers are of variable length, texts and byte strings stand after their length, a last byte
 //! string without. Stamps are microseconds since the session began, on the sender's clock; those of
-//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`DeliveryError`] by the codec;
-//! it is no daily traffic.
+//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`DeliveryError`]
+//! by the codec; it is no daily traffic.
 //!
 //! ```text
 //!   one node                                  the other
@@ -26,8 +26,8 @@ use bytes::{BufMut, Bytes, BytesMut};
 
 /// The longest name of a topic, in bytes.
 const TOPIC_MAX: usize = 255;
-/// The most bytes of a contract's identity: what [`PeerIdentity::decode`](crate::PeerIdentity::decode)
-/// takes.
+/// The most bytes of a contract's identity: what
+/// [`PeerIdentity::decode`](crate::PeerIdentity::decode) takes.
 const IDENTITY_MAX: usize = 16 * 1024;
 /// The most bytes of an error. The longest shows 24 lines of differences.
 const WHY_MAX: usize = 8 * 1024;
@@ -98,12 +98,13 @@ pub enum PeerMessage {
     },
     /// Send me what is published with you on this topic.
     Subscribe {
-        /// The number, chosen by the listener; good for this session. Events of the n-th version below
-        /// come under this number and n.
+        /// The number, chosen by the listener; good for this session. Events of the n-th version
+        /// below come under this number and n.
         subscription: u32,
         /// The topic.
         topic: String,
-        /// The contract as the listener knows it, and then the earlier versions that it understands.
+        /// The contract as the listener knows it, and then the earlier versions that it
+        /// understands.
         identities: Vec<Bytes>,
     },
     /// The contract is another here; nothing will come.
@@ -141,8 +142,8 @@ pub enum PeerMessage {
     },
     /// Objects of this node have come and gone.
     Names {
-        /// When this was sent. A session begins with such a message, so that the age of what follows
-        /// can be measured against one that came without delay.
+        /// When this was sent. A session begins with such a message, so that the age of what
+        /// follows can be measured against one that came without delay.
         stamp_us: u64,
         /// Everything said before is void: these are all.
         complete: bool,
@@ -153,8 +154,8 @@ pub enum PeerMessage {
     },
     /// This node ends in order and will not be back soon: do not take it for lost.
     Leaving,
-    /// The object behind this binding has no room: send it nothing until I say so. What is under way
-    /// waits here.
+    /// The object behind this binding has no room: send it nothing until I say so. What is under
+    /// way waits here.
     NotReady {
         /// Which.
         binding: u32,

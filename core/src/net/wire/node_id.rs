@@ -5,8 +5,8 @@ use std::fmt;
 
 /// A node's number: a hash of its name, so that nobody has to hand numbers out.
 ///
-/// Two names with one number cannot be in one network; the chance is one in 86 million for ten nodes.
-/// Whoever meets such a pair refuses the second loudly; another name helps.
+/// Two names with one number cannot be in one network; the chance is one in 86 million for ten
+/// nodes. Whoever meets such a pair refuses the second loudly; another name helps.
 ///
 /// ```
 /// use blastema_core::{NodeName, net::NodeId};

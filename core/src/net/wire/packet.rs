@@ -15,12 +15,14 @@
 //! passed on: cc 2 bits, k 1 bit, n 5 bits │ n × relay 4 │ segment, or a return
 //! ```
 //!
-//! Who passes a packet on writes itself behind those who did before, and gives it to none of them: whatever
-//! the nodes know of each other, no packet goes over a node twice. Between neighbours the list takes no byte.
+//! Who passes a packet on writes itself behind those who did before, and gives it to none of them:
+//! whatever the nodes know of each other, no packet goes over a node twice. Between neighbours the
+//! list takes no byte.
 //!
-//! A copy's relays are those that still follow after whoever receives it. Each takes the first off the list
-//! and passes the copy on to that one, the last to the destination: the list only becomes shorter, and no
-//! node may stand on it twice, so that a copy cannot go in a circle whatever the nodes know of each other.
+//! A copy's relays are those that still follow after whoever receives it. Each takes the first off
+//! the list and passes the copy on to that one, the last to the destination: the list only becomes
+//! shorter, and no node may stand on it twice, so that a copy cannot go in a circle whatever the
+//! nodes know of each other.
 
 use super::node_id::NodeId;
 use super::{Reader, WireError};

@@ -30,8 +30,8 @@ use bytes::{BufMut, Bytes, BytesMut};
 
 /// The most ranges that one acknowledgement lists; the rest is listed in later ones.
 pub const RANGES_MAX: usize = 16;
-/// The most pieces of one thing. A part never needs so many; a message that is not repeated is refused when it
-/// would, which in the smallest segments is one of more than 228 KiB.
+/// The most pieces of one thing. A part never needs so many; a message that is not repeated is
+/// refused when it would, which in the smallest segments is one of more than 228 KiB.
 pub const PIECES_MAX: u16 = 4096;
 
 /// The most bytes that say which piece it is.

@@ -4,8 +4,8 @@ use super::{FaultResolution, Place, Recoverer};
 use crate::{Fault, Instant};
 
 impl Recoverer {
-    /// The node has enter the safe state. Where everything was stopped nothing is treated: what was under way is given
-    /// up, and so is what comes. Links and other nodes go on being treated.
+    /// The node has enter the safe state. Where everything was stopped nothing is treated: what was
+    /// under way is given up, and so is what comes. Links and other nodes go on being treated.
     pub fn handle_rest(&mut self, now: Instant) {
         self.resting = true;
         let rests = |place: &&Place| matches!(place, Place::Object(_));

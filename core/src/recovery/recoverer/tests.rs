@@ -404,8 +404,8 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
     );
 }
 
-/// Every kind of fault, every answer: whatever the strategies say or do not say, every fault comes to
-/// a final outcome in bounded time.
+/// Every kind of fault, every answer: whatever the strategies say or do not say, every fault comes
+/// to a final outcome in bounded time.
 #[test]
 fn every_fault_is_settled_whatever_the_strategies_do() {
     let places = [

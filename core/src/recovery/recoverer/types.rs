@@ -103,16 +103,16 @@ pub enum RecovererOutput {
 /// The recoverer's bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RecovererLimits {
-    /// Open cases. More places than this at once, and further ones are given up loudly; as many as a
-    /// large node has objects.
+    /// Open cases. More places than this at once, and further ones are given up loudly; as many as
+    /// a large node has objects.
     pub cases: usize,
     /// Symptoms that wait for their roots. More, and a symptom is acted upon at once.
     pub symptoms: usize,
-    /// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves victims
-    /// more time to come back by themselves.
+    /// From the root's recovery to acting upon a symptom that was not cleared. Longer leaves
+    /// victims more time to come back by themselves.
     pub grace: Duration,
-    /// A fault that returns within this time after a reset, or a strategy of the application's own, had
-    /// cured it is not treated from the beginning but goes on up its ladder.
+    /// A fault that returns within this time after a reset, or a strategy of the application's own,
+    /// had cured it is not treated from the beginning but goes on up its ladder.
     pub memory: Duration,
     /// A strategy without work is released after this. Longer keeps it warm; shorter frees memory.
     pub idle: Duration,

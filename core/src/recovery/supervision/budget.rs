@@ -12,7 +12,8 @@ pub(super) struct Budget {
     intensity: u32,
     period: Duration,
     shared: bool,
-    /// By child; under a shared count, all under one key. A child that was never restarted has none.
+    /// By child; under a shared count, all under one key. A child that was never restarted has
+    /// none.
     windows: BTreeMap<ChildKey, RestartWindow>,
     /// The counts that are exhausted until their windows move.
     spent: BTreeSet<ChildKey>,

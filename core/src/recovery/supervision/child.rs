@@ -13,13 +13,14 @@ pub enum ReplacementCause {
     Died,
     /// It does not answer: it is given up without being asked.
     Stuck,
-    /// It stands still behind somebody else's hang: it is given up too, and that its life is replaced
-    /// is not held against it or its supervisor.
+    /// It stands still behind somebody else's hang: it is given up too, and that its life is
+    /// replaced is not held against it or its supervisor.
     Behind,
-    /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly end.
+    /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly
+    /// end.
     Faulty,
-    /// A person, or the application, wants its next life: if it lives, it is stopped in order. That is not
-    /// held against it or its supervisor either.
+    /// A person, or the application, wants its next life: if it lives, it is stopped in order. That
+    /// is not held against it or its supervisor either.
     Asked,
 }
 
@@ -118,8 +119,8 @@ pub(super) struct SupervisedChild {
     pub(super) isolated: bool,
     /// Its guard holds a standing order.
     pub(super) ordered: bool,
-    /// When its guard restarted it by itself, as far back as it counts; never more than the intensity
-    /// allows, and one.
+    /// When its guard restarted it by itself, as far back as it counts; never more than the
+    /// intensity allows, and one.
     pub(super) on_the_spot: Vec<Instant>,
 }
 

@@ -6,19 +6,20 @@
 //!                          └──intensity exceeded──► Ending ─► Escalated (the parent decides)
 //! ```
 //!
-//! Restarts are counted per child, and a child that exceeds the intensity is refused its restart: its
-//! recoverer then takes the next measure, at last safe stop. Where the rules say so, the strategy makes
-//! children depend on each other, or the child is essential, the supervisor escalates instead.
+//! Restarts are counted per child, and a child that exceeds the intensity is refused its restart:
+//! its recoverer then takes the next measure, at last safe stop. Where the rules say so, the
+//! strategy makes children depend on each other, or the child is essential, the supervisor
+//! escalates instead.
 //!
 //! Two sets carry all order. `going` holds the children whose present life must end: only the last
-//! of them in start order is stopped at a time. `coming` holds those that are to start: only the first
-//! of them is started at a time, and only when nobody is going any more. A group restart puts children
-//! into both; whatever fails in between joins the same sets, so that nothing is lost or done twice.
-//! Under one_for_one a restarted child depends on nobody and passes by both.
+//! of them in start order is stopped at a time. `coming` holds those that are to start: only the
+//! first of them is started at a time, and only when nobody is going any more. A group restart puts
+//! children into both; whatever fails in between joins the same sets, so that nothing is lost or
+//! done twice. Under one_for_one a restarted child depends on nobody and passes by both.
 //!
-//! A child whose life has ended blocks those behind it in `coming` until the recoverer has said what is
-//! to be done: restart it, or put it to rest. The supervisor never restarts a component on its own
-//! account; only a supervisor below that has escalated is its own to decide about.
+//! A child whose life has ended blocks those behind it in `coming` until the recoverer has said
+//! what is to be done: restart it, or put it to rest. The supervisor never restarts a component on
+//! its own account; only a supervisor below that has escalated is its own to decide about.
 
 mod budget;
 mod child;
@@ -213,8 +214,8 @@ impl Supervisor {
         }
     }
 
-    /// A restart is wanted: by the recoverer for a fault of the life `struck`, or, without one, by a
-    /// person, whose wish no budget counts.
+    /// A restart is wanted: by the recoverer for a fault of the life `struck`, or, without one, by
+    /// a person, whose wish no budget counts.
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
@@ -336,8 +337,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child's life waits for something that is not there yet, and tries again by itself. Where others
-    /// depend on it, those behind it wait too; else they are started.
+    /// The child's life waits for something that is not there yet, and tries again by itself. Where
+    /// others depend on it, those behind it wait too; else they are started.
     pub fn handle_unavailable(
         &mut self,
         name: &ObjectName,
@@ -370,8 +371,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child that was told to start has begun this life: not the one that it was told, if its guard had
-    /// begun that one on the spot meanwhile.
+    /// The child that was told to start has begun this life: not the one that it was told, if its
+    /// guard had begun that one on the spot meanwhile.
     pub fn handle_begun(&mut self, name: &ObjectName, incarnation: Incarnation) {
         self.present(name, incarnation);
     }
@@ -464,8 +465,8 @@ impl Supervisor {
     }
 
     /// The actor around this machine began anew after a panic of its own: what was under way is not
-    /// known any more. Children at work stay there; those in between are given up and started again.
-    /// Requests that waited are forgotten.
+    /// known any more. Children at work stay there; those in between are given up and started
+    /// again. Requests that waited are forgotten.
     pub fn handle_own_restart(&mut self, now: Instant) {
         self.outputs.clear();
         self.pending.clear();

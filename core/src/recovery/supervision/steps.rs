@@ -46,7 +46,8 @@ impl Supervisor {
         }
     }
 
-    /// Every child that is to have a life has one at work, or one that waits for what is not there yet.
+    /// Every child that is to have a life has one at work, or one that waits for what is not there
+    /// yet.
     fn is_up(&self) -> bool {
         let up = |child: &SupervisedChild| match child.state {
             ChildPhase::Running | ChildPhase::Resetting { .. } | ChildPhase::Unavailable => true,
@@ -116,16 +117,16 @@ impl Supervisor {
         }
     }
 
-    /// Somebody whose life has ended in the meantime holds up those behind it, until its own fault has
-    /// been decided upon. That may wait in turn for what is being answered here. So does one that waits
-    /// for what is not there yet.
+    /// Somebody whose life has ended in the meantime holds up those behind it, until its own fault
+    /// has been decided upon. That may wait in turn for what is being answered here. So does one
+    /// that waits for what is not there yet.
     fn is_held_up(&self) -> bool {
         let first = self.coming.first().and_then(|key| self.children.get(key));
         first.is_some_and(|child| child.failed.is_some() || child.state == ChildPhase::Unavailable)
     }
 
-    /// Replaces a child's life, and those of its siblings as the strategy says; or says why that is not
-    /// worth it any more.
+    /// Replaces a child's life, and those of its siblings as the strategy says; or says why that is
+    /// not worth it any more.
     pub(super) fn replace(
         &mut self,
         key: ChildKey,
@@ -385,8 +386,8 @@ impl Supervisor {
         }
     }
 
-    /// Counts a restart and says whether it is within the intensity. One that is not ends everything where
-    /// no child can go on without this one.
+    /// Counts a restart and says whether it is within the intensity. One that is not ends
+    /// everything where no child can go on without this one.
     fn count_restart(&mut self, key: ChildKey, now: Instant) -> bool {
         let within = self.budget.add(key, now);
         if !within && (self.budget.is_shared() || self.kept(key).rules.essential) {

@@ -130,8 +130,8 @@ pub enum SupervisorOutput {
         /// Why.
         why: GiveUpReason,
     },
-    /// A child that is a supervisor has escalated, and is not worth restarting any more; it has ended.
-    /// The recoverer decides about it.
+    /// A child that is a supervisor has escalated, and is not worth restarting any more; it has
+    /// ended. The recoverer decides about it.
     Refused {
         /// The child.
         child: ObjectName,
@@ -140,8 +140,8 @@ pub enum SupervisorOutput {
         /// Which limit was exceeded, by whom.
         reason: String,
     },
-    /// The supervisor has come as far as it can: a child waits for something that is not there yet, and
-    /// those behind it depend on it.
+    /// The supervisor has come as far as it can: a child waits for something that is not there yet,
+    /// and those behind it depend on it.
     Unavailable {
         /// What it waits for, as the component said it.
         reason: String,
@@ -165,8 +165,8 @@ pub enum SupervisorOutput {
         /// The child.
         child: ObjectName,
     },
-    /// The root's restarts are not worth it any more: what must be safe is made safe now. All children are
-    /// ended next, which takes its time.
+    /// The root's restarts are not worth it any more: what must be safe is made safe now. All
+    /// children are ended next, which takes its time.
     GiveUp {
         /// Which limit was exceeded, by whom.
         reason: String,

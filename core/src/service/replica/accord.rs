@@ -1,4 +1,5 @@
-//! Whether all who carry the service were told the same of it, and what follows where they were not.
+//! Whether all who carry the service were told the same of it, and what follows where they were
+//! not.
 //!
 //! ```text
 //!   one replica                                  the other
@@ -6,16 +7,18 @@
 //!      │ ◄────────────────────────────────── its own │
 //! ```
 //!
-//! Each message between replicas carries the fingerprint of its sender's terms, and no vote or promise of other
-//! terms counts: no majority is ever made of votes for different things. That alone does not keep two from
-//! serving; what does is in [`rivals`](super::rivals). Other terms are reckoned with until all who were told
-//! them say the same as this one, in a life that was told better; or have ended in order, or carry the service
-//! no more. That somebody is out of sight is no reason: it may be cut off and alive, and of two parts that had
-//! forgotten each other, both would serve. But whoever was not seen for a minute, perhaps for good, is told of no
-//! more where what it was told hinders nobody here; it is still reckoned with, so that who may serve is the same.
+//! Each message between replicas carries the fingerprint of its sender's terms, and no vote or
+//! promise of other terms counts: no majority is ever made of votes for different things. That
+//! alone does not keep two from serving; what does is in [`rivals`](super::rivals). Other terms are
+//! reckoned with until all who were told them say the same as this one, in a life that was told
+//! better; or have ended in order, or carry the service no more. That somebody is out of sight is
+//! no reason: it may be cut off and alive, and of two parts that had forgotten each other, both
+//! would serve. But whoever was not seen for a minute, perhaps for good, is told of no more where
+//! what it was told hinders nobody here; it is still reckoned with, so that who may serve is the
+//! same.
 //!
-//! A member that is there and does not carry the service is told as well, and does no harm: it is one that has
-//! failed.
+//! A member that is there and does not carry the service is told as well, and does no harm: it is
+//! one that has failed.
 
 use super::super::terms::{TERMS_MAX, Terms};
 use super::rivals::{RIVALS_MAX, Rivals};
@@ -23,23 +26,25 @@ use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// How soon another one is asked again that has not answered, or is out of sight. Shorter finds out sooner; each
-/// question is a small message, and none where no path leads there.
+/// How soon another one is asked again that has not answered, or is out of sight. Shorter finds out
+/// sooner; each question is a small message, and none where no path leads there.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
-/// And one that has answered, and differs: another life of it says by itself what it was told. Shorter would load
-/// slow lines.
+/// And one that has answered, and differs: another life of it says by itself what it was told.
+/// Shorter would load slow lines.
 const LOOK_AGAIN: Duration = Duration::from_secs(5);
-/// Whoever differs, hinders nobody, and was not seen for so long is told of no more: as long as other faults last
-/// after what caused them. Shorter would tell of it anew with each longer cut.
+/// Whoever differs, hinders nobody, and was not seen for so long is told of no more: as long as
+/// other faults last after what caused them. Shorter would tell of it anew with each longer cut.
 const QUIET: Duration = Duration::from_secs(60);
-/// The most others, beside the members, of whom it is remembered what they say: far more than carry one service.
+/// The most others, beside the members, of whom it is remembered what they say: far more than carry
+/// one service.
 const KNOWN_MAX: usize = 1024;
-/// The most bytes of what is remembered of one: the whole of what differs, unless names are very long.
+/// The most bytes of what is remembered of one: the whole of what differs, unless names are very
+/// long.
 const TEXT_MAX: usize = 1024;
 /// The most bytes of an answer: terms, and a position.
 const TOLD_MAX: usize = TERMS_MAX + 32;
-/// The most others that are named: what is written for the first ones is wanted of all, and callers on other nodes
-/// are told in one small message.
+/// The most others that are named: what is written for the first ones is wanted of all, and callers
+/// on other nodes are told in one small message.
 const NAMED_MAX: usize = 8;
 
 /// What is known of the others that carry the service.
@@ -270,13 +275,14 @@ fn cut(mut text: String) -> String {
 }
 
 impl Replica {
-    /// What this replica was told, and how far it knows callers to be answered, for [`Replica::handle_terms`] of the
-    /// others.
+    /// What this replica was told, and how far it knows callers to be answered, for
+    /// [`Replica::handle_terms`] of the others.
     pub fn terms(&self) -> Bytes {
         codec::encode_unbounded(&(self.accord.terms.encode(), self.answered)).into()
     }
 
-    /// What others were told otherwise, and what is to be written, where nobody is served meanwhile.
+    /// What others were told otherwise, and what is to be written, where nobody is served
+    /// meanwhile.
     pub fn dispute(&self) -> Option<&str> {
         self.accord.dispute.as_deref().filter(|_| self.accord.hopeless)
     }
@@ -286,8 +292,8 @@ impl Replica {
         self.accord.reached = reached.iter().cloned().collect();
     }
 
-    /// These other nodes have an object of the service's name, be there a path to them or not. To be told several
-    /// times a second.
+    /// These other nodes have an object of the service's name, be there a path to them or not. To
+    /// be told several times a second.
     pub fn handle_carriers(&mut self, found: &[NodeName], now: Instant) {
         // One that returns may return in another life.
         let members = &self.config.members;
@@ -317,7 +323,8 @@ impl Replica {
         self.settle_dispute(now);
     }
 
-    /// What another node was told of the service, as it answers; so it has heard what this one was told.
+    /// What another node was told of the service, as it answers; so it has heard what this one was
+    /// told.
     pub fn handle_terms(&mut self, from: &NodeName, terms: &[u8], now: Instant) {
         self.hear_terms(from, terms, true, now);
     }
@@ -445,7 +452,8 @@ impl Replica {
         }
     }
 
-    /// Says what is disputed, where that is something else than before, and serves no more where it may not.
+    /// Says what is disputed, where that is something else than before, and serves no more where it
+    /// may not.
     pub(super) fn settle_dispute(&mut self, now: Instant) {
         self.accord.note_dispute();
         let dispute = self.accord.dispute.clone();

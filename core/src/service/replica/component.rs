@@ -1,9 +1,9 @@
 //! Whether the component has what its replica knows of, and what follows where it has not.
 //!
-//! A replica's table and votes outlive its component's lives; with hot standbys the state does not. Such
-//! a member leaves the service to those who have it: it votes, for nobody who has come less far than it
-//! knows of, and does not stand for election until it was brought up to date (Raft's election
-//! restriction, of the state as well as of the log).
+//! A replica's table and votes outlive its component's lives; with hot standbys the state does not.
+//! Such a member leaves the service to those who have it: it votes, for nobody who has come less
+//! far than it knows of, and does not stand for election until it was brought up to date (Raft's
+//! election restriction, of the state as well as of the log).
 
 use super::*;
 
@@ -12,7 +12,8 @@ use super::*;
 pub(super) enum Health {
     /// All that its replica has, or will have when it has done its jobs.
     Whole,
-    /// It began a new life, or could not do what the primary did; nobody was heard to serve since then.
+    /// It began a new life, or could not do what the primary did; nobody was heard to serve since
+    /// then.
     Bare { since: Instant },
     /// It takes nothing: it was stopped, or is isolated. Nobody was heard to serve since then.
     Gone { since: Instant },
@@ -41,7 +42,8 @@ impl Replica {
         }
     }
 
-    /// The component was stopped, or isolated: it does nothing until [`Replica::handle_component_back`].
+    /// The component was stopped, or isolated: it does nothing until
+    /// [`Replica::handle_component_back`].
     pub fn handle_component_gone(&mut self, now: Instant) {
         if let Health::Gone { .. } = self.health {
             return;
@@ -153,8 +155,8 @@ impl Replica {
         }
     }
 
-    /// Whether this replica does not stand for election; if so, until when it need not look again. Whoever
-    /// waited in vain for those who know more forgets that there are any.
+    /// Whether this replica does not stand for election; if so, until when it need not look again.
+    /// Whoever waited in vain for those who know more forgets that there are any.
     pub(super) fn barred_until(&mut self, now: Instant) -> Option<Instant> {
         let until = self.lacking_since()? + self.config.patience();
         if now < until && self.config.members.len() > 1 {

@@ -6,19 +6,19 @@
 //!            └─ fewer: replies are held back ── none can come: a lease; one may: twenty ──►
 //! ```
 //!
-//! A standby that takes nothing, or is not heard, is not waited for: the service goes on, which most robots
-//! need more than certainty, and whoever looks after it is told what a failure would cost now. And where it
-//! did cost that, the one who begins without the state says so: each replica remembers how far callers were
-//! answered, and tells whom it votes for.
+//! A standby that takes nothing, or is not heard, is not waited for: the service goes on, which
+//! most robots need more than certainty, and whoever looks after it is told what a failure would
+//! cost now. And where it did cost that, the one who begins without the state says so: each replica
+//! remembers how far callers were answered, and tells whom it votes for.
 
 use super::accord::some_of;
 use super::*;
 use std::time::Duration;
 
 impl ReplicaConfig {
-    /// How long who has the state, or is about to, is waited for. Longer than a process is likely to stand
-    /// still; shorter brings a service sooner back of which nobody has the state any more, and which begins
-    /// anew then.
+    /// How long who has the state, or is about to, is waited for. Longer than a process is likely
+    /// to stand still; shorter brings a service sooner back of which nobody has the state any more,
+    /// and which begins anew then.
     pub(super) fn patience(&self) -> Duration {
         self.lease() * 20
     }
@@ -35,7 +35,8 @@ impl Replica {
             return false;
         }
         let since = *primary.alone_since.get_or_insert(now);
-        // Where each part goes on by itself, whoever starts first is alone until the others have come.
+        // Where each part goes on by itself, whoever starts first is alone until the others have
+        // come.
         let comes = config.on_partition == OnPartition::Continue || primary.expects(config, now);
         let wait = if comes { config.patience() } else { config.lease() };
         if now - since < wait {
@@ -66,8 +67,8 @@ impl Replica {
         self.set_fault(FaultKind::StateLost, None);
     }
 
-    /// What others were answered that this replica does not know of, nobody knows of: it begins without that,
-    /// under an epoch that is new to all. Answers whether there is any.
+    /// What others were answered that this replica does not know of, nobody knows of: it begins
+    /// without that, under an epoch that is new to all. Answers whether there is any.
     pub(super) fn begin_without(&mut self, epoch: u64) -> bool {
         let lost = self.config.kind != StandbyKind::Cold && self.lacks();
         if lost {
@@ -88,7 +89,8 @@ impl Replica {
         }
     }
 
-    /// A standby knows how far callers were answered, of whom this primary had not heard when it began.
+    /// A standby knows how far callers were answered, of whom this primary had not heard when it
+    /// began.
     pub(super) fn hear_loss(&mut self, epoch: u64, answered: Position) {
         let Acting::Primary(primary) = &self.role else { return };
         let base = primary.base;
@@ -140,8 +142,8 @@ impl Replica {
         self.position < self.answered
     }
 
-    /// How far whoever is to serve must have come. While those may return who have the most that is known of,
-    /// that is it.
+    /// How far whoever is to serve must have come. While those may return who have the most that is
+    /// known of, that is it.
     pub(super) fn floor(&self, now: Instant) -> Position {
         let waits = self.lacking_since().is_some_and(|since| now < since + self.config.patience());
         if waits { self.position.max(self.answered) } else { self.position }

@@ -6,23 +6,26 @@
 //!         └───────── somebody serves ─────┴────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! Each member says what it sees itself, a part of a divided robot also: there nobody serves. The words are those of
-//! the last look, and told anew when they change, but not more often than one takeover takes.
+//! Each member says what it sees itself, a part of a divided robot also: there nobody serves. The
+//! words are those of the last look, and told anew when they change, but not more often than one
+//! takeover takes.
 
 use super::accord::some_of;
 use super::*;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// The least time for which nobody serves before that is a fault: less is over before anybody has read it.
+/// The least time for which nobody serves before that is a fault: less is over before anybody has
+/// read it.
 const OUTAGE_MIN: Duration = Duration::from_secs(1);
-/// And at the start of a node, which may be the first of its robot: as long as a neighbour is waited for that never
-/// comes.
+/// And at the start of a node, which may be the first of its robot: as long as a neighbour is
+/// waited for that never comes.
 const START: Duration = Duration::from_secs(5);
 
 impl ReplicaConfig {
-    /// Longer than a takeover takes: a promise that ends, the turns of all who come before, and votes that were
-    /// split a few times. Longer tells of an outage later; shorter tells of those that are over by themselves.
+    /// Longer than a takeover takes: a promise that ends, the turns of all who come before, and
+    /// votes that were split a few times. Longer tells of an outage later; shorter tells of those
+    /// that are over by themselves.
     fn takeover(&self) -> Duration {
         let turns = self.hello_interval / 2 * u32::try_from(self.members.len()).unwrap_or(u32::MAX);
         (self.lease() * 10 + turns).max(OUTAGE_MIN)
@@ -39,7 +42,8 @@ pub(super) struct Outage {
     worded: Option<Instant>,
     /// Who did not vote for this replica when it last stood for election.
     unwilling: Vec<NodeName>,
-    /// To whom nothing is sent, as this node keeps them out: of the members, when they were last written to.
+    /// To whom nothing is sent, as this node keeps them out: of the members, when they were last
+    /// written to.
     kept_out: BTreeSet<NodeName>,
 }
 
@@ -65,7 +69,8 @@ impl Outage {
 }
 
 impl Replica {
-    /// What was last sent to this member went its way, or was refused here since this node keeps it out.
+    /// What was last sent to this member went its way, or was refused here since this node keeps it
+    /// out.
     pub fn handle_sent(&mut self, to: &NodeName, kept_out: bool) {
         if !kept_out {
             self.outage.kept_out.remove(to);

@@ -119,7 +119,8 @@ impl Primary {
 }
 
 impl Replica {
-    /// A majority wants this replica to serve; it was asked at `asked`. Whoever voted may have what it has.
+    /// A majority wants this replica to serve; it was asked at `asked`. Whoever voted may have what
+    /// it has.
     pub(super) fn take_over(
         &mut self,
         epoch: u64,
@@ -299,7 +300,8 @@ impl Replica {
         self.release(now);
     }
 
-    /// Lets go of the replies that every standby in step, and a majority, knows of; or all that can.
+    /// Lets go of the replies that every standby in step, and a majority, knows of; or all that
+    /// can.
     pub(super) fn release(&mut self, now: Instant) {
         self.expect_no_silent(now);
         let exposed = self.judge_exposure(now);

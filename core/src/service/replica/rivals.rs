@@ -7,33 +7,37 @@
 //!          └─────────────┘
 //! ```
 //!
-//! By one list a majority elects, by another list another one. So a primary of one terms counts, for every
-//! other terms that it has heard of, those nodes of theirs who may yet elect somebody; it serves only while they
-//! are too few. Those who have promised itself elect nobody. (Raft's joint consensus asks the same of a change
-//! of members: majorities of both.)
+//! By one list a majority elects, by another list another one. So a primary of one terms counts,
+//! for every other terms that it has heard of, those nodes of theirs who may yet elect somebody; it
+//! serves only while they are too few. Those who have promised itself elect nobody. (Raft's joint
+//! consensus asks the same of a change of members: majorities of both.)
 //!
-//! Where that cannot be, as with a node that lists none but itself, one of the two leads: that of the longer
-//! list. Whoever follows keeps back as said before, and is then *bound*: told the leader's terms, it serves
-//! nobody without a majority of the leader's list, and votes for nobody who does not reckon with the leader. The
-//! leader need not count those who are bound, a promise after they were told. So that whoever dies, or is cut
-//! off, has no say any more; a new life of it, out of sight and told the same wrong thing, is one that was never
-//! met. Whoever comes back into sight has to say again that it was told.
+//! Where that cannot be, as with a node that lists none but itself, one of the two leads: that of
+//! the longer list. Whoever follows keeps back as said before, and is then *bound*: told the
+//! leader's terms, it serves nobody without a majority of the leader's list, and votes for nobody
+//! who does not reckon with the leader. The leader need not count those who are bound, a promise
+//! after they were told. So that whoever dies, or is cut off, has no say any more; a new life of
+//! it, out of sight and told the same wrong thing, is one that was never met. Whoever comes back
+//! into sight has to say again that it was told.
 //!
-//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary, and its promise
-//! counts for nothing: it learns the state, so that a new list begins with what was done by the old one. Epochs
-//! and positions of two lists are not compared: only a snapshot brings whoever learns into step.
+//! Where the lists alone differ, and overlap, whoever was told the other one follows the primary,
+//! and its promise counts for nothing: it learns the state, so that a new list begins with what was
+//! done by the old one. Epochs and positions of two lists are not compared: only a snapshot brings
+//! whoever learns into step.
 //!
-//! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody is told two
-//! things. If q reckons with p's terms, too few of p's list are left to elect p. If it does not, nobody who is
-//! bound has voted for q, and too few of q's list are left to elect q. So one of them does not serve.
+//! Two primaries of different terms, p that leads and q, would have disjoint majorities, as nobody
+//! is told two things. If q reckons with p's terms, too few of p's list are left to elect p. If it
+//! does not, nobody who is bound has voted for q, and too few of q's list are left to elect q. So
+//! one of them does not serve.
 
 use super::super::terms::Terms;
 use super::accord::{Accord, Known, Opinion};
 use super::*;
 use std::collections::BTreeSet;
 
-/// The most terms that are told apart: far more than a change of lists makes. Beyond, this one serves and elects
-/// nobody until its node begins anew: of what it has forgotten, it cannot tell whether somebody still has it.
+/// The most terms that are told apart: far more than a change of lists makes. Beyond, this one
+/// serves and elects nobody until its node begins anew: of what it has forgotten, it cannot tell
+/// whether somebody still has it.
 pub(super) const RIVALS_MAX: usize = 64;
 
 /// Other terms than ours.
@@ -124,7 +128,8 @@ impl Accord {
             })
     }
 
-    /// Whether this node is bound for so long that it keeps back from these terms, which it was told.
+    /// Whether this node is bound for so long that it keeps back from these terms, which it was
+    /// told.
     fn keeps(&self, node: &NodeName, fingerprint: u64, theirs: &Terms, now: Instant) -> bool {
         let known = self.known.get(node).filter(|known| holds(&known.opinion, fingerprint));
         let bound = known.and_then(|known| known.bound);
@@ -160,8 +165,8 @@ impl Accord {
         self.rivals.overflow
     }
 
-    /// Whether whoever serves by our terms may do so in spite of these: each majority of ours leaves too few of
-    /// theirs to elect somebody, whoever of them dies or comes back.
+    /// Whether whoever serves by our terms may do so in spite of these: each majority of ours
+    /// leaves too few of theirs to elect somebody, whoever of them dies or comes back.
     pub(super) fn hinders_nobody(&self, fingerprint: u64, now: Instant) -> bool {
         let Some(Rival { terms: theirs, .. }) = self.rivals.all.get(&fingerprint) else {
             return false;
@@ -209,7 +214,8 @@ fn holds(opinion: &Opinion, fingerprint: u64) -> bool {
 }
 
 impl Replica {
-    /// Whether whoever serves, or is to, reckons with all terms that this one has heard of. If not, it is told.
+    /// Whether whoever serves, or is to, reckons with all terms that this one has heard of. If not,
+    /// it is told.
     pub(super) fn is_reckoned_with(&mut self, from: &NodeName, heard: &[u64]) -> bool {
         let Some(terms) = self.accord.unheard_in(heard).map(Terms::encode) else {
             // Whoever has forgotten some does not know.

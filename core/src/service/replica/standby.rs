@@ -112,7 +112,8 @@ impl Standby {
     }
 }
 
-/// Those before us in the order of the members have their turn first, but for the one that has gone.
+/// Those before us in the order of the members have their turn first, but for the one that has
+/// gone.
 fn turn(config: &ReplicaConfig, gone: Option<&NodeName>) -> Duration {
     let others = config.members.iter().filter(|member| Some(*member) != gone);
     let before = others.take_while(|member| **member != config.own).count();
@@ -187,8 +188,9 @@ impl Replica {
         self.tell_role();
     }
 
-    /// A node that was told another list, and nothing else otherwise, says something. While a list is changed, what
-    /// was done by the old one is known by the new one, too: whoever serves is followed, without a promise.
+    /// A node that was told another list, and nothing else otherwise, says something. While a list
+    /// is changed, what was done by the old one is known by the new one, too: whoever serves is
+    /// followed, without a promise.
     pub(super) fn hear_of_other_list(
         &mut self,
         (from, list): (&NodeName, u64),

@@ -1,5 +1,5 @@
-//! A robot of replicas over a network that delays, is cut, and whose nodes die and return: one seed,
-//! one run. Each component counts: a request adds one, the reply is the sum.
+//! A robot of replicas over a network that delays, is cut, and whose nodes die and return: one
+//! seed, one run. Each component counts: a request adds one, the reply is the sum.
 
 mod accord;
 mod component;
@@ -76,7 +76,8 @@ struct Robot {
     stopped: Vec<bool>,
     stalled: Vec<(usize, usize, Bytes)>,
     wire: BTreeMap<(Instant, u64), (usize, usize, Bytes)>,
-    /// Messages that wait for a cut to be mended, as sessions keep them; `None` where they are lost.
+    /// Messages that wait for a cut to be mended, as sessions keep them; `None` where they are
+    /// lost.
     dammed: Option<Vec<(usize, usize, Bytes)>>,
     /// Sessions keep the order.
     last: BTreeMap<(usize, usize), Instant>,

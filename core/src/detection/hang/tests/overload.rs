@@ -2,7 +2,8 @@
 
 use super::*;
 
-/// A thread that the planner keeps by short handlers, while the neighbour's rounds are due every 20 ms.
+/// A thread that the planner keeps by short handlers, while the neighbour's rounds are due every 20
+/// ms.
 struct Road {
     world: World,
     /// The planner's handlers keep so many of ten looks.

@@ -11,15 +11,15 @@
 //!   ├─ consecutive 9 …  ──────────────────►│
 //! ```
 //!
-//! * Between two nodes one message is under way at a time in each direction; between different pairs
-//!   any number. Where several of ours go out, frames take turns.
+//! * Between two nodes one message is under way at a time in each direction; between different
+//!   pairs any number. Where several of ours go out, frames take turns.
 //! * To all nodes a message goes without anybody's word, at a fixed pace. The standard knows only
 //!   single frames to all; longer messages go as Linux sends them (`CAN_ISOTP_CF_BROADCAST`).
 //! * A target that does not answer loses all that waits for it: what is old when it is back helps
 //!   nobody.
 //!
-//! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check over a
-//! message, only that of each frame; whoever wants one, puts it into the message.
+//! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check
+//! over a message, only that of each frame; whoever wants one, puts it into the message.
 
 mod config;
 mod pdu;
@@ -98,8 +98,8 @@ pub enum IsoTpOutput {
         /// Why not.
         error: ReceptionError,
     },
-    /// Another node speaks under our address, or the bus hands back what we said ourselves. What it says
-    /// to all is received nevertheless, as from us.
+    /// Another node speaks under our address, or the bus hands back what we said ourselves. What it
+    /// says to all is received nevertheless, as from us.
     AddressTaken,
 }
 
@@ -121,8 +121,8 @@ pub struct IsoTpErrorCounts {
 
 /// The machine of one node on one bus.
 ///
-/// It hands out frames only as the bus takes them, by [`poll_frame`](IsoTp::poll_frame): nothing piles
-/// up between it and the bus.
+/// It hands out frames only as the bus takes them, by [`poll_frame`](IsoTp::poll_frame): nothing
+/// piles up between it and the bus.
 #[derive(Debug)]
 pub struct IsoTp {
     own: BusAddress,
@@ -181,8 +181,8 @@ impl IsoTp {
         self.take(to, message, false, now)
     }
 
-    /// Takes a message that goes before those that wait for the same target, and for which there is as much
-    /// room as for all others.
+    /// Takes a message that goes before those that wait for the same target, and for which there is
+    /// as much room as for all others.
     ///
     /// # Errors
     /// [`EnqueueError`]; the message is dropped.
@@ -281,8 +281,8 @@ impl IsoTp {
         }
     }
 
-    /// Whether whoever is to get the messages can take more. While not, senders are told to wait; what
-    /// is in a single frame or under way already comes nevertheless.
+    /// Whether whoever is to get the messages can take more. While not, senders are told to wait;
+    /// what is in a single frame or under way already comes nevertheless.
     pub fn handle_room(&mut self, room: bool, now: Instant) {
         if room && !self.room {
             let terms = ReceptionContext { config: &self.config, room, now };
@@ -291,8 +291,8 @@ impl IsoTp {
         self.room = room;
     }
 
-    /// The bus is gone: nothing that waits or is under way will arrive. The answer is how many messages
-    /// were to go out.
+    /// The bus is gone: nothing that waits or is under way will arrive. The answer is how many
+    /// messages were to go out.
     pub fn handle_loss(&mut self) -> u64 {
         self.incoming.clear();
         let lanes = std::mem::take(&mut self.outgoing).into_values();
@@ -302,7 +302,8 @@ impl IsoTp {
         lanes.map(|lane| all(lane) as u64).sum()
     }
 
-    /// The next frame that is to go out now, if any. Ask only when the bus takes one: it counts as sent.
+    /// The next frame that is to go out now, if any. Ask only when the bus takes one: it counts as
+    /// sent.
     pub fn poll_frame(&mut self, now: Instant) -> Option<CanFrame> {
         self.poll_answer(now).or_else(|| self.poll_message(now))
     }

@@ -20,7 +20,8 @@ const FLOW: u8 = 3;
 
 /// The longest message whose length fits into 12 bits.
 pub const SHORT_LENGTH_MAX: usize = 4095;
-/// What stands in bytes that say nothing, where a frame cannot be shorter: with it, no bit is stuffed.
+/// What stands in bytes that say nothing, where a frame cannot be shorter: with it, no bit is
+/// stuffed.
 const FILLER: u8 = 0xcc;
 
 /// What one frame says.

@@ -9,9 +9,9 @@
 //!
 //! Setting is of one bit rate, or of two where the bus has CAN FD.
 //!
-//! Many an adapter answers nothing at all: silence is no failure. One that is open already, by a program
-//! that died, is closed first, which an adapter that is closed refuses: whatever is heard in the pause
-//! after that says nothing.
+//! Many an adapter answers nothing at all: silence is no failure. One that is open already, by a
+//! program that died, is closed first, which an adapter that is closed refuses: whatever is heard
+//! in the pause after that says nothing.
 
 use super::{AdapterCommand, AdapterReply, BitRate, DataRate};
 use crate::Instant;
@@ -20,19 +20,20 @@ use std::time::Duration;
 
 /// How long an adapter may take for an answer. Those that answer do so within a few milliseconds.
 const PATIENCE: Duration = Duration::from_millis(200);
-/// How long whatever an adapter says after it was closed counts for nothing: what a serial line of 9,600
-/// bit/s and a dozen bytes take.
+/// How long whatever an adapter says after it was closed counts for nothing: what a serial line of
+/// 9,600 bit/s and a dozen bytes take.
 const PAUSE: Duration = Duration::from_millis(20);
-/// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's memory
-/// holds. More would only wait there, before what is more urgent.
+/// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's
+/// memory holds. More would only wait there, before what is more urgent.
 const AHEAD: Duration = Duration::from_millis(3);
 
-/// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes on the
-/// serial line.
+/// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes
+/// on the serial line.
 const ASKING: Duration = Duration::from_millis(100);
 /// One that leaves so many questions unanswered is asked no more.
 const QUESTIONS: u8 = 3;
-/// What the answer has, of CAN232: too many of its frames were confirmed by nobody, and the last was not.
+/// What the answer has, of CAN232: too many of its frames were confirmed by nobody, and the last
+/// was not.
 const ERROR_PASSIVE: u8 = 1 << 5;
 const BUS_ERROR: u8 = 1 << 7;
 
@@ -100,7 +101,8 @@ enum Alarm {
 }
 
 impl AdapterControl {
-    /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN FD.
+    /// An adapter that was just found, on a bus of this rate, and of that rate for the data of CAN
+    /// FD.
     pub fn new(rate: BitRate, data_rate: Option<DataRate>) -> Self {
         AdapterControl {
             rate,

@@ -13,9 +13,9 @@
 //!   b, B                CAN FD with its data at the faster rate
 //! ```
 //!
-//! A frame from the adapter may end with four digits of time, in milliseconds of a minute. A line that
-//! says nothing is thrown away up to its end, so that after garbage the next line is understood again;
-//! no line is longer than [`LINE_MAX`].
+//! A frame from the adapter may end with four digits of time, in milliseconds of a minute. A line
+//! that says nothing is thrown away up to its end, so that after garbage the next line is
+//! understood again; no line is longer than [`LINE_MAX`].
 
 mod dialogue;
 
@@ -42,8 +42,8 @@ const BIT_RATES_HZ: [u32; 9] =
 pub struct BitRate(u8);
 
 impl BitRate {
-    /// The rate of so many bits a second; `None` where adapters have no number for it: 10, 20, 50, 100,
-    /// 125, 250, 500, 800 and 1000 kbit/s have one.
+    /// The rate of so many bits a second; `None` where adapters have no number for it: 10, 20, 50,
+    /// 100, 125, 250, 500, 800 and 1000 kbit/s have one.
     ///
     /// ```
     /// use blastema_core::can::slcan::BitRate;

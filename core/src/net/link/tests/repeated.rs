@@ -49,7 +49,8 @@ fn traffic_of_the_past_neither_brings_a_link_up_nor_keeps_it_down() {
     }
 }
 
-/// A cable that has run for so long that most of what was said is long past, and what its right end said.
+/// A cable that has run for so long that most of what was said is long past, and what its right end
+/// said.
 fn recorded() -> (Cable, Vec<Bytes>) {
     let mut cable = running();
     cable.run_until(20_000);

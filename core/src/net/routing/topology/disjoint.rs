@@ -1,9 +1,10 @@
 //! Ways to one node that have as little in common as can be, for copies of one thing.
 //!
-//! The cheapest set of disjoint ways is a flow of least cost, found by one search of a shortest path for
-//! each way (Suurballe and Tarjan, Networks 14, 1984; Bhandari, "Survivable Networks", 1999). Two copies
-//! may share what they must: a node or a link that both pass costs more than any detour, so that just
-//! those are shared without which nobody is reached. No other single failure then stops both.
+//! The cheapest set of disjoint ways is a flow of least cost, found by one search of a shortest
+//! path for each way (Suurballe and Tarjan, Networks 14, 1984; Bhandari, "Survivable Networks",
+//! 1999). Two copies may share what they must: a node or a link that both pass costs more than any
+//! detour, so that just those are shared without which nobody is reached. No other single failure
+//! then stops both.
 //!
 //! Ways after the second share nothing with any other, or are left out.
 
@@ -14,8 +15,8 @@ use crate::net::wire::packet::{COPIES_MAX, RELAYS_MAX};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
-/// What sharing an edge costs: more than the longest path, which has fewer nodes than 2¹⁶ of costs below
-/// 2¹⁶ each.
+/// What sharing an edge costs: more than the longest path, which has fewer nodes than 2¹⁶ of costs
+/// below 2¹⁶ each.
 const SHARED_EDGE: u64 = 1 << 32;
 /// What sharing a node costs: more than all edges of a path.
 const SHARED_NODE: u64 = 1 << 48;
@@ -77,7 +78,8 @@ struct Stretch {
     mtu: u16,
 }
 
-/// Each node is two vertices, with what it costs to pass it between them: 2n for coming, 2n + 1 for going.
+/// Each node is two vertices, with what it costs to pass it between them: 2n for coming, 2n + 1 for
+/// going.
 struct Flow {
     ids: Vec<NodeId>,
     arcs: Vec<Arc>,
@@ -146,8 +148,8 @@ impl Flow {
         }
     }
 
-    /// The cheapest path for one way more, and what it adds to the cost of all, which is never less than the
-    /// one before added. Dijkstra's algorithm.
+    /// The cheapest path for one way more, and what it adds to the cost of all, which is never less
+    /// than the one before added. Dijkstra's algorithm.
     fn search(&mut self) -> Option<(u64, Vec<usize>)> {
         const FAR: i64 = i64::MAX;
         let mut distances = vec![FAR; self.from.len()];

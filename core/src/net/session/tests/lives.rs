@@ -146,7 +146,8 @@ fn a_close_that_nobody_hears_ends_all_the_same() {
 fn another_version_is_told_once_and_nothing_opens() {
     let mut session = Session::new(config("left", 1, "right"), at(0));
     session.handle_path(1389, at(0));
-    // Before 2, nothing came between the parts of a large message: such a node would end session after session.
+    // Before 2, nothing came between the parts of a large message: such a node would end session
+    // after session.
     let open = OpenSegment { version: 1, tag: 1, echo: 0, incarnation: Incarnation(1), number: 1 };
 
     for _ in 0..3 {

@@ -78,7 +78,8 @@ fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
     assert_eq!(pair.ends[0].standing().unacknowledged, 0);
 }
 
-/// Takes out parts of so much until one of the messages of this text is in it. Answers with how many that were.
+/// Takes out parts of so much until one of the messages of this text is in it. Answers with how
+/// many that were.
 fn parts_until(outbound: &mut Outbound, room: usize, text: &str) -> usize {
     let mut parts = (1..).map(|n| (n, outbound.transmit(room, n as u64, at(0)).unwrap().1));
     let found = parts.find(|(_, part)| {

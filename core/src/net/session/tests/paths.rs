@@ -120,7 +120,8 @@ fn a_peer_that_says_nothing_although_there_is_a_path_is_given_up() {
     assert!(pair.take(0).contains(&returned(text("a"), &unreachable("right"))));
 }
 
-/// Both ends of a line of 9,600 bits a second say something large at once. Answers how much was repeated.
+/// Both ends of a line of 9,600 bits a second say something large at once. Answers how much was
+/// repeated.
 fn over_9600_baud(mtu: usize) -> u64 {
     let mut pair = Pair::new();
     pair.rate = Some(960);

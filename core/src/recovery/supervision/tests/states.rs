@@ -74,8 +74,8 @@ fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again()
     assert_eq!(rig.state("a"), ChildState::Running);
 }
 
-/// Puts child `b` of three into each state, throws each input at it, lets everything be answered, and
-/// finds either a supervisor at work with all that it wants, or one that ended as it was told.
+/// Puts child `b` of three into each state, throws each input at it, lets everything be answered,
+/// and finds either a supervisor at work with all that it wants, or one that ended as it was told.
 #[test]
 fn every_state_takes_every_input_and_comes_to_an_end() {
     type Act = (&'static str, fn(&mut Rig));

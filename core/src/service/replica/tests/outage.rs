@@ -189,6 +189,7 @@ fn an_outage_that_lasts_wakes_nobody_more_often_than_it_must() {
         assert!(due > now, "it would spin");
         (now, wakes) = (due, wakes + 1);
     }
-    // Once for each second, and for each time that it looks whether it may stand for election again.
+    // Once for each second, and for each time that it looks whether it may stand for election
+    // again.
     assert!(wakes < 170, "{wakes}");
 }

@@ -57,7 +57,8 @@ fn a_request_whose_deadline_passed_while_it_waited_is_not_begun() {
     assert_eq!(outputs.iter().filter(begun).count(), 1, "the third, and not the second");
 }
 
-/// A warm primary alone with its followers' messages, after it has served one request with this state.
+/// A warm primary alone with its followers' messages, after it has served one request with this
+/// state.
 fn entries_of(states: &[Vec<u8>]) -> (Vec<usize>, Vec<ReplicaOutput>) {
     let mut robot = Robot::new(3, 3, StandbyKind::Warm, OnPartition::Stop);
     robot.advance_ms(100);

@@ -20,7 +20,8 @@ fn id(index: usize) -> NodeId {
     NodeId::of(&name(index))
 }
 
-/// The ways from node 0 to node 1, as the cost of each, the number of its first cable and the nodes between.
+/// The ways from node 0 to node 1, as the cost of each, the number of its first cable and the nodes
+/// between.
 fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
     let at_end = |node: usize| {
         let far = move |&(a, b, cost): &Cable| match node {

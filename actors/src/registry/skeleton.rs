@@ -1,0 +1,143 @@
+//! What takes encoded messages for a component of this node, and encodes its replies.
+
+use super::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
+use crate::component::Handle;
+use crate::host::anchor::ComponentCell;
+use crate::letter::arrived_posting_time;
+use crate::reply::Responder;
+use crate::sender::SendError;
+use blastema_contract::reports::DeclaredFaultCleared;
+use blastema_core::contract::codec;
+use blastema_core::{
+    Contract, DeliveryError, FaultKind, GatherBuffer, Lifecycle, PeerIdentity, PreviousVersion,
+};
+use bytes::Bytes;
+use std::sync::Arc;
+
+/// The skeleton of one contract of a component of this node.
+pub(super) struct LocalSkeleton<C: Handle<M>, M: Contract> {
+    pub(super) anchor: Arc<ComponentCell<C>>,
+    /// The version that the sender holds, where it is an earlier one.
+    pub(super) former: Option<Arc<PreviousVersion<M>>>,
+}
+
+impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
+    fn hand_over(
+        &self,
+        message: M,
+        MessageMetadata { id, age, until, .. }: MessageMetadata,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), DeliveryError> {
+        match reply_to {
+            // Its sender is elsewhere, and has been told that it was sent.
+            None => {
+                let posted_at = arrived_posting_time::<M>(age);
+                self.anchor.tell_at(message, posted_at).map_err(
+                    |SendError { kind: why, .. }| {
+                        // For want of room it may wait.
+                        if !matches!(why, DeliveryError::Full | DeliveryError::Restarting) {
+                            self.anchor.record.record_dead_letter(M::NAME, &why);
+                        }
+                        why
+                    },
+                )
+            }
+            Some(reply_to) => {
+                let (former, anchor) = (self.former.clone(), self.anchor.clone());
+                let callback = move |result: Result<M::Reply, DeliveryError>| {
+                    // The asker is not to wait for its deadline where the conversion panics.
+                    let converted = |reply| {
+                        let what = || format!("the conversion of a reply to {}", M::NAME);
+                        let encode = || encoded_reply(reply, former.as_deref());
+                        let encoded = anchor.record.guard(what, encode);
+                        encoded.unwrap_or_else(|reason| Err(DeliveryError::Undecodable { reason }))
+                    };
+                    reply_to(result.and_then(converted));
+                };
+                let answer = Responder::called_back(Box::new(callback), until);
+                self.anchor.post(message, answer, id).map_err(|error| error.kind)
+            }
+        }
+    }
+}
+
+pub(crate) fn encoded_reply<M: Contract>(
+    reply: M::Reply,
+    former: Option<&PreviousVersion<M>>,
+) -> Result<GatherBuffer, DeliveryError> {
+    let encoded = match former {
+        None => codec::encode_parcel_reply::<M>(reply),
+        Some(former) => former.answer(reply),
+    };
+    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
+        DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
+        other => other,
+    })
+}
+
+pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
+    match error {
+        codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
+        other => DeliveryError::Undecodable { reason: other.to_string() },
+    }
+}
+
+impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
+    fn deliver(
+        &self,
+        message: &Bytes,
+        postmark: MessageMetadata,
+        reply_to: Option<ReplyTo>,
+    ) -> Result<(), DeliveryError> {
+        // To read it runs what is the user's, on the network's thread.
+        let what = || format!("to read a message of {}", M::NAME);
+        let read = || match &self.former {
+            None => codec::decode_shared::<M>(message),
+            Some(former) => former.read(message),
+        };
+        let read = self.anchor.record.guard(what, read);
+        match read.and_then(|read| read.map_err(|error| error.to_string())) {
+            Ok(message) => self.hand_over(message, postmark, reply_to),
+            Err(reason) => {
+                let why = DeliveryError::Undecodable { reason };
+                self.anchor.record.record_dead_letter(M::NAME, &why);
+                if let Some(reply_to) = reply_to {
+                    reply_to(Err(why.clone()));
+                }
+                Err(why)
+            }
+        }
+    }
+
+    fn room(&self) -> Option<CapacityFuture> {
+        let anchor = self.anchor.clone();
+        Some(Box::pin(async move { anchor.lane.room().await }))
+    }
+
+    fn bury(&self, why: &DeliveryError) {
+        self.anchor.record.record_dead_letter(M::NAME, why);
+    }
+
+    fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
+        let mut former = M::previous_versions().into_iter();
+        let former = former.find(|former| former.identity().check(theirs).is_ok())?;
+        let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
+        Some(Arc::new(LocalSkeleton::<C, M> { anchor, former }))
+    }
+
+    fn is_at_work(&self) -> bool {
+        self.anchor.record.state() == Lifecycle::Active
+    }
+
+    fn declare(&self, kind: FaultKind, detail: String) {
+        self.anchor.record.declare(kind, detail);
+    }
+
+    fn mend(&self, kind: FaultKind) {
+        let record = &self.anchor.record;
+        if let Some(mended) = &record.environment.reports.mended {
+            let (object, incarnation) = (record.name.clone(), record.incarnation());
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+        }
+    }
+}
