@@ -3,7 +3,7 @@
 /// The known word that is spelt most like `wrong`, unless none is like it at all.
 ///
 /// ```
-/// use blastema_core::spelling::nearest;
+/// use blastema_core::suggestion::nearest;
 ///
 /// assert_eq!(nearest("buad", ["baud", "parity"]), Some("baud"));
 /// assert_eq!(nearest("colour", ["baud", "parity"]), None);

@@ -246,3 +246,9 @@ fn read_why(bytes: &[u8]) -> DeliveryError {
     codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
         .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
 }
+
+/// The component was stopped, isolated or removed, and not only restarted.
+fn takes_nothing(why: &DeliveryError) -> bool {
+    use DeliveryError::{Isolated, NotServed, Stopped, Unknown};
+    matches!(why, Stopped | Isolated | Unknown { .. } | NotServed { .. })
+}

@@ -200,7 +200,7 @@ impl ReplicaBody {
             match loaded {
                 Ok(true) => Done::Loaded,
                 Ok(false) => Done::NotLoaded,
-                Err(why) if takes_nothing(&why) => Done::Gone,
+                Err(why) if super::takes_nothing(&why) => Done::Gone,
                 Err(_) => Done::LoadAgain { state },
             }
         };
@@ -419,17 +419,6 @@ impl MachineActor for ReplicaBody {
     }
 }
 
-/// The component was stopped, isolated or removed, and not only restarted.
-fn takes_nothing(why: &DeliveryError) -> bool {
-    matches!(
-        why,
-        DeliveryError::Stopped
-            | DeliveryError::Isolated
-            | DeliveryError::Unknown { .. }
-            | DeliveryError::NotServed { .. }
-    )
-}
-
 answers_the_monitor!(ReplicaBody);
 
 impl Actor for ReplicaBody {
@@ -595,7 +584,7 @@ impl Handler<Done> for ReplicaBody {
                 return;
             }
             Done::Told(Ok(())) => self.machine.handle_component_back(now),
-            Done::Told(Err(why)) if takes_nothing(&why) => {
+            Done::Told(Err(why)) if super::takes_nothing(&why) => {
                 self.machine.handle_component_gone(now);
                 self.look_again(context);
             }

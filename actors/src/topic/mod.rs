@@ -16,6 +16,7 @@
 //! oldest events, which are counted among the dead letters under the topic's name.
 
 mod ear;
+mod erased;
 mod hub;
 mod publisher;
 mod traffic;
@@ -40,6 +41,7 @@ use blastema_core::{
     suggestion,
 };
 use bytes::Bytes;
+use erased::AnyTopic;
 use hub::HubQueue;
 use std::any::{Any, type_name};
 use std::collections::BTreeMap;
@@ -50,7 +52,6 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::watch;
-use tracing::error;
 use traffic::Traffic;
 
 /// Says whether a listener wants an event.
@@ -309,96 +310,6 @@ impl<E: Event> Topic<E> {
 
 fn nanos(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
-}
-
-/// A topic whose type is not known.
-trait AnyTopic: Send + Sync {
-    fn identity(&self) -> ContractIdentity;
-    /// The present version and the earlier ones that listeners here understand.
-    fn identities(&self) -> Vec<ContractIdentity>;
-    fn forward_to(&self, forwards: Arc<[RemoteForward]>);
-    fn publish_remote(
-        &self,
-        form: usize,
-        event: &Bytes,
-        age: Duration,
-    ) -> Result<(), DeliveryError>;
-    fn has_listeners(&self) -> bool;
-    /// Gives it the event that the topic keeps for who joins.
-    fn catch_up(&self, forward: &RemoteForward);
-    fn has_publishers(&self) -> bool;
-    fn row(&self, now: Instant) -> TopicRow;
-}
-
-impl<E: Event> AnyTopic for Topic<E> {
-    fn identity(&self) -> ContractIdentity {
-        ContractIdentity::of::<E>()
-    }
-
-    fn identities(&self) -> Vec<ContractIdentity> {
-        let former = self.former.iter().map(|former| former.identity().clone());
-        std::iter::once(self.identity()).chain(former).collect()
-    }
-
-    fn forward_to(&self, forwards: Arc<[RemoteForward]>) {
-        self.is_forwarded.store(!forwards.is_empty(), Relaxed);
-        *lock(&self.forwards) = forwards;
-        self.renew_matched();
-    }
-
-    fn catch_up(&self, forward: &RemoteForward) {
-        let latch = lock(&self.latch);
-        if let Some(Latched { event, at, is_foreign: false }) = &*latch
-            && let Ok(parcel) = codec::encode_parcel(event)
-        {
-            forward(&parcel, at.captured_at());
-        }
-    }
-
-    fn has_publishers(&self) -> bool {
-        self.traffic.has_publishers()
-    }
-
-    fn row(&self, now: Instant) -> TopicRow {
-        let nodes = lock(&self.forwards).len();
-        self.traffic.row(&self.key, E::LATCHED, nodes, now)
-    }
-
-    fn publish_remote(
-        &self,
-        form: usize,
-        event: &Bytes,
-        age: Duration,
-    ) -> Result<(), DeliveryError> {
-        let former = form.checked_sub(1).and_then(|place| self.former.get(place));
-        // To read it runs what is the user's, on the network's thread.
-        let read = panics::caught(|| match former {
-            None => codec::decode_shared::<E>(event),
-            Some(former) => former.read(event),
-        });
-        if let Err(panicked) = &read {
-            error!(topic = &*self.key.topic, contract = E::NAME, "to read an event {panicked}");
-        }
-        match read.and_then(|read| read.map_err(|error| error.to_string())) {
-            Ok(event) => {
-                let now = platform::now();
-                let captured_at = now.as_nanos().saturating_sub(nanos(age));
-                let captured_at = Some(Instant::from_nanos(captured_at));
-                self.traffic.count();
-                self.hand_out(event, Times { posted_at: now, captured_at }, true);
-                Ok(())
-            }
-            Err(reason) => {
-                let why = DeliveryError::Undecodable { reason };
-                self.bury(&why);
-                Err(why)
-            }
-        }
-    }
-
-    fn has_listeners(&self) -> bool {
-        self.listeners.load(Relaxed) > 0
-    }
 }
 
 /// Which type a topic was to carry, and where the program says so.

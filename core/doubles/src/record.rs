@@ -19,10 +19,10 @@ const LIMIT: usize = 1 << 20;
 ///
 /// # Examples
 /// ```
-/// use blastema_doubles::{FaultRecord, paused};
+/// use blastema_doubles::{Record, paused};
 ///
 /// paused(async {
-///     let record = FaultRecord::default();
+///     let record = Record::default();
 ///     record.push(1);
 ///     record.push(2);
 ///     assert_eq!(record.wait(|n| *n == 2).await, 2);

@@ -11,17 +11,17 @@ use std::time::Duration;
 /// answer was lost), it is asked again only if its contract is declared `idempotent`.
 ///
 /// ```
-/// use blastema_core::retry::Attempt;
+/// use blastema_core::delivery::retry::FailedAttempt;
 /// use blastema_core::{RetryPolicy, DeliveryError};
 ///
 /// let rule = RetryPolicy { attempts: 2, ..RetryPolicy::default() };
-/// let full = Attempt { asked: 1, why: &DeliveryError::Full, idempotent: false };
+/// let full = FailedAttempt { asked: 1, why: &DeliveryError::Full, idempotent: false };
 /// assert!(rule.again(full, 7).is_some());
-/// assert!(rule.again(Attempt { asked: 2, ..full }, 7).is_none());
+/// assert!(rule.again(FailedAttempt { asked: 2, ..full }, 7).is_none());
 /// let unknown = DeliveryError::OutcomeUnknown { reason: "the cable was cut".into() };
-/// let unknown = Attempt { why: &unknown, ..full };
+/// let unknown = FailedAttempt { why: &unknown, ..full };
 /// assert!(rule.again(unknown, 7).is_none());
-/// assert!(rule.again(Attempt { idempotent: true, ..unknown }, 7).is_some());
+/// assert!(rule.again(FailedAttempt { idempotent: true, ..unknown }, 7).is_some());
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RetryPolicy {

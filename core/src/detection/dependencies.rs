@@ -57,7 +57,7 @@ fn shown(way: &[ObjectName]) -> String {
 /// The dependencies of a node's objects.
 ///
 /// ```
-/// use blastema_core::dependencies::Dependencies;
+/// use blastema_core::detection::dependencies::Dependencies;
 ///
 /// let mut objects = Dependencies::of("module1".parse()?);
 /// objects.enter("laser".parse()?, &[]);
@@ -147,7 +147,7 @@ impl Dependencies {
 ///
 /// ```
 /// use blastema_core::ObjectName;
-/// use blastema_core::dependencies::circle;
+/// use blastema_core::detection::dependencies::circle;
 ///
 /// let [a, b] = [ObjectName::new("a")?, ObjectName::new("b")?];
 /// assert_eq!(circle(&[(&a, vec![&b])].into()), None);

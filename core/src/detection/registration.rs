@@ -12,7 +12,7 @@ use std::time::Duration;
 /// use std::time::Duration;
 ///
 /// let enrolment = Registration::new(ObjectName::new("laser")?)
-///     .liveness(Liveness::push(Duration::from_millis(100), 3))
+///     .watch(Liveness::push(Duration::from_millis(100), 3))
 ///     .depends_on(["module1:power".parse()?]);
 /// assert_eq!(enrolment.depends_on.len(), 1);
 /// # Ok::<(), blastema_core::NameError>(())

@@ -15,11 +15,11 @@ use std::time::Duration;
 /// How bad a medium is, in one direction.
 ///
 /// ```
-/// use blastema_core::impairment::{Fate, Impairment};
+/// use blastema_core::medium::impairment::{FrameFate, Impairment};
 /// use blastema_core::random::Random;
 ///
 /// let dead = Impairment { loss: 1.0, ..Impairment::NONE };
-/// assert_eq!(dead.fate(&mut Random::new(1)), Fate::Lost);
+/// assert_eq!(dead.fate(&mut Random::new(1)), FrameFate::Lost);
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Impairment {
@@ -130,12 +130,12 @@ const OVERTAKEN_AFTER: Duration = Duration::from_millis(10);
 /// One direction of a medium that can be made bad: what is put in comes out later, twice or never.
 ///
 /// ```
-/// use blastema_core::impairment::{Impairer, Impairment};
+/// use blastema_core::medium::impairment::{ImpairedDirection, Impairment};
 /// use blastema_core::{Instant, Machine};
 /// use bytes::Bytes;
 /// use std::time::Duration;
 ///
-/// let mut medium = Impairer::<Bytes>::new(7, 100);
+/// let mut medium = ImpairedDirection::<Bytes>::new(7, 100);
 /// medium.impair(Impairment { delay: Duration::from_millis(5), ..Impairment::NONE });
 /// medium.handle_frame("hello".into(), Instant::ORIGIN);
 /// assert_eq!(medium.poll_output(), None);

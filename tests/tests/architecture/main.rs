@@ -161,6 +161,14 @@ fn pages_are_wrapped() {
     holds(pages::width, "wrap the paragraph at 120 columns");
 }
 
+#[test]
+fn sentences_name_who_acts() {
+    holds(
+        pages::subjects,
+        "name the part of the system that acts: the peer, the sender, the session",
+    );
+}
+
 mod a_rule_can_fail {
     use super::*;
 
@@ -177,6 +185,13 @@ mod a_rule_can_fail {
     }
 
     const CORE: &str = "[package]\nname = \"blastema-core\"\n[dependencies]\n";
+
+    #[test]
+    fn vague_subjects_are_counted_in_sources_and_pages() {
+        let texts = [("README.md", "Whoever asks is told; nobody waits.".repeat(99))];
+        let texts = texts.each_ref().map(|(path, text)| (*path, text.as_str()));
+        check(pages::subjects, &texts, &[("README.md", 1)]);
+    }
 
     #[test]
     fn when_a_line_of_a_page_is_too_wide() {

@@ -87,3 +87,37 @@ fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str
         .skip(1)
         .take_while(|line| !line.starts_with("## "))
 }
+
+/// Words that leave open which part of the system acts.
+const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
+
+/// How often they may stand in the sources and pages of a folder. A folder that is rewritten gets its new, lower
+/// number; none rises.
+const VAGUE_MAX: [(&str, usize); 6] = [
+    ("actors/", 445),
+    ("core/", 511),
+    ("examples/", 24),
+    ("tests/", 94),
+    ("transports/", 73),
+    ("README.md", 6),
+];
+
+/// A sentence names the part of the system that acts: the peer, the sender, the other node.
+pub(crate) fn subjects(tree: &Tree) -> Vec<Breach> {
+    let count = |text: &str| {
+        let words = text.split(|c: char| !c.is_alphanumeric() && c != '_');
+        words.filter(|word| VAGUE.iter().any(|vague| word.eq_ignore_ascii_case(vague))).count()
+    };
+    let is_prose = |path: &str| path.ends_with(".rs") || path.ends_with(".md");
+    VAGUE_MAX
+        .iter()
+        .filter_map(|&(folder, most)| {
+            let own = tree.files.iter().filter(|(path, _)| path.starts_with(folder));
+            let found: usize =
+                own.filter(|(path, _)| is_prose(path)).map(|(_, text)| count(text)).sum();
+            let what =
+                format!("{found} words such as \"nobody\" and \"whoever\", of {most} at most");
+            (found > most).then(|| Breach::new(folder, 1, what))
+        })
+        .collect()
+}

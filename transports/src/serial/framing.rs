@@ -48,7 +48,7 @@ pub struct InvalidFrame;
 /// It holds no more than the longest frame takes on the line, whatever comes.
 ///
 /// ```
-/// use blastema_transports::serial::framing::{Deframer, Noise, encode};
+/// use blastema_transports::serial::framing::{Deframer, InvalidFrame, encode};
 ///
 /// let mut line = b"garbage".to_vec();
 /// let mut sent = Vec::new();
@@ -56,7 +56,7 @@ pub struct InvalidFrame;
 /// line.extend(&sent);
 ///
 /// let (mut deframer, mut rest) = (Deframer::new(100), &line[..]);
-/// assert_eq!(deframer.push(&mut rest), Some(Err(Noise)));
+/// assert_eq!(deframer.push(&mut rest), Some(Err(InvalidFrame)));
 /// assert_eq!(deframer.push(&mut rest), Some(Ok("hello".into())));
 /// assert_eq!(deframer.push(&mut rest), None);
 /// ```

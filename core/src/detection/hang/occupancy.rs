@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, VecDeque};
 /// as by any sample.
 ///
 /// ```
-/// use blastema_core::occupancy::Occupancy;
+/// use blastema_core::detection::hang::occupancy::Occupancy;
 ///
 /// let mut thread = Occupancy::default();
 /// assert_eq!(thread.share(), None);

@@ -123,7 +123,7 @@ impl CanFrame {
     /// A frame with these bytes; `None` where the format has no frame of that length.
     ///
     /// ```
-    /// use blastema_core::can::{CanFrame, CanId, Format};
+    /// use blastema_core::medium::can::{CanFrame, CanId, Format};
     /// let id = CanId::standard(0x123).unwrap();
     /// assert!(CanFrame::new(id, Format::Classic, b"12345678").is_some());
     /// assert!(CanFrame::new(id, Format::Classic, b"123456789").is_none());
@@ -177,7 +177,7 @@ impl CanFrame {
 ///
 /// ```
 /// // 3,472 full classic frames a second at 500 kbit/s.
-/// assert_eq!(500_000 / blastema_core::can::bits_on_bus(true, 8), 3_472);
+/// assert_eq!(500_000 / blastema_core::medium::can::bits_on_bus(true, 8), 3_472);
 /// ```
 pub fn bits_on_bus(extended: bool, bytes: usize) -> u64 {
     // Start, control, checksum, confirmation, end and pause (ISO 11898-1).

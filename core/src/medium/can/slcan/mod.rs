@@ -46,7 +46,7 @@ impl BitRate {
     /// 100, 125, 250, 500, 800 and 1000 kbit/s have one.
     ///
     /// ```
-    /// use blastema_core::can::slcan::BitRate;
+    /// use blastema_core::medium::can::slcan::BitRate;
     /// assert_eq!(BitRate::of(500_000).map(BitRate::hz), Some(500_000));
     /// assert_eq!(BitRate::of(42), None);
     /// ```
