@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use actix::prelude::*;
-//! use blastema::plain::{self, Serve};
+//! use blastema::plain::{self, ServeRequest};
 //! use blastema::prelude::*;
 //!
 //! #[derive(Clone, Debug, Event)]
@@ -17,9 +17,9 @@
 //! impl Actor for Siren {
 //!     type Context = actix::Context<Self>;
 //! }
-//! impl Handler<Serve<Alarm>> for Siren {
+//! impl Handler<ServeRequest<Alarm>> for Siren {
 //!     type Result = ();
-//!     fn handle(&mut self, Serve(alarm): Serve<Alarm>, _: &mut Self::Context) {
+//!     fn handle(&mut self, ServeRequest(alarm): ServeRequest<Alarm>, _: &mut Self::Context) {
 //!         assert_eq!(alarm.0, 7);
 //!         System::current().stop();
 //!     }

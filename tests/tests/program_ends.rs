@@ -134,6 +134,7 @@ fn a_process_plays_its_role() {
         match role.as_str() {
             "watched" => stay_until_signal().await,
             "stuck" => get_stuck().await,
+            "unsafe" => drop_with_outputs_that_panic().await,
             role => drive_and(role).await,
         }
     });
@@ -200,6 +201,26 @@ fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
     assert_eq!(code, Some(0), "{errors}");
     assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
     assert!(!errors.contains("safe outputs"), "{errors}");
+}
+
+/// Its safe outputs panic when they are called.
+async fn drop_with_outputs_that_panic() -> Result<(), Box<dyn std::error::Error>> {
+    let builder = Node::builder("module1").child(ChildSpec::new("wheels", || Wheels));
+    let node = builder.safe_outputs(|_| panic!("the valve sticks")).start().await?;
+    println!("started");
+    drop(node);
+    Ok(())
+}
+
+#[test]
+fn safe_outputs_that_panic_are_not_told_as_applied() {
+    let mut process = Process::start("unsafe", &[]);
+    process.await_line("started");
+    let (code, _, errors) = process.end();
+
+    assert_eq!(code, Some(0), "{errors}");
+    assert!(!errors.contains("safe outputs applied"), "{errors}");
+    assert!(errors.contains("panicked, and may be applied in part"), "{errors}");
 }
 
 fn watched() -> NodeBuilder {

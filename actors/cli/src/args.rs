@@ -84,7 +84,7 @@ pub(crate) enum Subcommand {
     /// Its objects with what the monitor thinks of each, the threads that components live on,
     /// links, sessions with other nodes, claimed names, services and who serves them, actuators and
     /// who commands them, and faults, as they are now. A node is shown where its program gave it a
-    /// window, by `NodeBuilder::shown_at`, to the user who runs it, and nobody else. What is not
+    /// window, by `NodeBuilder::inspection_socket`, to the user who runs it, and nobody else. What is not
     /// known is a dash; a table that is left out is empty, and one whose part of the node has not
     /// answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
@@ -310,7 +310,7 @@ mod tests {
                 "--within <DURATION>",
                 "10ms to 1h",
                 "[default: 10s]",
-                "shown_at",
+                "inspection_socket",
                 "services and who serves them",
                 "watch -n 1",
                 "Exit status",

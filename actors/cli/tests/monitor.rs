@@ -80,7 +80,10 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         let gone = monitor(&[text(&window)]).await;
         let told = String::from_utf8(gone.stderr).expect("text");
         assert_eq!(gone.status.code(), Some(2), "{told}");
-        assert!(told.contains("no node answers at") && told.contains("shown_at"), "{told}");
+        assert!(
+            told.contains("no node answers at") && told.contains("inspection_socket"),
+            "{told}"
+        );
     });
 }
 
@@ -117,7 +120,7 @@ fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
         check(folder.path().to_owned(), &["it is a folder: name the window in it"]).await;
         check(at(&"w".repeat(120)), &["at most 107 bytes"]).await;
         check(dead, &["has died", "restart it"]).await;
-        check(at("datagrams"), &["shown_at"]).await;
+        check(at("datagrams"), &["inspection_socket"]).await;
     });
 }
 

@@ -120,7 +120,7 @@ fn check_pull(name: &str, pull: Pull) -> Result<(), SpecError> {
 
 fn check_signs(name: &str, interval: Duration, tolerance: u32) -> Result<(), SpecError> {
     if !SIGNS.contains(&interval) {
-        let cure = "write 1 ms to 24 h, or Watch::Guard";
+        let cure = "write 1 ms to 24 h, or Liveness::Guard";
         return Err(SpecError::setting(
             name,
             "the watch's interval",

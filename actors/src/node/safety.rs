@@ -6,6 +6,7 @@
 //! program waits for them.
 
 use super::{Node, NodeState, Shared};
+use crate::chain::strategy::NOT_RETURNED;
 use crate::host::pulse::ArbiterHeartbeat;
 use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
@@ -52,21 +53,26 @@ impl Shared {
         let mut applied = outputs.rest(&fault);
         actuators.rest();
         let mut left = self.chain.callbacks.limit().unwrap_or_default();
-        let is_safe = loop {
-            let applied = !matches!(applied.try_recv(), Err(TryRecvError::Empty));
-            if applied && (actuators.are_at_rest() || ArbiterHeartbeat::beats_here()) {
-                break applied;
+        let mut known = Err(NOT_RETURNED);
+        let said = loop {
+            let ended = match applied.try_recv() {
+                Ok(end) => {
+                    known = end;
+                    true
+                }
+                Err(TryRecvError::Empty) => false,
+                Err(TryRecvError::Closed) => true,
+            };
+            if ended && (actuators.are_at_rest() || ArbiterHeartbeat::beats_here()) {
+                break known;
             }
             if left.is_zero() {
-                break applied;
+                break known;
             }
             platform::wait(LOOK);
             left = left.saturating_sub(LOOK);
         };
-        let said = match is_safe {
-            true => "safe outputs applied",
-            false => "the safe outputs were called, and have not returned in time",
-        };
+        let said = said.err().unwrap_or("safe outputs applied");
         // A node that runs on one thread belongs to a test, which has its own output.
         if self.chain.callbacks.have_threads() {
             platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));

@@ -40,7 +40,7 @@ pub(crate) enum InspectError {
     },
     /// The process at the socket is not a node.
     #[error(
-        "this is not a node's window: {} shows {reason}; give the path that NodeBuilder::shown_at \
+        "this is not a node's window: {} shows {reason}; give the path that NodeBuilder::inspection_socket \
          was given",
         path.display()
     )]
@@ -145,14 +145,14 @@ fn explain(path: &Path, error: &io::Error) -> String {
         ),
         _ if path.is_dir() => "it is a folder: name the window in it".to_owned(),
         _ if fs::metadata(path).is_ok_and(|found| !found.file_type().is_socket()) => {
-            "it is a file, and a window is a socket: give the path that NodeBuilder::shown_at was given"
+            "it is a file, and a window is a socket: give the path that NodeBuilder::inspection_socket was given"
                 .to_owned()
         }
         io::ErrorKind::NotFound if folder.is_some_and(|folder| !folder.exists()) => {
             format!("there is no folder {}: correct the path", folder.unwrap_or(path).display())
         }
         io::ErrorKind::NotFound => {
-            "nothing is there: start the node, or give it this window by NodeBuilder::shown_at"
+            "nothing is there: start the node, or give it this window by NodeBuilder::inspection_socket"
                 .to_owned()
         }
         io::ErrorKind::ConnectionRefused => {
@@ -168,10 +168,10 @@ fn explain(path: &Path, error: &io::Error) -> String {
             "the node has just ended: try again after its restart".to_owned()
         }
         _ if error.raw_os_error() == Some(Errno::PROTOTYPE.raw_os_error()) => {
-            "it is a socket of another kind: give the path that NodeBuilder::shown_at was given"
+            "it is a socket of another kind: give the path that NodeBuilder::inspection_socket was given"
                 .to_owned()
         }
-        _ => format!("{error}: give the path that NodeBuilder::shown_at was given"),
+        _ => format!("{error}: give the path that NodeBuilder::inspection_socket was given"),
     }
 }
 

@@ -19,7 +19,7 @@ mod safe_stop;
 mod table;
 mod tools;
 
-pub(crate) use outputs::{ApplyOutputs, SAFE_OUTPUTS, SafeOutputs};
+pub(crate) use outputs::{ApplyOutputs, NOT_RETURNED, SAFE_OUTPUTS, SafeOutputs};
 pub(crate) use table::{EngagedStrategy, StrategyTable, object_of};
 pub use tools::StrategyContext;
 pub(crate) use tools::StrategyTargets;
@@ -41,14 +41,14 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// it had are given to a new instance of it, on a fresh thread, from their beginning.
 ///
 /// ```
-/// use blastema::core::recovery::{RecoveryDone, Failed, RecoveryOrder};
+/// use blastema::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// use blastema::{RecoveryStrategy, StrategyContext};
 ///
 /// /// Lets a joint go limp before it is restarted.
 /// struct LimpFirst;
 ///
 /// impl RecoveryStrategy for LimpFirst {
-///     async fn carry_out(&self, order: &RecoveryOrder, tools: &StrategyContext) -> Result<RecoveryDone, Failed> {
+///     async fn carry_out(&self, order: &RecoveryOrder, tools: &StrategyContext) -> Result<RecoveryDone, RecoveryFailed> {
 ///         tools.isolate(&order.fault.place).await?;
 ///         tools.restart(&order.fault).await
 ///     }

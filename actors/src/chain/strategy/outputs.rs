@@ -7,13 +7,18 @@ use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::oneshot;
-use tracing::error;
 
 /// Called whenever something enters the safe state.
 pub(crate) type ApplyOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 
 /// Under this name stands what is wrong with the safe outputs.
 pub(crate) const SAFE_OUTPUTS: &str = "safe-outputs";
+
+/// What is told of safe outputs that block.
+pub(crate) const NOT_RETURNED: &str = "the safe outputs were called, and have not returned in time";
+
+/// Whether the safe outputs were applied, or what is to be told instead.
+pub(crate) type Applied = Result<(), &'static str>;
 
 /// The safe outputs of a node, and whether they are all applied already. Clones share them.
 #[derive(Clone, Default)]
@@ -49,7 +54,7 @@ impl SafeOutputs {
 
     /// The whole node comes to rest. What is returned completes when the outputs are applied, or
     /// have taken longer than they may.
-    pub(crate) fn rest(&self, fault: &Fault) -> oneshot::Receiver<()> {
+    pub(crate) fn rest(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
         self.resting.store(true, Relaxed);
         self.call(fault)
     }
@@ -59,29 +64,39 @@ impl SafeOutputs {
         self.resting.store(false, Relaxed);
     }
 
-    fn call(&self, fault: &Fault) -> oneshot::Receiver<()> {
+    fn call(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
         let (done, applied) = oneshot::channel();
         let Some(apply) = self.apply.clone() else {
             // Nobody waits yet.
-            let _ = done.send(());
+            let _ = done.send(Ok(()));
             return applied;
         };
         let (fault, reports, done) = (fault.clone(), self.reports.clone(), Mutex::new(Some(done)));
         self.callbacks.call(
             move || apply(&fault),
             move |outcome| {
-                match outcome {
-                    CallOutcome::Done => {}
-                    // Rest goes on: what stops can do less harm than what does not.
-                    CallOutcome::Panicked(text) => error!(text, "the safe outputs panicked"),
-                    CallOutcome::Blocked(limit) => reports.declare(
-                        SAFE_OUTPUTS,
-                        format!("the safe outputs have blocked their thread for {limit:?}"),
-                    ),
-                    CallOutcome::ReturnedLate => reports.mend(SAFE_OUTPUTS),
-                }
+                let applied = match outcome {
+                    CallOutcome::Done => Ok(()),
+                    // The safe state is entered all the same: components that stop do less harm
+                    // than components that go on.
+                    CallOutcome::Panicked(text) => {
+                        reports.declare(SAFE_OUTPUTS, format!("the safe outputs panicked: {text}"));
+                        Err("the safe outputs panicked, and may be applied in part")
+                    }
+                    CallOutcome::Blocked(limit) => {
+                        reports.declare(
+                            SAFE_OUTPUTS,
+                            format!("the safe outputs have blocked their thread for {limit:?}"),
+                        );
+                        Err(NOT_RETURNED)
+                    }
+                    CallOutcome::ReturnedLate => {
+                        reports.mend(SAFE_OUTPUTS);
+                        Ok(())
+                    }
+                };
                 if let Some(done) = done.lock().unwrap_or_else(PoisonError::into_inner).take() {
-                    let _ = done.send(());
+                    let _ = done.send(applied);
                 }
             },
         );
