@@ -74,7 +74,7 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_wait(Duration::ZERO), &["max_wait of lamp"]).await;
         refused(lamp().ready_within(Duration::ZERO), &["ready_within of lamp"]).await;
 
-        let interval = &["the watch's interval of lamp is", "Watch::Guard"];
+        let interval = &["the watch's interval of lamp is", "Liveness::Guard"];
         refused(lamp().liveness(Liveness::push(Duration::ZERO, 3)), interval).await;
         refused(lamp().liveness(Liveness::push(Duration::MAX, 3)), interval).await;
         refused(lamp().liveness(Liveness::pull(Duration::ZERO, MS)), interval).await;
