@@ -3,8 +3,8 @@
 //! ```text
 //!            claim              lease over, or released
 //!   Free ─────────────► Held ───────────────────────────► Settling
-//!    ▲                   │ ▲                                 │
-//!    │                   └─┘ renewed, commanded              │ safe outputs applied
+//!    ▲                   │ ▲                                 │ safe outputs applied,
+//!    │                   └─┘ renewed, commanded              │ and cut-off returned
 //!    └───────────────────────────────────────────────────────┘
 //! ```
 //!
@@ -71,7 +71,9 @@ pub enum LeaseStatus {
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseOutput {
-    /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it.
+    /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it. Where this is
+    /// not a retry, call the cut-off as well, and tell [`Lease::handle_cut_off_returned`] when it
+    /// has returned, or at once where the actuator has none.
     ApplySafeOutputs {
         /// Who commanded until now.
         commander: CommanderId,
@@ -97,7 +99,15 @@ pub struct Lease {
 enum State {
     Free,
     Held { commander: CommanderId, due: Instant },
-    Settling { commander: CommanderId, end: LeaseEnd, retry: Option<Instant> },
+    Settling { commander: CommanderId, end: LeaseEnd, retry: Option<Instant>, awaited: Awaited },
+}
+
+/// What the next claim waits for. A cut-off that is still to be called, or runs, would stop the
+/// actuator under its next commander.
+#[derive(Clone, Copy, Debug)]
+struct Awaited {
+    safe_outputs: bool,
+    cut_off: bool,
 }
 
 impl Lease {
@@ -135,7 +145,7 @@ impl Lease {
     /// # Errors
     /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes
     /// over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
-    /// applied.
+    /// applied, or the cut-off has not returned.
     pub fn handle_claim(
         &mut self,
         commander: CommanderId,
@@ -183,11 +193,28 @@ impl Lease {
 
     /// The safe outputs were applied, or could not be.
     pub fn handle_applied(&mut self, applied: bool, now: Instant) {
-        if let State::Settling { retry, .. } = &mut self.state {
+        if let State::Settling { retry, awaited, .. } = &mut self.state {
             match applied {
-                true => self.state = State::Free,
+                true => awaited.safe_outputs = false,
                 false => *retry = Some(now + RETRY),
             }
+        }
+        self.free_once_settled();
+    }
+
+    /// The cut-off has returned, panicked, or is absent.
+    pub fn handle_cut_off_returned(&mut self) {
+        if let State::Settling { awaited, .. } = &mut self.state {
+            awaited.cut_off = false;
+        }
+        self.free_once_settled();
+    }
+
+    fn free_once_settled(&mut self) {
+        if let State::Settling { awaited: Awaited { safe_outputs: false, cut_off: false }, .. } =
+            self.state
+        {
+            self.state = State::Free;
         }
     }
 
@@ -195,7 +222,8 @@ impl Lease {
         if let State::Held { commander, .. } = &self.state {
             let commander = commander.clone();
             self.apply(&commander, end, false);
-            self.state = State::Settling { commander, end, retry: None };
+            let awaited = Awaited { safe_outputs: true, cut_off: true };
+            self.state = State::Settling { commander, end, retry: None, awaited };
         }
     }
 
@@ -223,7 +251,9 @@ impl Machine for Lease {
     fn handle_timeout(&mut self, now: Instant) {
         match &mut self.state {
             State::Held { due, .. } if now >= *due => self.end(LeaseEnd::Expired),
-            State::Settling { commander, end, retry } if retry.is_some_and(|due| now >= due) => {
+            State::Settling { commander, end, retry, .. }
+                if retry.is_some_and(|due| now >= due) =>
+            {
                 *retry = None;
                 let (commander, end) = (commander.clone(), *end);
                 self.apply(&commander, end, true);
@@ -269,6 +299,7 @@ mod tests {
         lease.handle_timeout(ms(100));
         assert_eq!(lease.standing(ms(100)), LeaseStatus::Settling { commander });
         lease.handle_applied(true, ms(101));
+        lease.handle_cut_off_returned();
         assert_eq!(lease.standing(ms(102)), LeaseStatus::Free);
     }
 
@@ -304,6 +335,7 @@ mod tests {
         assert_eq!(settling, Err(DeliveryError::Restarting));
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
         lease.handle_applied(true, ms(101));
+        lease.handle_cut_off_returned();
         let grant = lease.handle_claim(who("console", 1), ms(102)).unwrap();
 
         assert!(grant.epoch > epoch);
@@ -313,6 +345,24 @@ mod tests {
         );
         lease.handle_release(epoch);
         assert_eq!(lease.holder(), Some((&who("console", 1), grant.epoch)));
+    }
+
+    #[test]
+    fn no_commander_is_granted_the_lease_before_the_cut_off_has_returned() {
+        let (mut lease, epoch) = held();
+        lease.handle_release(epoch);
+        let claim = |lease: &mut Lease| lease.handle_claim(who("console", 1), ms(12));
+
+        lease.handle_applied(true, ms(11));
+        assert_eq!(claim(&mut lease), Err(DeliveryError::Restarting));
+        lease.handle_cut_off_returned();
+        let epoch = claim(&mut lease).unwrap().epoch;
+
+        lease.handle_release(epoch);
+        lease.handle_cut_off_returned();
+        assert_eq!(claim(&mut lease), Err(DeliveryError::Restarting));
+        lease.handle_applied(true, ms(13));
+        assert!(claim(&mut lease).is_ok());
     }
 
     #[test]

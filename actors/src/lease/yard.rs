@@ -305,7 +305,7 @@ impl ActuatorTable {
                         actuator.lost.store(true, Relaxed);
                     }
                 }
-                actuator.cut_off(&self.callbacks);
+                self.cut_off(actuator);
             }
             let (yard, applied_at) = (self.clone(), actuator.clone());
             let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
@@ -317,15 +317,20 @@ impl ActuatorTable {
                 actuator.doorway.deliver(&actuator.safe, MessageMetadata::default(), Some(applied));
         }
     }
-}
 
-impl Actuator {
-    fn cut_off(self: &Arc<Self>, callbacks: &Callbacks) {
-        let Some(cut_off) = self.cut_off.clone() else { return };
-        let actuator = self.clone();
-        callbacks.call(
+    /// Has the cut-off called. The lease is granted anew once it has returned: a cut-off that blocks
+    /// keeps the actuator from every commander, and a fault says so.
+    fn cut_off(&self, actuator: &Arc<Actuator>) {
+        let Some(cut_off) = actuator.cut_off.clone() else {
+            return lock(&actuator.lease).handle_cut_off_returned();
+        };
+        let actuator = actuator.clone();
+        self.callbacks.call(
             move || cut_off(),
             move |outcome| {
+                if !matches!(outcome, CallOutcome::Blocked(_)) {
+                    lock(&actuator.lease).handle_cut_off_returned();
+                }
                 let detail = match outcome {
                     CallOutcome::Done => return,
                     CallOutcome::ReturnedLate => {
@@ -341,7 +346,9 @@ impl Actuator {
             },
         );
     }
+}
 
+impl Actuator {
     /// Hands a command over. One at a time: what waits behind a component that is stuck would be
     /// carried out after its lease has ended.
     fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
