@@ -1,9 +1,17 @@
 //! What a user writes: a component, and what it does with each contract.
 
-use crate::context::Context;
+pub(crate) mod cell;
+pub(crate) mod context;
+pub(crate) mod envelope;
+pub(crate) mod environment;
+pub(crate) mod injection;
+pub(crate) mod life;
+pub(crate) mod ports;
+
 use crate::errors;
-use crate::ports::Ports;
 use blastema_core::Contract;
+use context::Context;
+use ports::Ports;
 use std::error::Error;
 use std::fmt;
 use std::future::Future;

@@ -81,31 +81,20 @@ extern crate self as blastema;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-mod asking;
-mod chain;
-mod claim;
+mod actuator;
+mod arbiter;
 mod component;
-mod context;
-mod death_watch;
-mod desk;
-mod drive;
 mod errors;
-mod fault_log;
-mod guardian;
+mod fault_chain;
+mod global_name;
 mod host;
-mod lane;
-mod lease;
-mod letter;
+mod liveness;
+mod messaging;
 mod net;
 mod node;
-mod panics;
 mod parameters;
-mod ports;
-mod reference;
 mod registry;
-mod remote_watch;
-mod reply;
-mod sender;
+mod runtime;
 mod service;
 mod sync;
 mod topic;
@@ -132,27 +121,29 @@ pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
 pub use serde;
 
 // Components.
+pub use crate::component::context::{Context, LongOperation};
+pub use crate::component::injection::Injection;
+pub use crate::component::life::TimerId;
+pub use crate::component::ports::{ListenPort, Ports};
+pub use crate::liveness::threads::{ThreadKind, ThreadRow, ThreadState};
+pub use crate::messaging::queue::WhenFull;
 pub use component::{Component, Failure, Handle};
-pub use context::{Context, LongOperation};
-pub use host::injection::Injection;
-pub use host::life::TimerId;
 pub use host::spec::{ChildSpec, SpecError};
-pub use host::threads::{ThreadKind, ThreadRow, ThreadState};
-pub use lane::WhenFull;
 pub use platform::sleep;
-pub use ports::{ListenPort, Ports};
 
 // Sending, and what becomes of messages.
+pub use crate::actuator::{ActuatorRow, ActuatorSpec, Commander};
+pub use crate::host::reference::ActorRef;
+pub use crate::messaging::dead_letters::DeadLetterLog;
+pub use crate::messaging::death_watch::{Down, Ending};
+pub use crate::messaging::sender::{
+    DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender,
+};
 pub use blastema_core::delivery::dead_letters::DeadReason;
 pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
     DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
 };
-pub use death_watch::{Down, Ending};
-pub use host::office::DeadLetterLog;
-pub use lease::{ActuatorRow, ActuatorSpec, Commander};
-pub use reference::ActorRef;
-pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender};
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
@@ -163,7 +154,7 @@ pub use variable::{
 };
 
 // Names of the whole robot.
-pub use claim::{
+pub use crate::global_name::{
     Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch,
 };
 
@@ -182,13 +173,13 @@ pub use node::{
 };
 
 // Faults: found, shown, recovered.
+pub use crate::fault_chain::strategy::{RecoveryStrategy, StrategyContext};
 pub use blastema_contract::detector::FaultEvent;
 pub use blastema_core::detection::{
     CheckFailed, FaultRecord, FaultStatus, FaultTransition, Freshness, Invariant, MonitorRow,
     Opinion, Range, Rate,
 };
 pub use blastema_core::{Fault, FaultId, FaultKind, Instant, Lifecycle, Place, Severity};
-pub use chain::strategy::{RecoveryStrategy, StrategyContext};
 
 /// What an application needs for a medium of its own; it is given to [`Network::own`].
 pub mod medium {
@@ -235,7 +226,7 @@ pub mod prelude {
 #[doc(hidden)]
 pub mod program {
     pub use crate::errors::{Fatal, ReportBoxed};
-    pub use crate::host::watch::Running;
+    pub use crate::liveness::sampler::Running;
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.
@@ -243,7 +234,7 @@ pub mod program {
 /// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone,
 /// as `head` does, ends with the status 141 and without a word, like other programs.
 pub fn run<F: Future>(future: F) -> F::Output {
-    panics::install_hook();
+    crate::platform::panics::install_hook();
     let running = AssertUnwindSafe(|| actix_rt::System::new().block_on(future));
-    catch_unwind(running).unwrap_or_else(|payload| panics::end_of_program(payload))
+    catch_unwind(running).unwrap_or_else(|payload| crate::platform::panics::end_of_program(payload))
 }

@@ -4,9 +4,9 @@
 //! are; this adds where their first values come from, and that the component is told of every
 //! change.
 
+use crate::arbiter::heartbeat;
+use crate::component::cell::ComponentCell;
 use crate::component::{Component, Handle};
-use crate::host::anchor::ComponentCell;
-use crate::host::pulse;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
@@ -103,7 +103,7 @@ pub(crate) fn declare<C: Handle<P>, P: Parameters>(
     let owner = Arc::downgrade(anchor);
     let changed = move |value: &[u8]| {
         if let (Some(owner), Ok(parameters)) = (owner.upgrade(), codec::decode::<P>(value)) {
-            owner.queue_event(parameters, pulse::coarse_now());
+            owner.queue_event(parameters, heartbeat::coarse_now());
         }
     };
     Ok(DeclaredVariable::new(&parameters, RestorePolicy::Restore, check).observed(changed))

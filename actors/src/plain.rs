@@ -33,9 +33,9 @@
 //! system.run().unwrap();
 //! ```
 
-use crate::host::pulse;
-use crate::reply::{ReplyFuture, Responder};
-use crate::sender::{MessageSink, RequestError, SendError, Sender};
+use crate::arbiter::heartbeat;
+use crate::messaging::reply::{ReplyFuture, Responder};
+use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
 use actix::fut::wrap_future;
 use actix::prelude::{
     Actor, Addr, AsyncContext, Context, Handler, Message, Recipient, ResponseFuture,
@@ -135,7 +135,7 @@ struct Outside<M: Contract> {
 
 impl<M: Contract> Outside<M> {
     fn pass(&self, message: M, answer: Option<Responder<M>>) -> Result<(), SendError<M>> {
-        if let Some(why) = pulse::send_refusal() {
+        if let Some(why) = heartbeat::send_refusal() {
             return Err(SendError::new(why, message));
         }
         self.relay.try_send(Pass { message, answer }).map_err(|refused| match refused {
@@ -160,7 +160,7 @@ impl<M: Contract> MessageSink<M> for Outside<M> {
 
     fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         // An actix mailbox tells nobody that it has room again.
-        Box::pin(tokio::time::sleep(pulse::HEARTBEAT_INTERVAL))
+        Box::pin(tokio::time::sleep(heartbeat::HEARTBEAT_INTERVAL))
     }
 
     fn ask(

@@ -1,6 +1,7 @@
 //! What the operating system gives: the one place that reads a clock, starts threads and knows
 //! processes.
 
+pub(crate) mod panics;
 pub(crate) mod signals;
 pub(crate) mod systemd;
 pub(crate) mod watchdog_device;

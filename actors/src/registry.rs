@@ -3,20 +3,22 @@
 //! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract
 //! but not the type behind it. Both compare the contract's identity first.
 
+pub(crate) mod lookup;
+pub(crate) mod remote_watch;
+pub(crate) mod service_fn;
 mod skeleton;
 
 pub(crate) use self::skeleton::encoded_reply;
 
 use self::skeleton::{LocalSkeleton, encoding};
-use crate::claim::{GlobalNameSender, GlobalNameTable};
 use crate::component::Handle;
-use crate::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
-use crate::desk::ServiceFn;
-use crate::host::anchor::ComponentCell;
-use crate::host::injection::Injection;
-use crate::panics;
-use crate::reply::{ReplyFuture, Responder};
-use crate::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
+use crate::component::cell::ComponentCell;
+use crate::component::injection::Injection;
+use crate::global_name::{GlobalNameSender, GlobalNameTable};
+use crate::messaging::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
+use crate::messaging::reply::{ReplyFuture, Responder};
+use crate::messaging::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
+use crate::platform::panics;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
 use blastema_core::{
@@ -24,6 +26,7 @@ use blastema_core::{
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
+use service_fn::ServiceFn;
 use std::any::{Any, type_name};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -187,7 +190,7 @@ struct Outlet<M: Contract> {
 impl<M: Contract> Outlet<M> {
     /// The message is as it was where it is refused.
     fn send(&self, message: &mut M, asked: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
-        if let Some(why) = crate::host::pulse::send_refusal() {
+        if let Some(why) = crate::arbiter::heartbeat::send_refusal() {
             return Err(why);
         }
         let encoded = codec::encode_out_of(message);
@@ -229,7 +232,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
         // Only what may come twice needs to be known again.
-        let id = id.or_else(|| M::IDEMPOTENT.then(crate::sender::next_id));
+        let id = id.or_else(|| M::IDEMPOTENT.then(crate::messaging::sender::next_id));
         let reply_to = move |result: Result<GatherBuffer, DeliveryError>| {
             let decode = |reply: GatherBuffer| codec::decode_shared_reply::<M>(&reply.into_bytes());
             let decoded = result.and_then(|reply| {

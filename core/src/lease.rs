@@ -211,8 +211,9 @@ impl Lease {
     }
 
     fn free_once_settled(&mut self) {
-        if let State::Settling { awaited: Awaited { safe_outputs: false, cut_off: false }, .. } =
-            self.state
+        if let State::Settling {
+            awaited: Awaited { safe_outputs: false, cut_off: false }, ..
+        } = self.state
         {
             self.state = State::Free;
         }

@@ -1,13 +1,14 @@
 //! What a supervisor does with a hosted component.
 
-use super::anchor::ComponentCell;
-use super::arbiters::ArbiterSlot;
-use super::course::Hook;
-use super::injection::Injection;
-use super::pump::{ComponentExecutor, SharedExecutor};
-use super::{Host, HostCommand, label};
+use super::executor::{ComponentExecutor, SharedExecutor};
+use super::lifecycle::Hook;
+use super::{Host, HostCommand};
+use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
-use crate::death_watch::{Down, Ending, Watchable, Watcher};
+use crate::component::cell::ComponentCell;
+use crate::component::injection::Injection;
+use crate::liveness::label;
+use crate::messaging::death_watch::{Down, Ending, Watchable, Watcher};
 use actix::dev::channel;
 use actix::{Addr, Recipient};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
@@ -30,7 +31,7 @@ pub(crate) struct ComponentChild<C: Component> {
 
 impl<C: Component> ComponentChild<C> {
     pub(crate) fn new(anchor: Arc<ComponentCell<C>>) -> Self {
-        crate::panics::install_hook();
+        crate::platform::panics::install_hook();
         let own_thread = anchor.record.limits.own_thread;
         ComponentChild { anchor, report: None, seat: None, own_thread }
     }

@@ -12,7 +12,7 @@
 //!
 //! The actix mailbox is the control lane: the framework alone sends to it, and it is served before
 //! the pump, so that a flooded component, or one that awaits, still answers and obeys. Messages of
-//! the application travel in the [lane](crate::lane), which belongs to the anchor.
+//! the application travel in the [lane](crate::messaging::queue), which belongs to the anchor.
 //!
 //! A handler that keeps its thread is found by the watch, which reads what workers write and never
 //! waits for them. The supervisor then abandons the life: its arbiter is *fenced*, so that nothing
@@ -20,24 +20,12 @@
 //! lifted and its neighbours have only lost time; else the arbiter is *lost*, and they are
 //! re-created elsewhere, each with its queue.
 
-pub(crate) mod anchor;
-pub(crate) mod arbiters;
 pub(crate) mod child;
-mod chores;
-mod course;
-pub(crate) mod environment;
-pub(crate) mod injection;
-pub(crate) mod label;
-pub(crate) mod life;
-pub(crate) mod limits;
-pub(crate) mod office;
-pub(crate) mod pulse;
-pub(crate) mod pump;
+pub(crate) mod executor;
+pub(crate) mod lifecycle;
+pub(crate) mod reference;
+pub(crate) mod schedule;
 pub(crate) mod spec;
-pub(crate) mod stamp;
-pub(crate) mod threads;
-pub(crate) mod turn_budget;
-pub(crate) mod watch;
 
 #[cfg(test)]
 mod tests;
@@ -45,8 +33,8 @@ mod tests;
 use crate::component::Component;
 use actix::fut::{ActorFutureExt, wrap_future};
 use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
-use course::EndReason;
-use pump::{ComponentExecutor, SharedExecutor};
+use executor::{ComponentExecutor, SharedExecutor};
+use lifecycle::EndReason;
 use std::cell::RefCell;
 use std::rc::Rc;
 

@@ -1,15 +1,15 @@
 //! How a component is to be run.
 
-use super::anchor::{CellCore, ComponentCell};
 use super::child::ComponentChild;
-use super::environment::ComponentEnvironment;
-use super::limits::ComponentLimits;
-use crate::claim::ClaimPolicy;
 use crate::component::Component;
-use crate::lane::WhenFull;
-use crate::panics;
-use crate::ports::{PortConstructor, Ports};
-use crate::reference::ActorRef;
+use crate::component::cell::{CellCore, ComponentCell};
+use crate::component::environment::ComponentEnvironment;
+use crate::component::ports::{PortConstructor, Ports};
+use crate::global_name::ClaimPolicy;
+use crate::host::reference::ActorRef;
+use crate::liveness::limits::ComponentLimits;
+use crate::messaging::queue::WhenFull;
+use crate::platform::panics;
 use crate::registry::NameTaken;
 use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;

@@ -1,13 +1,13 @@
 //! What an object of the network declares as a fault of its own, and takes back.
 
-use crate::guardian::alive;
+use crate::runtime::guardian::alive;
 use actix::prelude::*;
 use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
 use blastema_core::{FaultKind, ObjectName};
 
 /// Where one object of the network tells what is wrong. Where nobody is named, nobody is told.
 #[derive(Clone)]
-pub(super) struct FaultReporter {
+pub(crate) struct FaultReporter {
     object: ObjectName,
     declared: Option<Recipient<FaultDeclared>>,
     mended: Option<Recipient<DeclaredFaultCleared>>,
@@ -15,7 +15,7 @@ pub(super) struct FaultReporter {
 
 impl FaultReporter {
     /// Of the object with this name within the network.
-    pub(super) fn of(
+    pub(crate) fn of(
         object: &str,
         declared: Option<Recipient<FaultDeclared>>,
         mended: Option<Recipient<DeclaredFaultCleared>>,
@@ -24,7 +24,7 @@ impl FaultReporter {
     }
 
     /// Something is wrong.
-    pub(super) fn declare(&self, kind: FaultKind, detail: String) {
+    pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
         if let Some(declared) = &self.declared {
             let (object, incarnation) = (self.object.clone(), alive().incarnation);
             declared.do_send(FaultDeclared { object, incarnation, kind, detail });
@@ -32,7 +32,7 @@ impl FaultReporter {
     }
 
     /// All that was wrong of this kind is over.
-    pub(super) fn mend(&self, kind: FaultKind) {
+    pub(crate) fn mend(&self, kind: FaultKind) {
         if let Some(mended) = &self.mended {
             let (object, incarnation) = (self.object.clone(), alive().incarnation);
             mended.do_send(DeclaredFaultCleared { object, incarnation, kind });

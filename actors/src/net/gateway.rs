@@ -13,10 +13,10 @@ use super::gateway_messages::{FaultForwarded, LocalEvent, LocalReply, TopicInter
 use super::isolation::{IsolationControl, IsolationObservers};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
-use crate::guardian::answers_the_monitor;
-use crate::host::office::DeadLetterLog;
+use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
+use crate::runtime::guardian::answers_the_monitor;
 use crate::topic::{ForwardId, RemoteForward, TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;

@@ -1,7 +1,7 @@
 //! Keeps nodes out that were isolated: the body of the machine in the core.
 
 use super::stub::PeerStubs;
-use crate::desk::ServiceFn;
+use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;

@@ -8,9 +8,9 @@ pub(super) use discovered::{
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
-use crate::drive::{MachineActor, WakeTimer};
-use crate::guardian::answers_the_monitor;
 use crate::platform;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
     CarrierChanged, LinkChanged, LinkPayload, LinkRow, ReadLinks, ReceivedOnLink, RemoteLinkDown,

@@ -18,17 +18,16 @@
 //! * the gateway: every request is resolved, every session begins anew.
 
 mod carrier;
-pub(crate) mod claims;
 mod credit;
 mod discovery;
 mod fault_forwarding;
-mod fault_reporter;
+pub(crate) mod fault_reporter;
 mod gateway;
 mod gateway_messages;
 mod isolation;
 mod links;
-mod outcast;
-mod peer_messages;
+pub(crate) mod own_isolation;
+pub(crate) mod peer_messages;
 mod router;
 pub(crate) mod safe_state;
 mod sessions;
@@ -40,11 +39,11 @@ pub(crate) use carrier::Interface;
 pub(crate) use discovery::DiscoverySpec;
 
 use self::fault_reporter::FaultReporter;
-use crate::guardian::Guardian;
-use crate::host::office::DeadLetterLog;
-use crate::registry::{Registry, StubFactory};
+use crate::messaging::dead_letters::DeadLetterLog;
+use crate::platform;
+use crate::registry::{Registry, StubFactory, remote_watch};
+use crate::runtime::guardian::Guardian;
 use crate::topic::Topics;
-use crate::{platform, remote_watch};
 use actix::prelude::*;
 use actix_rt::ArbiterHandle;
 use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
@@ -220,7 +219,7 @@ pub(crate) fn start(
     environment.envoys.extend(discovery.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
-    let outcast = outcast::Outcast::new(node.clone());
+    let outcast = own_isolation::Outcast::new(node.clone());
     let told = (environment.nodes.clone(), outcast.clone());
     let make = router::RouterActor::maker(life.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
@@ -347,7 +346,7 @@ fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
 }
 
 /// The name under which the guardian reports one of the network's own actors.
-fn named(what: &str) -> ObjectName {
+pub(crate) fn named(what: &str) -> ObjectName {
     // A network's name is the user's and may hold anything; its links are then told by their kind.
     let name = ObjectName::new(&format!("net/{what}"));
     name.unwrap_or_else(|_| ObjectName::new("net/links").expect("a name of letters"))

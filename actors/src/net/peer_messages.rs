@@ -4,8 +4,8 @@
 //! in order. What cannot be sent, or comes too fast, is dropped and counted: machines that talk
 //! like this find out by themselves what is missing.
 
+use crate::messaging::sender::Sender;
 use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton};
-use crate::sender::Sender;
 use actix::prelude::*;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;

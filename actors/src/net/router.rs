@@ -1,10 +1,10 @@
 //! The router's body.
 
 use super::fault_reporter::FaultReporter;
-use super::outcast::Outcast;
-use crate::drive::{MachineActor, WakeTimer};
-use crate::guardian::answers_the_monitor;
+use super::own_isolation::Outcast;
 use crate::platform;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
     AddLinks, LinkChanged, LinkPayload, ReceivedOnLink, RemoteLinkDown, ReportLinks, TransmitOnLink,

@@ -4,8 +4,8 @@
 //! this its peers would find out only by what does not come.
 
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
-use crate::guardian::{Guardian, answers_the_monitor};
 use crate::registry::Registry;
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::recoverer::SafeStateChanged;

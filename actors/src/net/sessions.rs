@@ -1,9 +1,9 @@
 //! The body of all sessions of this node.
 
 use super::fault_reporter::FaultReporter;
-use crate::drive::{MachineActor, WakeTimer};
-use crate::guardian::answers_the_monitor;
 use crate::platform;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::monitor::NodeReported;
 use blastema_contract::router::{InjectPanic, PathReported, SegmentArrived, SendSegment};

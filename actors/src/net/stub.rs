@@ -2,7 +2,7 @@
 
 use super::credit::{CreditClass, SendCredits};
 use super::gateway::SendToPeer;
-use super::outcast::Outcast;
+use super::own_isolation::Outcast;
 use crate::platform;
 use crate::registry::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;

@@ -14,10 +14,10 @@ mod pressure;
 mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
-use crate::guardian::Guardian;
-use crate::host::arbiters::ArbiterPool;
-use crate::host::environment::{ComponentEnvironment, FaultReports};
+use crate::arbiter::pool::ArbiterPool;
+use crate::component::environment::{ComponentEnvironment, FaultReports};
 use crate::host::spec::ChildSpec;
+use crate::runtime::guardian::Guardian;
 use crate::{
     Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
 };

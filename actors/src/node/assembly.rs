@@ -14,23 +14,26 @@ use super::builder::{ActorPlacement, Configuration, NodeBuilder, StartError};
 use super::checks::{
     check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
-use super::keeper::{NodeController, StartRoot};
+use super::controller::{NodeController, StartRoot};
+#[cfg(feature = "unix")]
+use super::inspection::InspectionActor;
+#[cfg(feature = "unix")]
+use super::inspection::StartInspection;
 use super::network::Network;
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
-#[cfg(feature = "unix")]
-use super::window::{InspectionActor, StartInspection};
 use super::{Node, Root, Shared};
-use crate::chain::strategy::StrategyTable;
-use crate::chain::supervisor::SupervisorChild;
-use crate::host::arbiters::{ABANDONED_LIMIT, ArbiterPool};
-use crate::host::environment::{ComponentEnvironment, KEPT_VARIABLES};
+use crate::arbiter::pool::{ABANDONED_LIMIT, ArbiterPool};
+use crate::component::environment::{ComponentEnvironment, KEPT_VARIABLES};
+use crate::fault_chain::strategy::StrategyTable;
+use crate::fault_chain::supervisor::SupervisorChild;
+use crate::global_name::actor::GlobalNamesActor;
 use crate::host::spec::SpecError;
-use crate::host::watch as lookout;
-use crate::net::claims::GlobalNamesActor;
+use crate::liveness::sampler as lookout;
+use crate::platform;
+use crate::platform::panics;
 use crate::platform::systemd::Systemd;
 use crate::service::{Carried, ReplicaBody};
-use crate::{panics, platform};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;

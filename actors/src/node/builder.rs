@@ -1,14 +1,14 @@
 //! How a node is described.
 
 use super::Node;
+use super::controller::NodeState;
 use super::faults::{FaultEvents, FaultListener};
-use super::keeper::NodeState;
 use super::network::Network;
 use super::tree::SupervisorSpec;
 use super::watchdogs::ProcessWatchdogs;
-use crate::chain::callbacks::CALLBACK_LIMIT;
-use crate::chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::component::Component;
+use crate::fault_chain::callbacks::CALLBACK_LIMIT;
+use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::{ChildSpec, SpecError};
 use crate::service::{Carried, ServiceSpec, Stateful};
 use blastema_core::detection::RegistrationError;

@@ -15,42 +15,44 @@
 mod assembly;
 mod builder;
 mod checks;
+pub(crate) mod controller;
 mod faults;
+#[cfg(feature = "unix")]
+pub(crate) mod inspection;
 mod isolation;
-mod keeper;
 mod network;
-mod picture;
 mod restart;
 mod safety;
 mod signs;
+pub(crate) mod snapshot;
 mod tree;
 mod watchdogs;
-#[cfg(feature = "unix")]
-mod window;
 
 pub use builder::{NodeBuilder, StartError};
+pub use controller::NodeState;
 pub use faults::FaultEvents;
 pub use isolation::IsolateError;
-pub use keeper::NodeState;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
-pub use picture::NodeSnapshot;
 pub use restart::RestartError;
+pub use snapshot::NodeSnapshot;
 pub use tree::SupervisorSpec;
 
-use crate::chain::directory::SupervisorDirectory;
-use crate::chain::supervisor::SupervisorChild;
-use crate::claim::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
+use crate::actuator;
+use crate::actuator::{ActuatorRow, Commander};
 use crate::component::Component;
-use crate::host::environment::ComponentEnvironment;
-use crate::host::injection::Injection;
-use crate::host::office::DeadLetterLog;
+use crate::component::environment::ComponentEnvironment;
+use crate::component::injection::Injection;
+use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::supervisor::SupervisorChild;
+use crate::global_name::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
+use crate::host::reference::ActorRef;
 use crate::host::spec::{ChildSpec, SpecError};
-use crate::host::threads::{self, ThreadRow};
-use crate::host::watch::Running;
-use crate::lease::{self, ActuatorRow, Commander};
+use crate::liveness::sampler::Running;
+use crate::liveness::threads;
+use crate::liveness::threads::ThreadRow;
+use crate::messaging::dead_letters::DeadLetterLog;
+use crate::messaging::sender::Sender;
 use crate::platform::systemd::Systemd;
-use crate::reference::ActorRef;
-use crate::sender::Sender;
 use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
@@ -70,7 +72,7 @@ use blastema_core::net::{Refusals, Route};
 use blastema_core::{
     Contract, DeliveryError, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable,
 };
-use keeper::{RestartRoot, Shutdown};
+use controller::{RestartRoot, Shutdown};
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -290,7 +292,8 @@ impl Node {
         own: &str,
     ) -> Result<Commander<M>, DeliveryError> {
         let who = (format!("{}:{own}", self.0.name), self.0.incarnation);
-        let (commander, renewing) = lease::commander(&self.0.environment.registry, actuator, who)?;
+        let (commander, renewing) =
+            actuator::commander(&self.0.environment.registry, actuator, who)?;
         actix_rt::spawn(renewing);
         Ok(commander)
     }
@@ -321,7 +324,7 @@ impl Node {
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
         // A network that hangs is not waited for as long as the picture waits for the table.
-        let links = tokio::time::timeout(picture::PATIENCE / 2, self.links());
+        let links = tokio::time::timeout(snapshot::PATIENCE / 2, self.links());
         let chain = &self.0.chain;
         let table = chain.answer(chain.table.send(ReadTable));
         let (rows, links) = futures_util::future::join(table, links).await;

@@ -3,7 +3,7 @@
 #[cfg(feature = "ip")]
 mod beacons;
 mod checks;
-mod laying;
+pub(crate) mod start;
 
 use crate::net::Interface;
 use actix::Addr;

@@ -1,8 +1,8 @@
 //! Bringing back what has enter the safe state.
 
 use super::Node;
-use super::keeper::{NodeState, RestartRefused, RestartRoot};
-use crate::host::arbiters::ABANDONED_LIMIT;
+use super::controller::{NodeState, RestartRefused, RestartRoot};
+use crate::arbiter::pool::ABANDONED_LIMIT;
 use blastema_contract::supervisor::{GaveUp, Recovered, RestartChild};
 use blastema_core::recovery::GiveUpReason;
 use blastema_core::{Incarnation, ObjectName};

@@ -6,8 +6,8 @@
 //! program waits for them.
 
 use super::{Node, NodeState, Shared};
-use crate::chain::strategy::NOT_RETURNED;
-use crate::host::pulse::ArbiterHeartbeat;
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::fault_chain::strategy::NOT_RETURNED;
 use crate::platform;
 use crate::platform::signals::{Termination, Terminations, on_termination};
 use blastema_core::{Fault, FaultKind};

@@ -1,13 +1,13 @@
 //! The supervision tree as it is described, and how it is planted.
 
-use crate::chain::directory::SupervisorDirectory;
-use crate::chain::monitor::MonitorActor;
-use crate::chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::component::Component;
-use crate::guardian::Guardian;
-use crate::host::environment::ComponentEnvironment;
+use crate::component::environment::ComponentEnvironment;
+use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::monitor::MonitorActor;
+use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
+use crate::host::reference::ActorRef;
 use crate::host::spec::{ChildSpec, SpecError};
-use crate::reference::ActorRef;
+use crate::runtime::guardian::Guardian;
 use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;

@@ -2,10 +2,10 @@
 
 use super::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use crate::component::Handle;
-use crate::host::anchor::ComponentCell;
-use crate::letter::arrived_posting_time;
-use crate::reply::Responder;
-use crate::sender::SendError;
+use crate::component::cell::ComponentCell;
+use crate::component::envelope::arrived_posting_time;
+use crate::messaging::reply::Responder;
+use crate::messaging::sender::SendError;
 use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::contract::codec;
 use blastema_core::{

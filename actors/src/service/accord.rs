@@ -3,8 +3,9 @@
 use super::peers::Spoken;
 use super::replica::ReplicaBody;
 use super::words::CompareTerms;
-use crate::drive::MachineActor;
-use crate::{guardian, platform};
+use crate::platform;
+use crate::runtime::driver::MachineActor;
+use crate::runtime::guardian;
 use actix::fut::wrap_future;
 use actix::prelude::*;
 use blastema_contract::reports::DeclaredFaultCleared;

@@ -4,9 +4,9 @@ use super::finder::{Finder, Found, PROBE};
 use super::read_why;
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
+use crate::messaging::sender::{RequestError, next_id};
 use crate::platform;
 use crate::registry::Registry;
-use crate::sender::{RequestError, next_id};
 use blastema_core::contract::codec;
 use blastema_core::delivery::retry::FailedAttempt;
 use blastema_core::{

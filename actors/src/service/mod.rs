@@ -25,12 +25,12 @@ pub(crate) use replica::{Carried, ReplicaBody};
 pub(crate) use roster::Roster;
 pub use roster::ServiceRow;
 
+use crate::component::context::Context;
+use crate::component::ports::PortConstructor;
 use crate::component::{Component, Failure, Handle};
-use crate::context::Context;
 use crate::host::spec::ChildSpec;
 use crate::node::StartError;
-use crate::panics;
-use crate::ports::PortConstructor;
+use crate::platform::panics;
 use crate::registry::ContractPort;
 use blastema_core::contract::codec;
 use blastema_core::service::ReplicaConfig;

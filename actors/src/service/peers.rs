@@ -5,9 +5,9 @@
 //! counts is the node that the session says it comes from, and the message's own word has to agree.
 
 use super::words::{CompareTerms, ReplicaSays};
-use crate::desk::ServiceFn;
+use crate::messaging::reply::Responder;
+use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
-use crate::reply::Responder;
 use actix::prelude::*;
 use blastema_core::net::NodeId;
 use blastema_core::{Contract, DeliveryError, FaultKind, NodeName};

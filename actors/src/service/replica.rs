@@ -7,16 +7,16 @@ use super::words::{
     Answered, AskService, CompareTerms, LoadState, ReplicaSays, RoleChanged, SaveState, Serving,
     Task, WhoServes,
 };
-use crate::death_watch::{Down, Ending, Watcher};
-use crate::desk::ServiceFn;
-use crate::drive::{MachineActor, WakeTimer};
-use crate::guardian::{Guardian, answers_the_monitor};
-use crate::host::environment::{ComponentEnvironment, FaultReports};
-use crate::host::life::IncarnationToken;
+use crate::component::environment::{ComponentEnvironment, FaultReports};
+use crate::component::life::IncarnationToken;
+use crate::messaging::death_watch::{Down, Ending, Watcher};
+use crate::messaging::reply::Responder;
+use crate::messaging::sender::Sender;
 use crate::platform;
+use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
-use crate::reply::Responder;
-use crate::sender::Sender;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_core::contract::codec;
@@ -62,7 +62,7 @@ pub(crate) struct Carried {
 /// Nobody mourns a service: its component has lives of its own.
 struct Undying;
 
-impl crate::death_watch::Watchable for Undying {
+impl crate::messaging::death_watch::Watchable for Undying {
     fn watch(&self, _: Watcher) {}
 }
 
@@ -250,7 +250,7 @@ impl ReplicaBody {
         warn!(service = %name, "{detail}");
         if let Some(faults) = &self.reports.faults {
             let (object, incarnation) =
-                (self.carried.body.clone(), crate::guardian::alive().incarnation);
+                (self.carried.body.clone(), crate::runtime::guardian::alive().incarnation);
             let detail = format!("service {name}: {detail}");
             faults.do_send(FaultDeclared { object, incarnation, kind, detail });
         }

@@ -2,12 +2,13 @@
 
 use super::EventFilter;
 use super::hub::CONDITION;
-use crate::component::{Component, Handle};
-use crate::host::anchor::ComponentCell;
-use crate::host::pulse::ArbiterHeartbeat;
-use crate::host::pump::{self, ComponentExecutor};
-use crate::host::stamp::ActivitySlotRef;
-use crate::letter::{self, Times};
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::component::cell::ComponentCell;
+use crate::component::envelope::Times;
+use crate::component::{Component, Handle, envelope};
+use crate::host::executor;
+use crate::host::executor::ComponentExecutor;
+use crate::liveness::activity::ActivitySlotRef;
 use blastema_core::{DeliveryError, Event};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
@@ -68,7 +69,7 @@ impl<C: Component> Resident<C> {
     fn with_pump<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
         let mut known = self.pump.borrow_mut();
         if known.strong_count() == 0 {
-            *known = pump::executor_here(&self.anchor)?; // It was born again.
+            *known = executor::executor_here(&self.anchor)?; // It was born again.
         }
         let pump = known.upgrade()?;
         drop(known);
@@ -93,7 +94,7 @@ impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
             if pump.is_free()
                 && let Some(event) = event.take()
             {
-                letter::pass(pump, event, at);
+                envelope::pass(pump, event, at);
             }
             place
         });

@@ -1,7 +1,8 @@
 //! A topic as those see it who do not know its type: the network, and the snapshot.
 
 use super::{Latched, RemoteForward, Times, Topic, TopicRow, lock, nanos};
-use crate::{panics, platform};
+use crate::platform;
+use crate::platform::panics;
 use blastema_core::contract::codec;
 use blastema_core::{ContractIdentity, DeliveryError, Event, Instant};
 use bytes::Bytes;

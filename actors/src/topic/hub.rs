@@ -6,16 +6,16 @@
 
 use super::ear::{Ear, Resident};
 use super::{EventFilter, Hubs, Latch, Latched, Subscription, Topic, lock};
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Handle;
-use crate::host::anchor::ComponentCell;
-use crate::host::label::label;
-use crate::host::pulse::ArbiterHeartbeat;
-use crate::host::stamp::ActivitySlotRef;
-use crate::host::turn_budget::TurnBudget;
-use crate::lane::{BoundedQueue, Popped, Pushed, WhenFull};
-use crate::letter::Times;
-use crate::panics::PanicGuard;
+use crate::component::cell::ComponentCell;
+use crate::component::envelope::Times;
+use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::label::label;
+use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
+use crate::platform::panics::PanicGuard;
 use blastema_core::{DeliveryError, Event, Incarnation};
 use std::any::Any;
 use std::cell::{Cell, RefCell};

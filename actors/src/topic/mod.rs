@@ -25,15 +25,16 @@ pub(crate) use hub::TopicSubscription;
 pub use publisher::Publisher;
 pub use traffic::TopicRow;
 
+use crate::arbiter::heartbeat;
 use crate::component::Component;
-use crate::host::anchor::ComponentCell;
-use crate::host::environment::FaultReports;
-use crate::host::office::DeadLetterLog;
-use crate::host::pulse;
-use crate::lane::Pushed;
-use crate::letter::{Times, enqueue_time};
-use crate::panics::{self, PanicGuard};
+use crate::component::cell::ComponentCell;
+use crate::component::envelope::{Times, enqueue_time};
+use crate::component::environment::FaultReports;
+use crate::messaging::dead_letters::DeadLetterLog;
+use crate::messaging::queue::Pushed;
 use crate::platform;
+use crate::platform::panics;
+use crate::platform::panics::PanicGuard;
 use crate::registry::difference;
 use blastema_core::contract::codec;
 use blastema_core::{
@@ -185,7 +186,7 @@ impl<E: Event> Topic<E> {
     /// may have been meant.
     #[cold]
     fn suggest(&self) {
-        if !self.traffic.is_time_to_judge(pulse::coarse_now()) {
+        if !self.traffic.is_time_to_judge(heartbeat::coarse_now()) {
             return;
         }
         let Some(all) = self.all.upgrade() else { return };

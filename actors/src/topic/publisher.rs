@@ -1,9 +1,9 @@
 //! What publishes on a topic.
 
 use super::Topic;
-use crate::host::life::IncarnationToken;
-use crate::host::pulse;
-use crate::sender::SendError;
+use crate::arbiter::heartbeat;
+use crate::component::life::IncarnationToken;
+use crate::messaging::sender::SendError;
 use blastema_core::{Event, Instant};
 use std::fmt;
 use std::sync::Arc;
@@ -92,7 +92,7 @@ impl<E: Event> Publisher<E> {
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
         let ended = || self.life.as_ref().and_then(|life| life.forbidden());
-        match pulse::send_refusal().or_else(ended) {
+        match heartbeat::send_refusal().or_else(ended) {
             Some(why) => Err(SendError::new(why, event)),
             None => {
                 self.topic.publish(event, captured_at);

@@ -16,8 +16,8 @@ pub use blastema_core::variables::{RestorePolicy, ValueState};
 
 pub(crate) use store::{DeclaredVariable, VariableStore};
 
+use crate::messaging::sender::Sender;
 use crate::registry::Registry;
-use crate::sender::Sender;
 use access::{Accessed, Chosen, VariableRequest, WATCH_WITHIN, Wanted, Written};
 use blastema_core::contract::codec;
 use blastema_core::{

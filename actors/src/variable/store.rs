@@ -2,13 +2,14 @@
 
 use super::access::{Accessed, VariableRequest, Wanted, Written};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
-use crate::death_watch::{Ending, Watcher};
-use crate::desk::ServiceFn;
-use crate::host::life::IncarnationToken;
-use crate::panics::{self, PanicGuard};
+use crate::component::life::IncarnationToken;
+use crate::messaging::death_watch::{Ending, Watcher};
+use crate::messaging::reply::Responder;
 use crate::platform;
+use crate::platform::panics;
+use crate::platform::panics::PanicGuard;
+use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
-use crate::reply::Responder;
 use blastema_core::contract::codec;
 use blastema_core::variables::{
     PersistedValue, RestoreChoice, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey,
@@ -232,7 +233,7 @@ impl VariableStore {
     /// Applies the policies whenever a life of the object ends.
     pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
         let (store, of) = (self.clone(), object.clone());
-        let tell = move |down: crate::death_watch::Down| {
+        let tell = move |down: crate::messaging::death_watch::Down| {
             if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
                 let mut inner = store.lock();
                 inner.machine.handle_owner_ended(&of, platform::now());

@@ -1,13 +1,13 @@
 //! What the host consists of, as far as the models need it.
 
-#[path = "../../../actors/src/host/life.rs"]
+#[path = "../../../actors/src/component/life.rs"]
 #[expect(
     dead_code,
     unreachable_pub,
     reason = "the models use a part of it, and nothing is exported from here"
 )]
 pub(crate) mod life;
-#[path = "../../../actors/src/host/stamp.rs"]
+#[path = "../../../actors/src/liveness/activity.rs"]
 #[expect(
     dead_code,
     unused_imports,

@@ -12,7 +12,7 @@
 //! ```
 
 mod host;
-#[path = "../../../actors/src/lane.rs"]
+#[path = "../../../actors/src/messaging/queue.rs"]
 #[expect(
     dead_code,
     unused_imports,
@@ -22,7 +22,7 @@ mod host;
 mod lane;
 mod lanes;
 mod replies;
-#[path = "../../../actors/src/reply.rs"]
+#[path = "../../../actors/src/messaging/reply.rs"]
 #[expect(dead_code, reason = "the models use a part of it")]
 mod reply;
 mod stamps;

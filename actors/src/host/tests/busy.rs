@@ -1,7 +1,7 @@
 //! Handlers that burn 10 to 30 ms on threads that they share, judged by counts and order.
 
 use super::{Log, Stage, logged};
-use crate::host::arbiters::ArbiterPool;
+use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Failure, Handle, Ports, WhenFull};
 use blastema_contract::child::ChildEvent;
 use blastema_core::Contract;

@@ -177,7 +177,7 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
 fn a_life_whose_arbiter_goes_away_is_reported_as_aborted() {
     let system = actix_rt::System::new();
     system.block_on(async {
-        let stage = Stage::on(crate::host::arbiters::ArbiterPool::pool(1));
+        let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
         let (_child, acc) = stage.start(acc("acc").0).await;
         let asked = spawn_local({
             let acc = acc.clone();

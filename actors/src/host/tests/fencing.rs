@@ -1,7 +1,7 @@
 //! What a component left behind in threads, tasks and publishers is fenced with its incarnation.
 
 use super::{Boom, Log, Stage, boom, logged, order};
-use crate::host::arbiters::ArbiterPool;
+use crate::arbiter::pool::ArbiterPool;
 use crate::topic::Publisher;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports};
 use blastema_core::delivery::dead_letters::DeadReason;

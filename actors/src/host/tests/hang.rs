@@ -1,8 +1,9 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
 use super::{Log, Stage, acc, logged};
-use crate::host::arbiters::ArbiterPool;
-use crate::host::watch::{self, SamplerGuard};
+use crate::arbiter::pool::ArbiterPool;
+use crate::liveness::sampler;
+use crate::liveness::sampler::SamplerGuard;
 use crate::{
     ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation, ObjectName,
     Ports, Sender,
@@ -91,7 +92,7 @@ impl Site {
             HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
         let environment = &stage.environment;
         let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
-        let watch = watch::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+        let watch = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
         let (open, gate) = mpsc::channel();
         let heard = Log::default();
         let kept = heard.clone();
@@ -377,7 +378,7 @@ fn watched() -> (Stage, Probe<LivenessReported>, SamplerGuard) {
     let environment = &stage.environment;
     let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
     let watch =
-        watch::start_task(list, arbiters, HangDetectorConfig::default(), sighted.recipient());
+        sampler::start_task(list, arbiters, HangDetectorConfig::default(), sighted.recipient());
     (stage, sighted, watch)
 }
 

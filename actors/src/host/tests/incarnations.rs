@@ -1,7 +1,7 @@
 //! No two lives of one component have one number, whoever begins them.
 
 use super::{Add, Boom, Slow, Stage, acc, boom, order};
-use crate::host::arbiters::ArbiterPool;
+use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, DeliveryError, Failure, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_doubles::paused;

@@ -16,9 +16,9 @@ mod subscriptions;
 mod topics;
 mod watching;
 
-use super::arbiters::ArbiterPool;
-use super::environment::{ComponentEnvironment, FaultReports};
 use super::spec::ChildSpec;
+use crate::arbiter::pool::ArbiterPool;
+use crate::component::environment::{ComponentEnvironment, FaultReports};
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};

@@ -1,7 +1,7 @@
 //! Every death is reported, also where a second panic follows before the first was reported.
 
 use super::{Log, Stage, logged, order};
-use crate::host::arbiters::ArbiterPool;
+use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
@@ -96,7 +96,7 @@ fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
         child.standing_order(order(5));
-        let pump = crate::host::pump::executor_here(&picky.0).unwrap().upgrade().unwrap();
+        let pump = crate::host::executor::executor_here(&picky.0).unwrap().upgrade().unwrap();
 
         // On the spot, before the pump has its turn.
         pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
@@ -119,7 +119,7 @@ fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_tu
         let seat = anchor.record.seat().unwrap().seat;
 
         seat.handle.spawn_fn(move || {
-            let pump = crate::host::pump::executor_here(&anchor).unwrap().upgrade().unwrap();
+            let pump = crate::host::executor::executor_here(&anchor).unwrap().upgrade().unwrap();
             pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
             actix_rt::Arbiter::current().stop();
         });

@@ -2,7 +2,7 @@
 
 use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
 use crate::host::HostCommand;
-use crate::host::watch::AliveSource;
+use crate::liveness::sampler::AliveSource;
 use crate::{DeliveryError, Sender, WhenFull};
 use blastema_core::Lifecycle;
 use blastema_core::delivery::dead_letters::DeadReason;

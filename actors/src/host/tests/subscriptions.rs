@@ -1,8 +1,9 @@
 //! Conditions under guard and watch, hubs of ended lives, and events across a hang.
 
 use super::{Log, Stage, logged};
-use crate::host::arbiters::ArbiterPool;
-use crate::host::watch::{self, SamplerGuard};
+use crate::arbiter::pool::ArbiterPool;
+use crate::liveness::sampler;
+use crate::liveness::sampler::SamplerGuard;
 use crate::{ChildSpec, Component, Context, Event, Handle, ObjectName, Ports};
 use blastema_contract::child::{Child, ChildEvent};
 use blastema_contract::reports::LivenessReported;
@@ -88,7 +89,7 @@ fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerG
     let config = HangDetectorConfig { grace, gap: Duration::from_secs(1), ..Default::default() };
     let (list, arbiters) =
         (stage.environment.watch_list.clone(), stage.environment.arbiters.clone());
-    let guard = watch::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
+    let guard = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
     (sighted, guard)
 }
 

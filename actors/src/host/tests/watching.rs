@@ -1,7 +1,7 @@
 //! Death watch: no notice is lost to a full queue, and no watch outlives who asked for it.
 
 use super::{Acc, Boom, Stage, acc, boom, order};
-use crate::lane::WhenFull;
+use crate::messaging::queue::WhenFull;
 use crate::{
     ActorRef, ChildSpec, Component, Context, Down, Ending, Event, Failure, Handle, Incarnation,
     Ports, Variable, VariableSpec,

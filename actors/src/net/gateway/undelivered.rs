@@ -2,7 +2,7 @@
 
 use super::peer::GatewayPeer;
 use super::{Forwarded, GatewayActor};
-use crate::host::office::DeadLetterLog;
+use crate::messaging::dead_letters::DeadLetterLog;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::NodeId;

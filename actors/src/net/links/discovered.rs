@@ -1,9 +1,9 @@
 //! Links that nobody has described: made and given up while the node runs.
 
 use super::LinksActor;
-use crate::drive::MachineActor;
 use crate::net::LinkSpec;
 use crate::platform;
+use crate::runtime::driver::MachineActor;
 use actix::prelude::*;
 use blastema_contract::link::LinkChanged;
 use blastema_contract::transport::MediumAddress;

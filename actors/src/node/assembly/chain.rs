@@ -1,26 +1,26 @@
 //! The fault chain of a node: how its actors are made, and what the rest of the node sees of them.
 
 use super::{enrolment, middleware, named};
-use crate::chain::callbacks::Callbacks;
-use crate::chain::detector::DetectorActor;
-use crate::chain::directory::SupervisorDirectory;
-use crate::chain::monitor::MonitorActor;
-use crate::chain::notifier::NotifierActor;
-use crate::chain::outside::{ChainWatch, OutsideSetup};
-use crate::chain::recoverer::{RecovererActor, RecovererSetup};
-use crate::chain::strategy::{
+use crate::actuator::ActuatorTable;
+use crate::arbiter::pool::ArbiterPool;
+use crate::component::environment::FaultReports;
+use crate::fault_chain::callbacks::Callbacks;
+use crate::fault_chain::detector::DetectorActor;
+use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::monitor::MonitorActor;
+use crate::fault_chain::notifier::NotifierActor;
+use crate::fault_chain::outside::{ChainWatch, OutsideSetup};
+use crate::fault_chain::recoverer::{RecovererActor, RecovererSetup};
+use crate::fault_chain::strategy::{
     SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
-use crate::guardian::{Guardian, own_arbiter};
-use crate::host::arbiters::ArbiterPool;
-use crate::host::environment::FaultReports;
-use crate::host::watch::SamplerGuard;
-use crate::lease::ActuatorTable;
+use crate::liveness::sampler::SamplerGuard;
 use crate::node::builder::{ActorPlacement, NodeBuilder, StartError};
-use crate::node::keeper::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
+use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
 use crate::node::tree::PreparedComponent;
 use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;
+use crate::runtime::guardian::{Guardian, own_arbiter};
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::{ReadTable, Register, Unregister};

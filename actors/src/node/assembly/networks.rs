@@ -2,14 +2,14 @@
 
 use super::chain::FaultChainParts;
 use super::{middleware, named};
-use crate::guardian::own_arbiter;
-use crate::host::environment::ComponentEnvironment;
-use crate::net::claims::{GlobalNamesActor, GlobalNamesSetup};
+use crate::component::environment::ComponentEnvironment;
+use crate::global_name::actor::{GlobalNamesActor, GlobalNamesSetup};
 use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
 use crate::node::builder::{ActorPlacement, StartError};
-use crate::node::keeper::SubscribeSafeState;
+use crate::node::controller::SubscribeSafeState;
 use crate::node::network::{Cable, Network};
+use crate::runtime::guardian::own_arbiter;
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;

@@ -1,6 +1,6 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::laying::HELLO_INTERVAL;
+use super::start::HELLO_INTERVAL;
 use super::{Link, Medium, Network, Remote};
 use crate::net::Interface;
 use crate::node::builder::StartError;

@@ -1,0 +1,339 @@
+//! Commanding actuators: whoever commands holds a lease, and what it moves comes to rest when it
+//! goes.
+//!
+//! ```text
+//!  Commander ─ claim, renew, command ─► the actuator's node: Yard ─ epoch holds? ─► component
+//!      ╳ (killed, cut off, hangs)         └─ lease over ─► cut-off, safe command ─► component
+//! ```
+
+pub(crate) mod command;
+pub(crate) mod table;
+
+pub use table::ActuatorRow;
+pub(crate) use table::{ActuatorTable, DeclaredActuator};
+
+use crate::messaging::sender::Sender;
+use crate::platform;
+use crate::registry::Registry;
+use blastema_core::contract::codec;
+use blastema_core::{
+    Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
+};
+use command::{ActuatorCommand, Ordered, Wish};
+use std::fmt;
+use std::future::Future;
+use std::marker::PhantomData;
+use std::ops::RangeInclusive;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
+use tokio::sync::Notify;
+
+/// Until told otherwise: three renewals may be late or lost, and nothing moves on for longer than a
+/// person takes to be startled.
+const SPAN: Duration = Duration::from_millis(200);
+/// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a
+/// robot move without anybody for longer than it takes to walk up to it.
+pub(crate) const SPANS: RangeInclusive<Duration> =
+    Duration::from_millis(20)..=Duration::from_secs(60);
+/// How long a claim or a release may take.
+const CLAIM_WITHIN: Duration = Duration::from_secs(1);
+/// A claim that waits for its actuator asks again after this, and after twice as long each time: a
+/// component restarts in milliseconds, a node takes seconds to come.
+const CLAIM_AGAIN: RangeInclusive<Duration> =
+    Duration::from_millis(10)..=Duration::from_millis(160);
+
+/// How a component lets itself be commanded; given to [`Ports::actuator`](crate::Ports::actuator).
+pub struct ActuatorSpec<M: Contract> {
+    safe: M,
+    span: Duration,
+    cut_off: Option<table::SafeOutputFn>,
+}
+
+impl<M: Contract> ActuatorSpec<M> {
+    /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this
+    /// command like any other when its commander has gone.
+    pub fn new(safe: M) -> Self {
+        ActuatorSpec { safe, span: SPAN, cut_off: None }
+    }
+
+    /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a
+    /// minute. Shorter stops sooner, and stops for a commander that was merely late.
+    #[must_use]
+    pub fn lease(mut self, span: Duration) -> Self {
+        self.span = span;
+        self
+    }
+
+    /// Also called when a lease ends, as the component is told: what brings the outputs to rest
+    /// although the component hangs. The cut-offs and [safe
+    /// outputs](crate::NodeBuilder::safe_outputs) of a node are called one after the other on a
+    /// thread of their own. One that blocks it for longer than
+    /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the
+    /// others go on on a fresh thread.
+    #[must_use]
+    pub fn cut_off(mut self, cut_off: impl Fn() + Send + Sync + 'static) -> Self {
+        self.cut_off = Some(Arc::new(cut_off));
+        self
+    }
+
+    pub(crate) fn declared(self) -> DeclaredActuator {
+        let mut bytes = Vec::new();
+        let safe = match codec::encode(&self.safe, &mut bytes) {
+            Ok(()) => Ok(bytes.into()),
+            Err(_) => Err(DeliveryError::TooLarge { limit: M::MAX_SIZE }),
+        };
+        let identity = ContractIdentity::of::<M>();
+        DeclaredActuator { identity, span: self.span, safe, cut_off: self.cut_off }
+    }
+}
+
+impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ActuatorSpec of {}, lease {:?}", M::NAME, self.span)
+    }
+}
+
+/// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
+/// component that commands lives and its thread turns; with the last clone it is given back.
+pub struct Commander<M: Contract>(Arc<Helm>, PhantomData<fn(M)>);
+
+/// What all clones of a commander share.
+struct Helm {
+    sender: Sender<ActuatorCommand>,
+    identity: Vec<u8>,
+    name: String,
+    life: Incarnation,
+    held: Mutex<Option<Held>>,
+    claimed: Notify,
+}
+
+#[derive(Clone, Copy)]
+struct Held {
+    epoch: u64,
+    span: Duration,
+    /// By our own clock, counted from when we asked: never later than the actuator's node has it.
+    until: Instant,
+}
+
+impl<M: Contract> Clone for Commander<M> {
+    fn clone(&self) -> Self {
+        Commander(self.0.clone(), PhantomData)
+    }
+}
+
+impl<M: Contract> fmt::Debug for Commander<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Commander of {} as {}", M::NAME, self.0.name)
+    }
+}
+
+/// A commander, and the task that renews its lease: where that runs, the commander lives.
+pub(crate) fn commander<M: Contract>(
+    registry: &Registry,
+    actuator: &str,
+    (name, life): (String, Incarnation),
+) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
+    let helm = Arc::new(Helm {
+        sender: registry.sender::<ActuatorCommand>(actuator)?,
+        identity: ContractIdentity::of::<M>().brief().encode(),
+        name,
+        life,
+        held: Mutex::default(),
+        claimed: Notify::new(),
+    });
+    let renewing = renew_lease(Arc::downgrade(&helm));
+    Ok((Commander(helm, PhantomData), renewing))
+}
+
+/// Renews the lease, a quarter of it after the last time, so that three that are lost in a row are
+/// tolerated.
+async fn renew_lease(helm: Weak<Helm>) {
+    loop {
+        let Some(present) = helm.upgrade() else { return };
+        let held = present.held();
+        match held {
+            Some(Held { epoch, span, .. }) => {
+                let asked = platform::now();
+                let renewed = present.send_command(Wish::Renew { epoch }, span).await;
+                present.take_note(epoch, asked, renewed.map(|_| ()));
+                drop(present);
+                tokio::time::sleep(span / 4).await;
+            }
+            None => {
+                // A claim may come between the look and the wait: it leaves its permit.
+                let claimed = async { present.claimed.notified().await };
+                // Whoever holds no lease any more is seen gone once in a while.
+                let _ = tokio::time::timeout(CLAIM_WITHIN, claimed).await;
+            }
+        }
+    }
+}
+
+impl Helm {
+    fn lock(&self) -> MutexGuard<'_, Option<Held>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn held(&self) -> Option<Held> {
+        *self.lock()
+    }
+
+    async fn send_command(&self, wish: Wish, within: Duration) -> Result<Ordered, DeliveryError> {
+        let order = ActuatorCommand { identity: self.identity.clone(), wish };
+        let asked = self.sender.ask_within(order, within).await;
+        match asked.map_err(|error| error.kind)? {
+            Ordered::Refused { why } => Err(Ordered::why(&why)),
+            ordered => Ok(ordered),
+        }
+    }
+
+    /// The actuator's node has taken, or refused, something that was asked then.
+    fn take_note(&self, epoch: u64, asked: Instant, result: Result<(), DeliveryError>) {
+        let mut held = self.lock();
+        let Some(own) = held.as_mut().filter(|held| held.epoch == epoch) else { return };
+        match result {
+            Ok(()) => own.until = own.until.max(asked + own.span),
+            Err(DeliveryError::LeaseEnded | DeliveryError::Superseded { .. }) => *held = None,
+            // It may have arrived all the same. What counts is when it was last known to.
+            Err(_) if platform::now() >= own.until => *held = None,
+            Err(_) => {}
+        }
+    }
+}
+
+impl Drop for Helm {
+    fn drop(&mut self) {
+        if let Some(Held { epoch, .. }) = self.held() {
+            let order =
+                ActuatorCommand { identity: self.identity.clone(), wish: Wish::Release { epoch } };
+            // Where it does not get through, the lease ends by itself.
+            let _ = self.sender.tell(order);
+        }
+    }
+}
+
+impl<M: Contract> Commander<M> {
+    /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be
+    /// commanded yet, a second is waited for it, as by [`claim_within`](Self::claim_within).
+    ///
+    /// # Errors
+    /// As [`claim_within`](Self::claim_within).
+    pub async fn claim(&self) -> Result<u64, DeliveryError> {
+        self.claim_within(CLAIM_WITHIN).await
+    }
+
+    /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator
+    /// that is not there yet, that is being restarted or brought to rest, or whose node cannot be
+    /// reached.
+    ///
+    /// A component that claims while it is being activated keeps those waiting that start after it:
+    /// where the actuator is one of them, [spawn](crate::Context::spawn) the claim.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Held`] while somebody else commands, and
+    /// [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
+    /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not
+    /// come in time; from other nodes, what any request may meet with.
+    pub async fn claim_within(&self, limit: Duration) -> Result<u64, DeliveryError> {
+        let due = platform::now() + limit;
+        let mut pause = *CLAIM_AGAIN.start();
+        loop {
+            let left = due - platform::now();
+            let refused = match self.try_claim(left.clamp(*CLAIM_AGAIN.start(), CLAIM_WITHIN)).await
+            {
+                Err(why) if comes_later(&why) => why,
+                result => return result,
+            };
+            let left = due - platform::now();
+            if left.is_zero() {
+                return Err(refused);
+            }
+            platform::sleep(pause.min(left)).await;
+            pause = (2 * pause).min(*CLAIM_AGAIN.end());
+        }
+    }
+
+    async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
+        let Helm { name, life, .. } = &*self.0;
+        let asked = platform::now();
+        let wish = Wish::Claim { commander: name.clone(), life: life.0 };
+        match self.0.send_command(wish, within).await? {
+            Ordered::Granted { epoch, span_us } => {
+                let span = Duration::from_micros(span_us);
+                *self.0.lock() = Some(Held { epoch, span, until: asked + span });
+                self.0.claimed.notify_one();
+                Ok(epoch)
+            }
+            other => Err(odd::<M>(other)),
+        }
+    }
+
+    /// Says whether the lease is known to hold.
+    pub fn holds(&self) -> bool {
+        self.0.held().is_some_and(|held| platform::now() < held.until)
+    }
+
+    /// Commands, and waits until the command has been carried out, within the span of the lease.
+    /// One command is under way at a time.
+    ///
+    /// # Errors
+    /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`]
+    /// where somebody else's does: the command was not carried out. [`DeliveryError::Full`] where
+    /// one is still under way. Everything else as for any [request](crate::Sender::ask).
+    pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
+        let now = platform::now();
+        let Held { epoch, span, .. } =
+            self.0.held().filter(|held| now < held.until).ok_or(DeliveryError::LeaseEnded)?;
+        let mut bytes = Vec::new();
+        codec::encode(&message, &mut bytes)
+            .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;
+        let done = self.0.send_command(Wish::Command { epoch, message: bytes }, span).await;
+        let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
+        self.0.take_note(epoch, now, noted);
+        match done? {
+            Ordered::Done(reply) => codec::decode_reply::<M>(&reply)
+                .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() }),
+            other => Err(odd::<M>(other)),
+        }
+    }
+
+    /// Gives the lease back. The safe outputs are applied, as whenever a lease ends.
+    ///
+    /// # Errors
+    /// Where this does not get through, the lease ends by itself.
+    pub async fn release(&self) -> Result<(), DeliveryError> {
+        let held = self.0.lock().take();
+        match held {
+            Some(Held { epoch, .. }) => {
+                self.0.send_command(Wish::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether an actuator that refuses so may be there a little later.
+fn comes_later(why: &DeliveryError) -> bool {
+    use DeliveryError::{DeadlinePassed, Full, PeerDied, Restarting, Unknown, Unreachable};
+    matches!(
+        why,
+        Restarting | Full | DeadlinePassed | PeerDied { .. } | Unknown { .. } | Unreachable { .. }
+    )
+}
+
+fn odd<M: Contract>(ordered: Ordered) -> DeliveryError {
+    let Ordered::Differs { identity } = ordered else {
+        return DeliveryError::Undecodable {
+            reason: format!("an answer to another order: {ordered:?}"),
+        };
+    };
+    match PeerIdentity::decode(&identity) {
+        Ok(theirs) => match ContractIdentity::of::<M>().check(&theirs) {
+            Err(difference) => {
+                DeliveryError::ContractDiffers { difference: difference.to_string() }
+            }
+            Ok(()) => DeliveryError::ContractDiffers { difference: "the actuator says so".into() },
+        },
+        Err(error) => DeliveryError::Undecodable { reason: error.to_string() },
+    }
+}

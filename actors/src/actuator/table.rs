@@ -1,0 +1,425 @@
+//! The actuators of a node, and who may command them: the body of the lease machines.
+//!
+//! Orders are served on the thread of whoever brings them. One actor of the middleware's own
+//! watches the time, on the fault chain's arbiter: a component that hangs keeps nobody from being
+//! safe.
+
+use super::command::{ActuatorCommand, Ordered, Wish};
+use crate::fault_chain::callbacks::{CallOutcome, Callbacks};
+use crate::messaging::reply::Responder;
+use crate::platform;
+use crate::registry::service_fn::ServiceFn;
+use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use actix::prelude::*;
+use blastema_contract::reports::AreYouAlive;
+use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStatus};
+use blastema_core::{
+    ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
+    ObjectName, PeerIdentity,
+};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::{Relaxed, SeqCst};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+use tracing::{error, info, warn};
+
+/// Brings outputs to rest without the component.
+pub(crate) type SafeOutputFn = Arc<dyn Fn() + Send + Sync>;
+
+/// An actuator as its component declares it.
+pub(crate) struct DeclaredActuator {
+    pub(crate) identity: ContractIdentity,
+    pub(crate) span: Duration,
+    /// The command that brings it to rest, encoded.
+    pub(crate) safe: Result<Bytes, DeliveryError>,
+    pub(crate) cut_off: Option<SafeOutputFn>,
+}
+
+/// An actuator and who commands it, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActuatorRow {
+    /// The component.
+    pub object: ObjectName,
+    /// The contract of its commands.
+    pub contract: &'static str,
+    /// Who commands, under which epoch, and for how long unless the lease is renewed.
+    pub standing: LeaseStatus,
+}
+
+/// One actuator: one contract of commands to one component.
+struct Actuator {
+    object: ObjectName,
+    identity: ContractIdentity,
+    lease: Mutex<Lease>,
+    safe: Bytes,
+    cut_off: Option<SafeOutputFn>,
+    doorway: Arc<dyn Skeleton>,
+    /// Its commander has gone, and nobody has claimed it since.
+    lost: AtomicBool,
+    /// A command has been handed over and not been answered.
+    busy: Arc<AtomicBool>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+type Actuators = BTreeMap<(ObjectName, &'static str), Arc<Actuator>>;
+
+/// The actuators of a node. Clones share them.
+#[derive(Clone, Default)]
+pub(crate) struct ActuatorTable {
+    /// As many as its components declare.
+    actuators: Arc<Mutex<Actuators>>,
+    timekeeper: Arc<OnceLock<Recipient<Look>>>,
+    /// Calls cut-offs.
+    callbacks: Callbacks,
+    /// The node is in the safe state: nobody commands.
+    rests: Arc<AtomicBool>,
+}
+
+impl ActuatorTable {
+    /// A yard whose cut-offs are called so.
+    pub(crate) fn new(callbacks: Callbacks) -> Self {
+        ActuatorTable { callbacks, ..ActuatorTable::default() }
+    }
+
+    /// Watches the time from now on. Says where the one who does can be asked whether it lives.
+    pub(crate) fn start(
+        &self,
+        name: ObjectName,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> Recipient<AreYouAlive> {
+        let yard = self.clone();
+        let make = move |_: &mut Context<Timekeeper>| Timekeeper { yard, armed: None };
+        let timekeeper = guardian.start(name, arbiter, make);
+        // A yard is started once, with its node.
+        let _ = self.timekeeper.set(timekeeper.clone().recipient());
+        timekeeper.recipient()
+    }
+
+    /// The object has these actuators from now on; the port is where they are commanded.
+    pub(crate) fn declare(
+        &self,
+        object: &ObjectName,
+        declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
+    ) -> Result<ContractPort, DeliveryError> {
+        for (DeclaredActuator { identity, span, safe, cut_off }, doorway) in declared {
+            // Above every epoch of any earlier process of this node.
+            let lease = Lease::new(span, platform::node_incarnation().0 << 20);
+            let actuator = Actuator {
+                object: object.clone(),
+                identity: identity.clone(),
+                lease: Mutex::new(lease),
+                safe: safe?,
+                cut_off,
+                doorway,
+                lost: AtomicBool::default(),
+                busy: Arc::default(),
+            };
+            let key = (object.clone(), identity.name);
+            lock(&self.actuators).insert(key, Arc::new(actuator));
+        }
+        let (yard, object) = (self.clone(), object.clone());
+        let serve = move |order: ActuatorCommand, answer: Responder<ActuatorCommand>| {
+            yard.serve(&object, order, answer)
+        };
+        Ok(ContractPort::of_desk(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
+    }
+
+    /// The object is gone, and its actuators with it.
+    pub(crate) fn withdraw(&self, object: &ObjectName) {
+        let gone = {
+            let mut actuators = lock(&self.actuators);
+            let keys: Vec<_> = actuators.keys().filter(|(of, _)| of == object).cloned().collect();
+            keys.iter().filter_map(|key| actuators.remove(key)).collect::<Vec<_>>()
+        };
+        drop(gone);
+    }
+
+    /// The node comes to rest: every lease ends now, and none is granted before it goes to work
+    /// again.
+    pub(crate) fn rest(&self) {
+        self.rests.store(true, SeqCst);
+        let now = platform::now();
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        for actuator in all {
+            let mut lease = lock(&actuator.lease);
+            if let LeaseStatus::Held { epoch, .. } = lease.standing(now) {
+                lease.handle_release(epoch);
+            }
+            drop(lease);
+            self.carry_out(&actuator);
+        }
+        self.look();
+    }
+
+    /// Whether there are none.
+    pub(crate) fn is_empty(&self) -> bool {
+        lock(&self.actuators).is_empty()
+    }
+
+    /// Whether each that was commanded has carried out its safe command.
+    pub(crate) fn are_at_rest(&self) -> bool {
+        let now = platform::now();
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        all.iter().all(|actuator| lock(&actuator.lease).standing(now) == LeaseStatus::Free)
+    }
+
+    /// The node goes to work again.
+    pub(crate) fn resume(&self) {
+        self.rests.store(false, SeqCst);
+    }
+
+    /// All of them, and who commands each.
+    pub(crate) fn rows(&self) -> Vec<ActuatorRow> {
+        let now = platform::now();
+        let row = |actuator: &Arc<Actuator>| ActuatorRow {
+            object: actuator.object.clone(),
+            contract: actuator.identity.name,
+            standing: lock(&actuator.lease).standing(now),
+        };
+        let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        actuators.iter().map(row).collect()
+    }
+
+    fn find(&self, object: &ObjectName, theirs: &PeerIdentity) -> Option<Arc<Actuator>> {
+        let actuators = lock(&self.actuators);
+        let mut own =
+            actuators.iter().filter(|((of, name), _)| of == object && *name == theirs.name);
+        own.next().map(|(_, actuator)| actuator.clone())
+    }
+
+    fn serve(
+        &self,
+        object: &ObjectName,
+        order: ActuatorCommand,
+        answer: Responder<ActuatorCommand>,
+    ) {
+        let ActuatorCommand { identity, wish } = order;
+        let theirs = match PeerIdentity::decode(&identity) {
+            Ok(theirs) => theirs,
+            Err(error) => {
+                let why = DeliveryError::Undecodable { reason: error.to_string() };
+                return answer.give(Ordered::refused(&why));
+            }
+        };
+        let Some(actuator) = self.find(object, &theirs) else {
+            let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
+            return answer.give(Ordered::refused(&why));
+        };
+        if actuator.identity.check(&theirs).is_err() {
+            let identity = actuator.identity.full().encode();
+            return answer.give(Ordered::Differs { identity });
+        }
+        let now = platform::now();
+        let mut lease = lock(&actuator.lease);
+        // Looked at under the lease's lock: who comes later finds that it has ended.
+        if self.rests.load(SeqCst) {
+            drop(lease);
+            return answer.give(Ordered::refused(&DeliveryError::Stopped));
+        }
+        let done = match wish {
+            // Its first command would wait, perhaps for longer than the lease.
+            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(DeliveryError::Restarting),
+            Wish::Claim { commander, life } => {
+                let commander = CommanderId { name: commander, life: Incarnation(life) };
+                lease.handle_claim(commander, now).map(|grant| {
+                    let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
+                    Ordered::Granted { epoch: grant.epoch, span_us }
+                })
+            }
+            Wish::Renew { epoch } => {
+                lease.handle_renewal(epoch, now).map(|()| Ordered::Done(Vec::new()))
+            }
+            Wish::Release { epoch } => {
+                lease.handle_release(epoch);
+                Ok(Ordered::Done(Vec::new()))
+            }
+            Wish::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
+                Ok(()) => {
+                    drop(lease);
+                    return actuator.command(message, answer);
+                }
+                Err(why) => Err(why),
+            },
+        };
+        drop(lease);
+        self.carry_out(&actuator);
+        if matches!(done, Ok(Ordered::Granted { .. })) {
+            self.take_back(&actuator);
+        }
+        self.look();
+        answer.give(done.unwrap_or_else(|why| Ordered::refused(&why)));
+    }
+
+    /// Somebody commands again: that the one before has gone is no fault any more, unless another
+    /// actuator of the same object still waits for somebody.
+    fn take_back(&self, actuator: &Actuator) {
+        if actuator.lost.swap(false, Relaxed) {
+            let waits =
+                |other: &Arc<Actuator>| other.object == actuator.object && other.lost.load(Relaxed);
+            if !lock(&self.actuators).values().any(waits) {
+                actuator.doorway.mend(FaultKind::CommanderGone);
+            }
+        }
+    }
+
+    /// The timekeeper is to look when it has to be up next.
+    fn look(&self) {
+        if let Some(timekeeper) = self.timekeeper.get() {
+            timekeeper.do_send(Look);
+        }
+    }
+
+    /// Lets all leases act on the time, and says when they want to be looked at again.
+    fn advance(&self, now: Instant) -> Option<Instant> {
+        let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
+        let mut next: Option<Instant> = None;
+        for actuator in all {
+            lock(&actuator.lease).handle_timeout(now);
+            self.carry_out(&actuator);
+            let due = lock(&actuator.lease).poll_timeout();
+            next = next.into_iter().chain(due).min();
+        }
+        next
+    }
+
+    fn carry_out(&self, actuator: &Arc<Actuator>) {
+        loop {
+            let output = lock(&actuator.lease).poll_output();
+            let Some(output) = output else { return };
+            let LeaseOutput::ApplySafeOutputs { commander, epoch, end, again } = output;
+            if !again {
+                let (object, who, life) = (&actuator.object, &commander.name, commander.life);
+                match end {
+                    LeaseEnd::Released => info!(%object, who, %life, epoch, "lease released"),
+                    LeaseEnd::Expired => {
+                        warn!(%object, who, %life, epoch, "commander gone: safe outputs applied");
+                        let detail = format!("its commander {who}{life} has gone");
+                        actuator.doorway.declare(FaultKind::CommanderGone, detail);
+                        actuator.lost.store(true, Relaxed);
+                    }
+                }
+                self.cut_off(actuator);
+            }
+            let (yard, applied_at) = (self.clone(), actuator.clone());
+            let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
+                lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
+                yard.look();
+            });
+            // What came of it is told to the closure in every case.
+            let _ =
+                actuator.doorway.deliver(&actuator.safe, MessageMetadata::default(), Some(applied));
+        }
+    }
+
+    /// Has the cut-off called. The lease is granted anew once it has returned: a cut-off that blocks
+    /// keeps the actuator from every commander, and a fault says so.
+    fn cut_off(&self, actuator: &Arc<Actuator>) {
+        let Some(cut_off) = actuator.cut_off.clone() else {
+            return lock(&actuator.lease).handle_cut_off_returned();
+        };
+        let actuator = actuator.clone();
+        self.callbacks.call(
+            move || cut_off(),
+            move |outcome| {
+                if !matches!(outcome, CallOutcome::Blocked(_)) {
+                    lock(&actuator.lease).handle_cut_off_returned();
+                }
+                let detail = match outcome {
+                    CallOutcome::Done => return,
+                    CallOutcome::ReturnedLate => {
+                        return actuator.doorway.mend(FaultKind::CheckFailed);
+                    }
+                    CallOutcome::Panicked(text) => format!("the cut-off panicked: {text}"),
+                    CallOutcome::Blocked(limit) => {
+                        format!("the cut-off has blocked its thread for {limit:?}")
+                    }
+                };
+                error!(object = %actuator.object, "{detail}");
+                actuator.doorway.declare(FaultKind::CheckFailed, detail);
+            },
+        );
+    }
+}
+
+impl Actuator {
+    /// Hands a command over. One at a time: what waits behind a component that is stuck would be
+    /// carried out after its lease has ended.
+    fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
+        if self.busy.swap(true, Relaxed) {
+            return answer.give(Ordered::refused(&DeliveryError::Full));
+        }
+        let busy = self.busy.clone();
+        let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
+            busy.store(false, Relaxed);
+            answer.give(match result {
+                Ok(reply) => Ordered::Done(reply.into_bytes().into()),
+                Err(why) => Ordered::refused(&why),
+            });
+        });
+        // What came of it is told to the closure in every case.
+        let _ = self.doorway.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
+    }
+}
+
+/// Look when you have to be up next.
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Look;
+
+/// Sees that leases end in time.
+struct Timekeeper {
+    yard: ActuatorTable,
+    armed: Option<(Instant, SpawnHandle)>,
+}
+
+impl Timekeeper {
+    fn look(&mut self, context: &mut Context<Self>) {
+        let now = platform::now();
+        let Some(due) = self.yard.advance(now) else { return };
+        match &self.armed {
+            // Renewals push the end of a lease out: the timer is left standing, and looks again.
+            Some((armed, _)) if *armed <= due && *armed > now => return,
+            Some((_, handle)) => drop(context.cancel_future(*handle)),
+            None => {}
+        }
+        let timer = tokio::time::sleep_until(platform::timer_at(due));
+        let timer = actix::fut::wrap_future::<_, Self>(timer);
+        let handle = context.spawn(timer.map(|(), timekeeper: &mut Self, context| {
+            timekeeper.armed = None;
+            timekeeper.look(context);
+        }));
+        self.armed = Some((due, handle));
+    }
+}
+
+answers_the_monitor!(Timekeeper);
+
+impl Actor for Timekeeper {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.armed = None;
+        self.look(context);
+    }
+}
+
+impl Supervised for Timekeeper {
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.started(context);
+    }
+}
+
+impl Handler<Look> for Timekeeper {
+    type Result = ();
+
+    fn handle(&mut self, _: Look, context: &mut Context<Self>) {
+        self.look(context);
+    }
+}

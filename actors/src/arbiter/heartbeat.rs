@@ -1,0 +1,378 @@
+//! What an arbiter says about itself: it turns, whom it is running, whether it has been given up.
+//!
+//! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
+//! those who need it only roughly, and sweeps the deadlines of requests that were made here.
+
+use super::pool::LoopGuard;
+use crate::messaging::reply::Cancel;
+use crate::platform;
+use blastema_core::{DeliveryError, Instant};
+use std::cell::{Cell, OnceCell, RefCell};
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64};
+use std::thread::ThreadId;
+use std::time::Duration;
+use tokio::time::MissedTickBehavior;
+
+/// How often an arbiter beats: a fiftieth of the default limit for a blocking handler.
+pub(crate) const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(10);
+
+/// Somebody's handler keeps the arbiter; nothing that is sent from it gets out.
+const FENCED: u8 = 1;
+/// It did not come back in time; its components live elsewhere.
+const LOST: u8 = 2;
+/// The component that is running now is isolated.
+const MUTED: u8 = 4;
+
+/// One arbiter's signs of life. Written by its thread, and by whoever gives it up.
+pub(crate) struct ArbiterHeartbeat {
+    id: u64,
+    beat: AtomicU64,
+    /// 1 + the slot of the component on the thread right now; 0 between polls.
+    running: AtomicU32,
+    gate: AtomicU8,
+    /// The time of the last beat, in nanoseconds; 0 where none beats.
+    time: AtomicU64,
+}
+
+thread_local! {
+    static HERE: OnceCell<Arc<ArbiterHeartbeat>> = const { OnceCell::new() };
+    static BEATS: Cell<bool> = const { Cell::new(false) };
+    /// Requests that were made here and wait for a reply.
+    static DEADLINES: RefCell<Deadlines> = const { RefCell::new(Deadlines::new()) };
+}
+
+/// Why nothing may be sent from here now, if that is so. A send that is past this check when the
+/// fence goes up may still land: to be strict would cost every message a lock.
+#[inline]
+pub(crate) fn send_refusal() -> Option<DeliveryError> {
+    let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
+    match gate.unwrap_or(0) {
+        0 => None,
+        MUTED => Some(DeliveryError::Isolated),
+        _ => Some(DeliveryError::Fenced),
+    }
+}
+
+/// The time to the precision of the beat.
+#[inline]
+pub(crate) fn coarse_now() -> Instant {
+    let beaten = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.time.load(Relaxed)));
+    match beaten.unwrap_or(0) {
+        0 => platform::now(),
+        nanos => Instant::from_nanos(nanos),
+    }
+}
+
+impl Default for ArbiterHeartbeat {
+    fn default() -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        ArbiterHeartbeat {
+            id: NEXT.fetch_add(1, Relaxed),
+            beat: AtomicU64::new(0),
+            running: AtomicU32::new(0),
+            gate: AtomicU8::new(0),
+            time: AtomicU64::new(0),
+        }
+    }
+}
+
+impl ArbiterHeartbeat {
+    /// Tells it from every other pulse of the process.
+    pub(crate) fn id(&self) -> u64 {
+        self.id
+    }
+
+    /// Whether this thread is an arbiter that was enrolled and whose loop turns.
+    #[inline]
+    pub(crate) fn beats_here() -> bool {
+        BEATS.try_with(Cell::get).unwrap_or(false)
+    }
+
+    /// Gives this thread its pulse, and lets it beat while its event loop turns.
+    ///
+    /// # Panics
+    /// Outside of an actix arbiter.
+    pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
+        let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
+        pulse.clone().start_beating();
+        pulse
+    }
+
+    /// Gives this fresh thread a pulse that somebody already holds.
+    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<LoopGuard>) {
+        HERE.with(|here| {
+            let _ = here.set(self.clone());
+        });
+        self.clone().start_beating();
+        if let Some(loan) = loan {
+            actix_rt::spawn(async move {
+                let _loan = loan;
+                std::future::pending::<()>().await;
+            });
+        }
+    }
+
+    fn start_beating(self: Arc<Self>) {
+        /// A thread may hold one event loop after another, as tests do.
+        struct Beating(Arc<ArbiterHeartbeat>);
+        impl Drop for Beating {
+            fn drop(&mut self) {
+                self.0.time.store(0, Relaxed);
+                let _ = BEATS.try_with(|beats| beats.set(false));
+            }
+        }
+        if BEATS.replace(true) {
+            return;
+        }
+        let beating = Beating(self.clone());
+        self.time.store(platform::now().as_nanos(), Relaxed);
+        actix_rt::spawn(async move {
+            let _beating = beating;
+            let mut ticks = tokio::time::interval(HEARTBEAT_INTERVAL);
+            ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+            loop {
+                ticks.tick().await;
+                self.beat(platform::now());
+            }
+        });
+    }
+
+    fn beat(&self, now: Instant) {
+        self.beat.store(self.beat.load(Relaxed) + 1, Relaxed);
+        self.time.store(now.as_nanos(), Relaxed);
+        // The loop turns, so whoever kept it has come back.
+        self.lift();
+        // Beaten on the arbiter's own thread, where its deadlines are.
+        let due = DEADLINES.with_borrow_mut(|deadlines| deadlines.sweep(now));
+        due.into_iter().for_each(|slot| slot.cancel(DeliveryError::DeadlinePassed));
+    }
+
+    /// How often it has beaten.
+    pub(crate) fn beats(&self) -> u64 {
+        self.beat.load(Relaxed)
+    }
+
+    /// When it last beat; `None` where none beats.
+    pub(crate) fn last_beat(&self) -> Option<Instant> {
+        match self.time.load(Relaxed) {
+            0 => None,
+            nanos => Some(Instant::from_nanos(nanos)),
+        }
+    }
+
+    /// The slot of the component that its thread is running.
+    pub(crate) fn running(&self) -> Option<u32> {
+        self.running.load(Relaxed).checked_sub(1)
+    }
+
+    /// From now on the thread runs the component of this slot, or none.
+    #[inline]
+    pub(crate) fn run(&self, slot: Option<u32>) {
+        self.running.store(slot.map_or(0, |slot| slot + 1), Relaxed);
+    }
+
+    /// Whether the arbiter has been given up, or is about to be.
+    #[inline]
+    pub(crate) fn is_fenced(&self) -> bool {
+        self.gate.load(Relaxed) & (FENCED | LOST) != 0
+    }
+
+    /// Whether its components live elsewhere now.
+    #[inline]
+    pub(crate) fn is_lost(&self) -> bool {
+        self.gate.load(Relaxed) & LOST != 0
+    }
+
+    /// Lets nothing out until the handler that keeps the thread has returned.
+    pub(crate) fn fence(&self) {
+        self.gate.fetch_or(FENCED, Relaxed);
+    }
+
+    /// The handler has returned. Too late once the arbiter is lost.
+    pub(crate) fn lift(&self) {
+        if self.gate.load(Relaxed) & FENCED != 0 {
+            let _ = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
+                (gate & LOST == 0).then_some(gate & !FENCED)
+            });
+        }
+    }
+
+    /// The grace time is over. Says whether the arbiter was still fenced.
+    pub(crate) fn lose(&self) -> bool {
+        let lost = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
+            (gate & (FENCED | LOST) == FENCED).then_some(gate | LOST)
+        });
+        lost.is_ok()
+    }
+
+    /// Forbids the component that runs now to send, or ends that.
+    pub(crate) fn mute(&self, muted: bool) {
+        if muted {
+            self.gate.fetch_or(MUTED, Relaxed);
+        } else {
+            self.gate.fetch_and(!MUTED, Relaxed);
+        }
+    }
+
+    /// Its thread is this one.
+    pub(crate) fn is_here(&self) -> bool {
+        HERE.try_with(|here| here.get().is_some_and(|here| std::ptr::eq(&**here, self)))
+            .unwrap_or(false)
+    }
+}
+
+/// Requests of one arbiter that wait for a reply: as many as there are futures that wait, and those
+/// whose future was dropped on another thread, until the next sweep.
+struct Deadlines {
+    waiting: Vec<Option<Waiting>>,
+    free: Vec<usize>,
+    /// Numbers the entries, so that a place that was taken anew is known.
+    next: u64,
+}
+
+struct Waiting {
+    number: u64,
+    due: Due,
+    slot: Arc<dyn Cancel>,
+}
+
+/// The first sweep after a request was made turns its span into a point in time, so that the
+/// request itself reads no clock. The deadline is late by a beat at most, and never early.
+enum Due {
+    After(Duration),
+    At(Instant),
+}
+
+impl Deadlines {
+    const fn new() -> Self {
+        Deadlines { waiting: Vec::new(), free: Vec::new(), next: 0 }
+    }
+
+    /// Takes out what is due, and what nobody else holds any more.
+    fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Cancel>> {
+        let mut due = Vec::new();
+        for (at, place) in self.waiting.iter_mut().enumerate() {
+            let Some(waiting) = place else { continue };
+            if let Due::After(span) = waiting.due {
+                waiting.due = Due::At(now + span);
+            }
+            let over = matches!(waiting.due, Due::At(at) if at <= now);
+            if over || Arc::strong_count(&waiting.slot) == 1 {
+                due.extend(place.take().map(|waiting| waiting.slot));
+                self.free.push(at);
+            }
+        }
+        due
+    }
+}
+
+/// One request's place among the deadlines of the arbiter on which it was made.
+pub(crate) struct Deadline {
+    place: usize,
+    number: u64,
+    thread: ThreadId,
+}
+
+impl Deadline {
+    /// To be set on an arbiter that [beats](Pulse::beats_here).
+    #[inline]
+    pub(crate) fn set(span: Duration, slot: Arc<dyn Cancel>) -> Self {
+        DEADLINES.with_borrow_mut(|deadlines| {
+            let number = deadlines.next;
+            deadlines.next += 1;
+            let entry = Some(Waiting { number, due: Due::After(span), slot });
+            let place = match deadlines.free.pop() {
+                Some(place) => {
+                    deadlines.waiting[place] = entry;
+                    place
+                }
+                None => {
+                    deadlines.waiting.push(entry);
+                    deadlines.waiting.len() - 1
+                }
+            };
+            Deadline { place, number, thread: thread_id() }
+        })
+    }
+}
+
+impl Drop for Deadline {
+    #[inline]
+    fn drop(&mut self) {
+        if self.thread != thread_id() {
+            return; // The sweep finds it.
+        }
+        let entry = DEADLINES.try_with(|deadlines| {
+            let mut deadlines = deadlines.borrow_mut();
+            let place = deadlines.waiting.get_mut(self.place)?;
+            let entry = place.take_if(|waiting| waiting.number == self.number)?;
+            deadlines.free.push(self.place);
+            Some(entry)
+        });
+        drop(entry); // Its slot may hold what is the user's.
+    }
+}
+
+#[inline]
+fn thread_id() -> ThreadId {
+    thread_local! {
+        static ID: ThreadId = std::thread::current().id();
+    }
+    ID.try_with(|id| *id).unwrap_or_else(|_| std::thread::current().id())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::{advance, now, paused};
+
+    #[test]
+    fn a_fence_is_lifted_by_the_beat_unless_the_arbiter_is_lost() {
+        let pulse = ArbiterHeartbeat::default();
+        assert!(!pulse.lose(), "only a fenced arbiter can be lost");
+        pulse.fence();
+        assert!(pulse.is_fenced() && !pulse.is_lost());
+
+        pulse.beat(Instant::from_millis(1));
+        assert!(!pulse.is_fenced());
+
+        pulse.fence();
+        assert!(pulse.lose());
+        assert!(!pulse.lose(), "once");
+        pulse.beat(Instant::from_millis(2));
+        assert!(pulse.is_fenced() && pulse.is_lost());
+    }
+
+    #[test]
+    fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
+        paused(async {
+            assert_eq!(send_refusal(), None);
+            let pulse = ArbiterHeartbeat::enrol_here();
+            pulse.mute(true);
+            assert_eq!(send_refusal(), Some(DeliveryError::Isolated));
+            pulse.fence();
+            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
+            pulse.mute(false);
+            assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
+            pulse.lift();
+            assert_eq!(send_refusal(), None);
+        });
+    }
+
+    #[test]
+    fn a_thread_beats_in_each_of_its_event_loops_and_not_between_them() {
+        for _ in 0..2 {
+            assert!(!ArbiterHeartbeat::beats_here());
+            paused(async {
+                let pulse = ArbiterHeartbeat::enrol_here();
+                let before = pulse.beats();
+                advance(Duration::from_millis(100)).await;
+                assert!((9..=11).contains(&(pulse.beats() - before)));
+                assert!(platform::now() - coarse_now() <= HEARTBEAT_INTERVAL);
+                assert!(now() > Instant::ORIGIN && ArbiterHeartbeat::beats_here());
+            });
+        }
+    }
+}

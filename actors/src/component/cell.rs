@@ -1,0 +1,538 @@
+//! What all lives of one component share: it is what a reference refers to.
+//!
+//! The queue, the name and the record of messages that kill belong here, not to a life, so that
+//! they outlive panics and hung threads.
+
+use super::environment::ComponentEnvironment;
+use super::injection::Injected;
+use super::life::IncarnationToken;
+use crate::arbiter::heartbeat;
+use crate::arbiter::pool::ArbiterSlot;
+use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
+use crate::component::{Component, Handle};
+use crate::host::Host;
+use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::limits::ComponentLimits;
+use crate::liveness::sampler::AliveSource;
+use crate::messaging::death_watch::{Down, Watchers};
+use crate::messaging::queue::{BoundedQueue, WhenFull};
+use crate::messaging::reply::{Cancel, ReplyFuture, Responder};
+use crate::messaging::sender::{MessageSink, Receiver, RequestError, SendError};
+use crate::platform;
+use crate::platform::panics;
+use crate::topic::Subscriptions;
+use actix::Addr;
+use blastema_contract::child::RestartGrant;
+use blastema_contract::reports::FaultDeclared;
+use blastema_core::delivery::quarantine::Quarantine;
+use blastema_core::detection::hang::QueueReading;
+use blastema_core::global_name::ClaimRequest;
+use blastema_core::{
+    Contract, DeliveryError, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName,
+};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicU8, AtomicU64};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+use tracing::warn;
+
+/// Nothing comes in.
+const ISOLATED: u8 = 1;
+/// Some message is quarantined, so that identified ones are looked at.
+const QUARANTINE: u8 = 2;
+
+pub(crate) struct ComponentCell<C: Component> {
+    pub(crate) lane: BoundedQueue<BoxedEnvelope<C>>,
+    pub(crate) record: CellCore,
+    pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
+    control: Mutex<Option<Addr<Host<C>>>>,
+    subscriptions: Mutex<Subscriptions<C>>,
+}
+
+/// The part of an [`ComponentCell`] that does not depend on the component's type.
+pub(crate) struct CellCore {
+    pub(crate) name: ObjectName,
+    pub(crate) limits: ComponentLimits,
+    pub(crate) environment: ComponentEnvironment,
+    pub(crate) mourners: Watchers,
+    pub(crate) injected: Injected,
+    gate: AtomicU8,
+    state: Mutex<Standing>,
+    /// The life that began last.
+    incarnation: AtomicU64,
+    service: Mutex<MessageInService>,
+    quarantine: Mutex<Quarantine>,
+    order: Mutex<Option<RestartGrant>>,
+    /// The names of the whole robot that it claims while it is at work, each with the claim's
+    /// number.
+    claims: OnceLock<Box<[(ClaimRequest, u64)]>>,
+}
+
+/// Where a component stands, and where it lives.
+struct Standing {
+    state: Lifecycle,
+    seat: Option<CurrentPlacement>,
+}
+
+/// One life's place.
+#[derive(Clone)]
+pub(crate) struct CurrentPlacement {
+    pub(crate) seat: ArbiterSlot,
+    pub(crate) slot: ActivitySlotRef,
+    pub(crate) token: Arc<IncarnationToken>,
+}
+
+/// Who is to be told if the message in service brings death. It stands here and not with the pump,
+/// so that a hung callee cannot keep it.
+#[derive(Default)]
+pub(crate) struct MessageInService {
+    asker: Option<Arc<dyn Cancel>>,
+    id: Option<MessageId>,
+}
+
+/// What becomes of a panic in a `Drop`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blame {
+    /// It is a fault of the component.
+    Fault,
+    /// The life ends with a fault already: it is only logged.
+    Log,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl CellCore {
+    pub(crate) fn new(
+        name: ObjectName,
+        limits: ComponentLimits,
+        environment: ComponentEnvironment,
+    ) -> Self {
+        CellCore {
+            name,
+            limits,
+            environment,
+            mourners: Watchers::default(),
+            injected: Injected::default(),
+            gate: AtomicU8::new(0),
+            state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
+            incarnation: AtomicU64::new(0),
+            service: Mutex::default(),
+            quarantine: Mutex::default(),
+            order: Mutex::default(),
+            claims: OnceLock::new(),
+        }
+    }
+
+    /// It claims these names of the whole robot.
+    pub(crate) fn set_claims(&self, wanted: impl Iterator<Item = ClaimRequest>) {
+        let numbered = wanted.map(|wanted| (wanted, self.environment.names.number()));
+        // A component is described once.
+        let _ = self.claims.set(numbered.collect());
+    }
+
+    /// A life is at work.
+    pub(crate) fn claim_names(&self) {
+        for (wanted, number) in self.claims.get().into_iter().flatten() {
+            self.environment.names.claim_unattended(wanted.clone(), *number);
+        }
+    }
+
+    /// No life is there, and none follows at once.
+    pub(crate) fn withdraw_names(&self) {
+        for (wanted, number) in self.claims.get().into_iter().flatten() {
+            self.environment.names.withdraw(&wanted.name, *number);
+        }
+    }
+
+    pub(crate) fn incarnation(&self) -> Incarnation {
+        Incarnation(self.incarnation.load(Relaxed))
+    }
+
+    /// This life is about to begin; it never goes back.
+    pub(crate) fn set_incarnation(&self, incarnation: Incarnation) {
+        self.incarnation.fetch_max(incarnation.0, Relaxed);
+    }
+
+    /// A life is in its place. False if a later one has begun elsewhere, whose place stays known.
+    pub(crate) fn enter(&self, incarnation: Incarnation, seated: CurrentPlacement) -> bool {
+        let mut standing = lock(&self.state);
+        let is_newest = incarnation >= self.incarnation();
+        if is_newest {
+            self.set_incarnation(incarnation);
+            standing.seat = Some(seated);
+        }
+        is_newest
+    }
+
+    pub(crate) fn state(&self) -> Lifecycle {
+        lock(&self.state).state
+    }
+
+    pub(crate) fn set_state(&self, state: Lifecycle) {
+        lock(&self.state).state = state;
+    }
+
+    pub(crate) fn seat(&self) -> Option<CurrentPlacement> {
+        lock(&self.state).seat.clone()
+    }
+
+    pub(crate) fn take_seat(&self) -> Option<CurrentPlacement> {
+        lock(&self.state).seat.take()
+    }
+
+    pub(crate) fn order(&self) -> Option<RestartGrant> {
+        *lock(&self.order)
+    }
+
+    pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
+        *lock(&self.order) = order;
+    }
+
+    #[inline]
+    pub(crate) fn is_isolated(&self) -> bool {
+        self.gate.load(Relaxed) & ISOLATED != 0
+    }
+
+    /// The message in service is one whose sender waits, or one that may come again. An asker may
+    /// be left here: a request takes one result only, and it has it when it was served.
+    #[inline]
+    pub(crate) fn begin_service(&self, asker: Option<Arc<dyn Cancel>>, id: Option<MessageId>) {
+        *lock(&self.service) = MessageInService { asker, id };
+    }
+
+    /// It has been served, and is not to be blamed for what comes after.
+    #[inline]
+    pub(crate) fn end_service(&self) {
+        let followed = std::mem::take(&mut *lock(&self.service));
+        drop(followed);
+    }
+
+    /// The life ends with the message that it serves: its asker is told, and it is blamed.
+    pub(crate) fn record_fatal_message(&self, incarnation: Incarnation) {
+        let MessageInService { asker, id } = std::mem::take(&mut *lock(&self.service));
+        if let Some(asker) = asker {
+            asker.cancel(DeliveryError::PeerDied { incarnation });
+        }
+        if let Some(id) = id {
+            let mut quarantine = lock(&self.quarantine);
+            quarantine.handle_kill(id, incarnation);
+            if quarantine.is_active() {
+                self.gate.fetch_or(QUARANTINE, Relaxed);
+            }
+        }
+    }
+
+    /// Says why this message is not let in.
+    #[inline]
+    pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<DeliveryError> {
+        match self.gate.load(Relaxed) {
+            0 => None,
+            gate => self.look_closer(gate, id),
+        }
+    }
+
+    #[cold]
+    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<DeliveryError> {
+        if gate & ISOLATED != 0 {
+            return Some(DeliveryError::Isolated);
+        }
+        let kills = lock(&self.quarantine).refuses(id?)?;
+        Some(DeliveryError::Quarantined { kills })
+    }
+
+    pub(crate) fn record_dead_letter(&self, contract: &'static str, why: &DeliveryError) {
+        self.environment.dead_letters.record(&self.name, contract, why);
+    }
+
+    /// A fault of the component, or of what was sent to it.
+    pub(crate) fn declare(&self, kind: FaultKind, detail: String) {
+        if let Some(faults) = &self.environment.reports.faults {
+            let (object, incarnation) = (self.name.clone(), self.incarnation());
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.
+    pub(crate) fn dispose<T>(&self, what: &str, thing: T, blame: Blame) {
+        let what = || format!("the Drop of {what}");
+        let run = move || drop(thing);
+        match blame {
+            Blame::Fault => drop(self.guard(what, run)),
+            Blame::Log => {
+                if let Err(panicked) = panics::caught(run) {
+                    warn!(object = %self.name, "{} {panicked}", what());
+                }
+            }
+        }
+    }
+
+    /// Runs what is the user's outside of a life. If it panics, that is a fault of the component,
+    /// and nothing else.
+    pub(crate) fn guard<T>(
+        &self,
+        what: impl FnOnce() -> String,
+        run: impl FnOnce() -> T,
+    ) -> Result<T, String> {
+        panics::caught(run).map_err(|panicked| {
+            let detail = format!("{} {panicked}", what());
+            warn!(object = %self.name, "{detail}");
+            self.declare(FaultKind::CheckFailed, detail.clone());
+            detail
+        })
+    }
+}
+
+impl<C: Component> ComponentCell<C> {
+    pub(crate) fn new(
+        record: CellCore,
+        queue: (usize, WhenFull),
+        factory: Box<dyn Fn() -> C + Send + Sync>,
+    ) -> Self {
+        ComponentCell {
+            lane: BoundedQueue::new(queue.0, queue.1),
+            record,
+            factory,
+            control: Mutex::default(),
+            subscriptions: Mutex::new(Arc::new([])),
+        }
+    }
+
+    pub(crate) fn control(&self) -> Option<Addr<Host<C>>> {
+        lock(&self.control).clone()
+    }
+
+    pub(crate) fn set_control(&self, host: Option<Addr<Host<C>>>) {
+        *lock(&self.control) = host;
+    }
+
+    pub(crate) fn subscriptions(&self) -> Subscriptions<C> {
+        lock(&self.subscriptions).clone()
+    }
+
+    pub(crate) fn set_subscriptions(&self, subscriptions: Subscriptions<C>) {
+        *lock(&self.subscriptions) = subscriptions;
+    }
+
+    /// Forbids the component to send and receive, or allows it again.
+    pub(crate) fn isolate(&self, isolated: bool) {
+        if isolated {
+            self.record.gate.fetch_or(ISOLATED, Relaxed);
+        } else {
+            self.record.gate.fetch_and(!ISOLATED, Relaxed);
+        }
+        if let Some(seated) = self.record.seat() {
+            seated.token.mute(isolated);
+        }
+        self.lane.hold(isolated);
+    }
+
+    /// Closes the queue until the next life; what was in it is returned or counted.
+    pub(crate) fn close(&self, why: &DeliveryError) {
+        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, why.clone()));
+    }
+
+    /// The same, by the life that ends; without effect when it was given up and another has begun.
+    pub(crate) fn close_by(&self, incarnation: Incarnation) {
+        let left = self.lane.stop_by(incarnation);
+        left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
+    }
+
+    /// A message that is not going to be served.
+    pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
+        let contract = mail.brief().name;
+        self.record.record_dead_letter(contract, &why);
+        let give_back = move || {
+            mail.give_back(why);
+            drop(mail);
+        };
+        let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
+    }
+
+    #[inline]
+    fn admit(&self, id: Option<MessageId>) -> Result<(), DeliveryError> {
+        match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
+            None => Ok(()),
+            Some(why) => Err(why),
+        }
+    }
+
+    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an
+    /// earlier end of the same object that it has not taken yet is replaced.
+    pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
+    where
+        C: Handle<Down>,
+    {
+        let about = match &down.node {
+            Some(node) => format!("{node}:{}", down.object),
+            None => down.object.to_string(),
+        };
+        let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
+        drop(self.lane.notify(watcher, &about, notice));
+    }
+
+    /// An event for a component that is busy, or has just been.
+    pub(crate) fn queue_event<M: Contract>(&self, event: M, times: impl Into<Times>)
+    where
+        C: Handle<M>,
+    {
+        let refused = match self.record.refusal(None) {
+            Some(why) => why,
+            None => {
+                let push =
+                    self.lane.push_with(event, |m| seal_message::<C, M>(m, None, None, times));
+                match push {
+                    Ok(None) => return,
+                    Ok(Some(oldest)) => return self.return_mail(oldest, DeliveryError::Full),
+                    Err((_, why)) => why,
+                }
+            }
+        };
+        self.record.record_dead_letter(M::NAME, &refused);
+    }
+}
+
+impl<C: Component> AliveSource for ComponentCell<C> {
+    fn incarnation(&self) -> Incarnation {
+        self.record.incarnation()
+    }
+
+    fn queue(&self) -> QueueReading {
+        let queued = self.lane.depth();
+        let posted_at = match queued {
+            0 => None,
+            _ => self.lane.with_oldest(|mail| mail.brief().posted_at),
+        };
+        let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
+        QueueReading { queued, oldest }
+    }
+}
+
+impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
+    #[inline]
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        self.tell_at(message, enqueue_time::<M>())
+    }
+
+    #[inline]
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        self.offer_at(message, enqueue_time::<M>())
+    }
+
+    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        Box::pin(self.lane.room())
+    }
+
+    fn receiver(&self) -> Option<Receiver> {
+        Some(Receiver {
+            node: self.record.environment.registry.node(),
+            object: self.record.name.clone(),
+            contract: M::NAME,
+            queue: Some(self.lane.capacity()),
+        })
+    }
+
+    #[inline]
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        // Whoever waits is next door: a request that nobody waits for is not begun.
+        _: Option<Duration>,
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        let (answer, reply) = Responder::awaited();
+        match self.post(message, answer, id) {
+            Ok(()) => Ok(reply),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+impl<C: Component> ComponentCell<C> {
+    /// Tells the component what was posted then.
+    #[inline]
+    pub(crate) fn tell_at<M: Contract>(
+        &self,
+        message: M,
+        posted_at: blastema_core::Instant,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        match self.offer_at(message, posted_at) {
+            Err(SendError {
+                kind: why @ (DeliveryError::Full | DeliveryError::Restarting),
+                message,
+                ..
+            }) if self.lane.policy() == WhenFull::DropNewest => {
+                self.record.record_dead_letter(M::NAME, &why);
+                drop(message);
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    #[inline]
+    fn offer_at<M: Contract>(
+        &self,
+        message: M,
+        posted_at: blastema_core::Instant,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        if let Err(why) = self.admit(None) {
+            return Err(SendError::new(why, message));
+        }
+        match self.lane.push_with(message, |m| seal_message::<C, M>(m, None, None, posted_at)) {
+            Ok(None) => Ok(()),
+            Ok(Some(oldest)) => {
+                self.return_mail(oldest, DeliveryError::Full);
+                Ok(())
+            }
+            Err((message, why)) => Err(SendError::new(why, message)),
+        }
+    }
+
+    /// Hands a request over, whoever waits for its answer. A refusal is told to the answer as well.
+    #[inline]
+    pub(crate) fn post<M: Contract>(
+        &self,
+        message: M,
+        answer: Responder<M>,
+        id: Option<MessageId>,
+    ) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        let mut answer = Some(answer);
+        let posted = match self.admit(id) {
+            Ok(()) => {
+                let posted_at = enqueue_time::<M>();
+                self.lane
+                    .push_with(message, |m| seal_message::<C, M>(m, answer.take(), id, posted_at))
+            }
+            Err(why) => Err((message, why)),
+        };
+        match posted {
+            Ok(None) => Ok(()),
+            Ok(Some(oldest)) => {
+                self.return_mail(oldest, DeliveryError::Full);
+                Ok(())
+            }
+            Err((message, why)) => {
+                if let DeliveryError::Quarantined { .. } = why {
+                    self.record.record_dead_letter(M::NAME, &why);
+                }
+                if let Some(answer) = answer {
+                    answer.refuse(why.clone(), None);
+                }
+                Err(SendError::new(why, message))
+            }
+        }
+    }
+}

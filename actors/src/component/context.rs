@@ -1,0 +1,424 @@
+//! What a component may ask of its host while it serves something.
+
+use crate::actuator::Commander;
+use crate::arbiter::heartbeat;
+use crate::component::cell::ComponentCell;
+use crate::component::environment::ComponentEnvironment;
+use crate::component::life::{IncarnationState, TimerId, TimerMode};
+use crate::component::{Component, Failure, Handle};
+use crate::host::reference::ActorRef;
+use crate::liveness::activity::ActivityRecord;
+use crate::messaging::death_watch::{Down, Watcher};
+use crate::messaging::sender::{DetachedSender, Sender};
+use crate::registry::remote_watch;
+use crate::service::ServiceRef;
+use crate::topic::Publisher;
+use crate::variable::{self, VariableRef};
+use crate::{actuator, platform};
+use blastema_contract::reports::FaultDeclared;
+use blastema_core::parameters::Parameters;
+use blastema_core::{
+    Contract, DeliveryError, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError,
+    ObjectAddress, ObjectName, Request, Variable,
+};
+use std::any::{Any, TypeId};
+use std::cell::{Cell, RefCell};
+use std::fmt::Debug;
+use std::future::Future;
+use std::ops::RangeBounds;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A component's way to its host, lent to every hook and handler.
+///
+/// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
+/// panics, the component has panicked.
+pub struct Context<C: Component> {
+    anchor: Arc<ComponentCell<C>>,
+    life: Rc<IncarnationState<C>>,
+    /// Topics under their contract's own name, looked up once.
+    publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
+    /// Objects of other nodes that are watched, and whether they still are.
+    far_watches: Vec<(ObjectAddress, Rc<Cell<bool>>)>,
+}
+
+impl<C: Component> Context<C> {
+    pub(crate) fn new(anchor: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
+        Context { anchor, life, publishers: RefCell::default(), far_watches: Vec::new() }
+    }
+
+    /// A reference to this component, which outlives its restarts.
+    pub fn me(&self) -> ActorRef<C> {
+        ActorRef(self.anchor.clone())
+    }
+
+    /// The component's name.
+    pub fn name(&self) -> &ObjectName {
+        &self.anchor.record.name
+    }
+
+    /// Which of the component's lives this is.
+    pub fn incarnation(&self) -> Incarnation {
+        self.life.incarnation
+    }
+
+    /// Where the component stands.
+    pub fn state(&self) -> Lifecycle {
+        self.anchor.record.state()
+    }
+
+    /// Where messages can be sent to the object of this name, `arm/left` here or
+    /// `module2:arm/left` on another node.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object,
+    /// [`DeliveryError::NotServed`] if it does not serve the contract,
+    /// [`DeliveryError::ContractDiffers`] if it knows another contract by this name.
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
+        self.anchor.record.environment.registry.sender(name)
+    }
+
+    /// The variable `V` of the object of this name, the component's own or another's, here or on
+    /// another node.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it owns no variables.
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
+        variable::find(&self.anchor.record.environment.registry, object)
+    }
+
+    /// The component's own parameters as they are now.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
+    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
+        self.anchor.parameters()
+    }
+
+    /// Asks the service of this name, whichever node serves it.
+    ///
+    /// # Errors
+    /// The name does not parse. Whether there is such a service is found out when it is asked.
+    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
+        let ComponentEnvironment { registry, services, .. } = &self.anchor.record.environment;
+        ServiceRef::new(registry, services, name)
+    }
+
+    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
+    /// of this life: it ends with the life, and when the component hangs.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it is no actuator.
+    pub fn commander<M: Contract>(
+        &mut self,
+        actuator: &str,
+    ) -> Result<Commander<M>, DeliveryError> {
+        let environment = &self.anchor.record.environment;
+        let own = environment.registry.full_name(self.name());
+        let who = (own, self.incarnation());
+        let (commander, renewing) = actuator::commander(&environment.registry, actuator, who)?;
+        self.spawn(renewing);
+        Ok(commander)
+    }
+
+    /// A sender for threads and blocking tasks that this life starts: what they still send after
+    /// the life has ended is refused as [`DeliveryError::Fenced`].
+    pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
+        let detached = DetachedSender { inner: sender.clone(), life: self.life.token.clone() };
+        Sender(Arc::new(detached))
+    }
+
+    /// The time now, on the clock that all stamps of this computer share.
+    pub fn now(&self) -> Instant {
+        platform::now()
+    }
+
+    /// When the data in the message that is served, or was served last, was captured: as its
+    /// publisher said by [`publish_captured_at`](Self::publish_captured_at), else when the message
+    /// was sent, to the precision of 10 ms unless its contract has a `max_age`. `None` before the
+    /// first message.
+    ///
+    /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
+    /// nor the queue of a message counts as a change of what it tells.
+    pub fn captured_at(&self) -> Option<Instant> {
+        self.life.captured_at.get()
+    }
+
+    /// Publishes an event on the topic that has its contract's name. Never waits. While the
+    /// component is fenced off or isolated, events are not published but counted among the dead
+    /// letters under the topic's name.
+    #[track_caller]
+    pub fn publish<E: Event>(&self, event: E) {
+        self.publish_stamped(event, None);
+    }
+
+    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an
+    /// image: `max_age` counts from there, and listeners read it by
+    /// [`captured_at`](Self::captured_at). A time that is still to come counts as now.
+    #[track_caller]
+    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
+        self.publish_stamped(event, Some(captured_at));
+    }
+
+    #[track_caller]
+    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
+        let mut publishers = self.publishers.borrow_mut();
+        let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
+        if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
+            publisher.publish_or_count(event, captured_at);
+            return;
+        }
+        match self.publisher::<E>(E::NAME) {
+            Ok(publisher) => {
+                publisher.publish_or_count(event, captured_at);
+                publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
+            }
+            Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
+        }
+    }
+
+    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
+    /// publishes after that has ended, on whichever thread, is refused as
+    /// [`DeliveryError::Fenced`].
+    ///
+    /// # Errors
+    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
+    /// name; the text names both, where each was said, and what differs.
+    #[track_caller]
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
+        let topics = &self.anchor.record.environment.topics;
+        let publisher = topics.publisher_of(topic, self.name().as_str())?;
+        Ok(publisher.of(self.life.token.clone()))
+    }
+
+    /// Starts a task of this component's own, which runs beside its handlers.
+    ///
+    /// # Panics
+    /// The component is ended if it holds 1024 tasks already: it has lost count of them.
+    pub fn spawn(&mut self, task: impl Future<Output = ()> + 'static) {
+        self.life.defer(|wishes| wishes.tasks.push(Box::pin(task)));
+    }
+
+    /// Calls the closure every `interval` while the component is active. It takes its turn between
+    /// messages; where it comes late, what was missed is skipped.
+    pub fn every(
+        &mut self,
+        interval: Duration,
+        tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        self.timer(TimerMode::Every(interval), tick)
+    }
+
+    /// Calls the closure once, after `delay`.
+    pub fn after(
+        &mut self,
+        delay: Duration,
+        fire: impl FnOnce(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        let mut fire = Some(fire);
+        self.timer(TimerMode::Once(delay), move |component, cx| {
+            if let Some(fire) = fire.take() {
+                fire(component, cx);
+            }
+        })
+    }
+
+    /// Sends the component this message every `interval`, for work that awaits.
+    pub fn tell_every<M: Contract + Clone>(&mut self, interval: Duration, message: M) -> TimerId
+    where
+        C: Handle<M>,
+    {
+        self.timer(TimerMode::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
+    }
+
+    /// Sends the component this message once, after `delay`.
+    pub fn tell_after<M: Contract>(&mut self, delay: Duration, message: M) -> TimerId
+    where
+        C: Handle<M>,
+    {
+        self.after(delay, move |_, cx| cx.post_to_myself(message))
+    }
+
+    fn post_to_myself<M: Contract>(&self, message: M)
+    where
+        C: Handle<M>,
+    {
+        // A refusal is the queue's decision and counted there.
+        if let Err(refused) = self.me().tell(message) {
+            self.anchor.record.record_dead_letter(M::NAME, &refused.kind);
+        }
+    }
+
+    fn timer(
+        &mut self,
+        rhythm: TimerMode,
+        fire: impl FnMut(&mut C, &mut Context<C>) + 'static,
+    ) -> TimerId {
+        let id = self.life.next_timer();
+        self.life.defer(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
+        id
+    }
+
+    /// Ends a timer.
+    pub fn cancel(&mut self, timer: TimerId) {
+        self.life.defer(|wishes| wishes.cancelled.push(timer));
+    }
+
+    /// Gives a sign of life. A successful `on_execute` gives one by itself.
+    #[inline]
+    pub fn alive(&self) {
+        if !self.anchor.record.injected.is_silent() {
+            self.life.stamp.give_sign();
+        }
+    }
+
+    /// What a test has each handler and hook await before it begins.
+    #[inline]
+    pub(crate) fn before(&self) -> Option<Pin<Box<dyn Future<Output = ()>>>> {
+        self.anchor.record.injected.before()
+    }
+
+    /// Whether a test has this initialisation fail.
+    pub(crate) fn fails_initialization(&self) -> bool {
+        self.anchor.record.injected.fails_initialization()
+    }
+
+    /// Announces that what is in service takes up to `span`: until the guard that is returned is
+    /// dropped, it is taken neither for hanging nor for silent before that.
+    pub fn long_operation(&self, span: Duration) -> LongOperation {
+        self.life.stamp.allow(span);
+        LongOperation { stamp: self.life.stamp }
+    }
+
+    /// Changes how often `on_execute` is called; `None` for never.
+    pub fn set_interval(&mut self, interval: Option<Duration>) {
+        self.life.defer(|wishes| wishes.interval = Some(interval));
+    }
+
+    /// Reports a fault that the component found in itself or in its data. It goes on working.
+    ///
+    /// A code of the application's own that the plan has no answer to is reported with the codes
+    /// that it has, and only observed: see [the manual](crate::manual::faults).
+    pub fn declare_fault(&self, kind: FaultKind, detail: impl Into<String>) {
+        if heartbeat::send_refusal() == Some(DeliveryError::Fenced) {
+            return;
+        }
+        let mut detail = detail.into();
+        if let FaultKind::Custom(code) = &kind {
+            detail = self.anchor.record.environment.checked_detail(code, detail);
+        }
+        if let Some(faults) = &self.anchor.record.environment.reports.faults {
+            faults.do_send(FaultDeclared {
+                object: self.name().clone(),
+                incarnation: self.incarnation(),
+                kind,
+                detail,
+            });
+        }
+    }
+
+    /// Reports [`FaultKind::CheckFailed`] unless the condition holds, and says whether it does.
+    pub fn check(&self, holds: bool, invariant: &str) -> bool {
+        if !holds {
+            self.declare_fault(FaultKind::CheckFailed, invariant);
+        }
+        holds
+    }
+
+    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range, and says whether it
+    /// does.
+    pub fn check_range<T: PartialOrd + Debug>(
+        &self,
+        what: &str,
+        value: &T,
+        range: impl RangeBounds<T> + Debug,
+    ) -> bool {
+        let holds = range.contains(value);
+        if !holds {
+            let detail = format!("{what} is {value:?}, outside of {range:?}");
+            self.declare_fault(FaultKind::CheckFailed, detail);
+        }
+        holds
+    }
+
+    /// Ends this life in order, when the present handler has ended. What is queued waits for the
+    /// next life, if its supervisor begins one.
+    pub fn stop(&mut self) {
+        self.life.defer(|wishes| wishes.stop = true);
+    }
+
+    /// Leaves work because of a failure, as if a hook had returned it.
+    pub fn fail(&mut self, failure: impl Into<Failure>) {
+        let failure = failure.into();
+        self.life.defer(|wishes| wishes.failure = Some(failure));
+    }
+
+    /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not
+    /// live now, or is unknown, that is told at once. The object is a component, a supervisor or
+    /// one of the middleware's own, here or, as `module2:arm`, on another node; of such a one it is
+    /// also told when its node is lost, and it is watched further when that is back.
+    ///
+    /// What is told comes before the messages that wait, and though the queue is full. Of an object
+    /// that ended twice before the component had its turn the last end is told. The watch ends with
+    /// the present life, and so does what it has not taken.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn watch(&mut self, name: &str) -> Result<(), NameError>
+    where
+        C: Handle<Down>,
+    {
+        let registry = self.anchor.record.environment.registry.clone();
+        let (node, object) = match name.contains(':') {
+            true => {
+                let ObjectAddress { node, object } = name.parse()?;
+                (registry.elsewhere(node), object)
+            }
+            false => (None, ObjectName::new(name)?),
+        };
+        // Two that watch each other do not keep each other.
+        let (watcher, incarnation) = (Arc::downgrade(&self.anchor), self.life.incarnation);
+        let tell = move |down| {
+            if let Some(watcher) = watcher.upgrade() {
+                watcher.notify(incarnation, down);
+            }
+        };
+        match node {
+            None => {
+                let (who, life) = (self.name().clone(), self.life.token.clone());
+                registry.watch(object, Watcher { who, life, tell: Box::new(tell) });
+            }
+            Some(node) => {
+                let address = ObjectAddress { node, object };
+                self.far_watches.retain(|(_, goes_on)| goes_on.get());
+                if self.far_watches.iter().all(|(known, _)| *known != address) {
+                    let goes_on = Rc::new(Cell::new(true));
+                    self.far_watches.push((address.clone(), goes_on.clone()));
+                    let follow = remote_watch::follow(registry, address, tell);
+                    self.spawn(async move {
+                        follow.await;
+                        goes_on.set(false);
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Ends a long operation when dropped; see [`Context::long_operation`].
+#[derive(Debug)]
+#[must_use = "the operation counts as long only while this guard lives"]
+pub struct LongOperation {
+    stamp: &'static ActivityRecord,
+}
+
+impl Drop for LongOperation {
+    fn drop(&mut self) {
+        self.stamp.allow(Duration::ZERO);
+    }
+}

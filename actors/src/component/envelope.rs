@@ -1,0 +1,279 @@
+//! A message on its way, type-erased towards its receiver.
+//!
+//! A letter is plain data and crosses threads sealed. Its handler's future is built on the
+//! receiving thread, in a nest: a pinned place that is kept per component and contract and filled
+//! again and again, so that a message costs one allocation, the letter. The future owns a share of
+//! the component's home and borrows the component for as long as it runs. The guard owns the other
+//! share, so that an unwinding handler never drops the component.
+
+use crate::arbiter::heartbeat;
+use crate::component::{Component, Handle};
+use crate::host::executor::{ComponentExecutor, ComponentSlot};
+use crate::messaging::reply::{Cancel, Responder};
+use crate::platform;
+use blastema_core::{Contract, DeliveryError, Instant, MessageId};
+use pin_project_lite::pin_project;
+use std::any::{Any, TypeId};
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+pub(crate) type BoxedEnvelope<C> = Box<dyn Envelope<C> + Send>;
+
+/// What the pump must know of a letter before it opens it.
+pub(crate) struct EnvelopeHeader {
+    pub(crate) contract: TypeId,
+    pub(crate) name: &'static str,
+    pub(crate) posted_at: Instant,
+    /// By which its age is judged.
+    pub(crate) captured_at: Instant,
+    pub(crate) max_age: Option<Duration>,
+    /// Somebody is to be told if the letter brings death.
+    pub(crate) is_followed: bool,
+}
+
+/// When a message was posted, and when the data in it was captured, where the sender has said so.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Times {
+    pub(crate) posted_at: Instant,
+    pub(crate) captured_at: Option<Instant>,
+}
+
+impl Times {
+    /// By which the age of the message is judged.
+    #[inline]
+    pub(crate) fn captured_at(self) -> Instant {
+        self.captured_at.unwrap_or(self.posted_at)
+    }
+}
+
+impl From<Instant> for Times {
+    #[inline]
+    fn from(posted_at: Instant) -> Self {
+        Times { posted_at, captured_at: None }
+    }
+}
+
+pub(crate) trait Envelope<C: Component> {
+    fn brief(&self) -> EnvelopeHeader;
+    /// Nobody waits for the answer any more.
+    fn is_void(&self) -> bool;
+    fn id(&self) -> Option<MessageId>;
+    /// The asker's slot, for whoever watches over the receiver.
+    fn revocable(&self) -> Option<Arc<dyn Cancel>>;
+    /// Tells the asker that the message was not taken up, and gives it back.
+    fn give_back(&mut self, why: DeliveryError);
+    /// A nest for futures of this contract, filled with this message.
+    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
+    /// Where a nest of this contract finds the message.
+    fn contents(&mut self) -> &mut dyn Any;
+}
+
+/// A pinned place, on the arbiter only, in which one contract's handler futures run one after
+/// another.
+pub(crate) trait FutureSlot<C: Component> {
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool;
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
+}
+
+struct Contents<M: Contract> {
+    message: Option<M>,
+    answer: Option<Responder<M>>,
+}
+
+/// A letter that stays what it is: plain data, and `Send` by itself.
+struct Sealed<M: Contract, G> {
+    make: G,
+    contents: Contents<M>,
+    posted_at: Instant,
+    /// Boxed, since few messages have it.
+    rare: Option<Box<Rare>>,
+}
+
+/// What few messages have.
+struct Rare {
+    id: Option<MessageId>,
+    captured_at: Option<Instant>,
+}
+
+pin_project! {
+    struct Brood<M: Contract, G, F> {
+        make: G,
+        answer: Option<Responder<M>>,
+        #[pin]
+        future: Option<F>,
+    }
+}
+
+impl<C, M, G, F> Envelope<C> for Sealed<M, G>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + Send + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    #[inline]
+    fn brief(&self) -> EnvelopeHeader {
+        EnvelopeHeader {
+            contract: TypeId::of::<M>(),
+            name: M::NAME,
+            posted_at: self.posted_at,
+            captured_at: self
+                .rare
+                .as_ref()
+                .and_then(|rare| rare.captured_at)
+                .unwrap_or(self.posted_at),
+            max_age: M::MAX_AGE,
+            is_followed: self.contents.answer.is_some()
+                || self.rare.as_ref().is_some_and(|rare| rare.id.is_some()),
+        }
+    }
+
+    fn is_void(&self) -> bool {
+        self.contents.answer.as_ref().is_some_and(|answer| !answer.is_wanted())
+    }
+
+    fn id(&self) -> Option<MessageId> {
+        self.rare.as_ref().and_then(|rare| rare.id)
+    }
+
+    fn revocable(&self) -> Option<Arc<dyn Cancel>> {
+        self.contents.answer.as_ref()?.revocable()
+    }
+
+    fn give_back(&mut self, why: DeliveryError) {
+        let message = self.contents.message.take();
+        if let Some(answer) = self.contents.answer.take() {
+            answer.refuse(why, message);
+        }
+    }
+
+    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
+        let make = self.make;
+        let mut nest = Box::pin(Brood { make, answer: None, future: None::<F> });
+        FutureSlot::<C>::refill(nest.as_mut(), &mut self.contents, home).then_some(nest as _)
+    }
+
+    fn contents(&mut self) -> &mut dyn Any {
+        &mut self.contents
+    }
+}
+
+impl<C, M, G, F> FutureSlot<C> for Brood<M, G, F>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy,
+    F: Future<Output = M::Reply> + 'static,
+{
+    #[inline]
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool {
+        let mut this = self.project();
+        let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
+        let Some(message) = contents.message.take() else { return false };
+        *this.answer = contents.answer.take();
+        this.future.set(Some((this.make)(home.clone(), message)));
+        true
+    }
+
+    #[inline]
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        let mut this = self.project();
+        let Some(future) = this.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
+        let Poll::Ready(reply) = future.poll(cx) else { return Poll::Pending };
+        if let Some(answer) = this.answer.take() {
+            match heartbeat::send_refusal() {
+                None => answer.give(reply),
+                Some(why) => answer.refuse(why, None),
+            }
+        }
+        this.future.set(None);
+        Poll::Ready(())
+    }
+}
+
+/// When the message was posted: exactly where its contract limits its age, else to the beat.
+#[inline]
+pub(crate) fn enqueue_time<M: Contract>() -> Instant {
+    match M::MAX_AGE {
+        Some(_) => platform::now(),
+        None => heartbeat::coarse_now(),
+    }
+}
+
+/// When a message was posted that took so long to arrive from another node.
+pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
+    match M::MAX_AGE {
+        Some(_) => Instant::ORIGIN + (platform::now() - Instant::ORIGIN).saturating_sub(age),
+        None => heartbeat::coarse_now(),
+    }
+}
+
+/// Packs a message for a component.
+#[inline]
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
+pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
+    message: M,
+    answer: Option<Responder<M>>,
+    id: Option<MessageId>,
+    times: impl Into<Times>,
+) -> BoxedEnvelope<C> {
+    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
+        let mut seat = home.seat.borrow_mut();
+        let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
+        component.handle(message, cx).await
+    };
+    Box::new(seal(make, message, answer, id, times.into()))
+}
+
+/// Hands an event to an idle component at once; the pump must be free.
+#[inline]
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
+pub(crate) fn pass<C: Handle<M>, M: Contract>(
+    pump: &mut ComponentExecutor<C>,
+    message: M,
+    times: Times,
+) {
+    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
+        let mut seat = home.seat.borrow_mut();
+        let (component, cx) = seat.both();
+        if let Some(injected) = cx.before() {
+            injected.await;
+        }
+        component.handle(message, cx).await
+    };
+    pump.serve_at_once(&mut seal(make, message, None, None, times));
+}
+
+/// Names the closure's type by inference; neither it nor its future's can be written down.
+#[inline]
+fn seal<C, M, G, F>(
+    make: G,
+    message: M,
+    answer: Option<Responder<M>>,
+    id: Option<MessageId>,
+    Times { posted_at, captured_at }: Times,
+) -> Sealed<M, G>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + Send + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    let contents = Contents { message: Some(message), answer };
+    let is_rare = id.is_some() || captured_at.is_some();
+    let rare = is_rare.then(|| Box::new(Rare { id, captured_at }));
+    Sealed { make, contents, posted_at, rare }
+}

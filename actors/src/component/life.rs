@@ -1,0 +1,134 @@
+//! What one life's context and its pump share, and what its threads are given.
+
+use crate::component::context::Context;
+use crate::component::{Component, Failure};
+use crate::liveness::activity::ActivityRecord;
+use crate::sync::atomic::AtomicBool;
+use crate::sync::atomic::Ordering::Relaxed;
+use blastema_core::{DeliveryError, Incarnation, Instant};
+use std::cell::{Cell, RefCell};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Says to every thread whether a life still lasts and may speak.
+#[derive(Debug, Default)]
+pub(crate) struct IncarnationToken {
+    ended: AtomicBool,
+    muted: AtomicBool,
+}
+
+impl IncarnationToken {
+    pub(crate) fn end(&self) {
+        self.ended.store(true, Relaxed);
+    }
+
+    #[inline]
+    pub(crate) fn has_ended(&self) -> bool {
+        self.ended.load(Relaxed)
+    }
+
+    pub(crate) fn mute(&self, muted: bool) {
+        self.muted.store(muted, Relaxed);
+    }
+
+    #[inline]
+    pub(crate) fn is_muted(&self) -> bool {
+        self.muted.load(Relaxed)
+    }
+
+    /// Why this life may send nothing, if that is so.
+    pub(crate) fn forbidden(&self) -> Option<DeliveryError> {
+        match (self.has_ended(), self.is_muted()) {
+            (true, _) => Some(DeliveryError::Fenced),
+            (false, true) => Some(DeliveryError::Isolated),
+            (false, false) => None,
+        }
+    }
+}
+
+/// Names one timer of one life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimerId(pub(crate) u64);
+
+/// What a timer does when it fires.
+pub(crate) type TimerAction<C> = Box<dyn FnMut(&mut C, &mut Context<C>)>;
+/// A future that a component started and owns.
+pub(crate) type Task = Pin<Box<dyn Future<Output = ()>>>;
+
+/// How a timer fires.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TimerMode {
+    Once(Duration),
+    Every(Duration),
+}
+
+/// What a handler or hook asked of its host; the pump fulfils it when they have had their turn.
+pub(crate) struct DeferredCommands<C: Component> {
+    pub(crate) stop: bool,
+    pub(crate) failure: Option<Failure>,
+    pub(crate) tasks: Vec<Task>,
+    pub(crate) timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
+    pub(crate) cancelled: Vec<TimerId>,
+    pub(crate) interval: Option<Option<Duration>>,
+}
+
+impl<C: Component> Default for DeferredCommands<C> {
+    fn default() -> Self {
+        DeferredCommands {
+            stop: false,
+            failure: None,
+            tasks: Vec::new(),
+            timers: Vec::new(),
+            cancelled: Vec::new(),
+            interval: None,
+        }
+    }
+}
+
+pub(crate) struct IncarnationState<C: Component> {
+    pub(crate) incarnation: Incarnation,
+    pub(crate) token: Arc<IncarnationToken>,
+    pub(crate) stamp: &'static ActivityRecord,
+    /// Of the message that is served, or was last.
+    pub(crate) captured_at: Cell<Option<Instant>>,
+    wishes: RefCell<DeferredCommands<C>>,
+    wished: Cell<bool>,
+    next_timer: Cell<u64>,
+}
+
+impl<C: Component> IncarnationState<C> {
+    pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
+        IncarnationState {
+            incarnation,
+            token: Arc::default(),
+            stamp,
+            captured_at: Cell::new(None),
+            wishes: RefCell::default(),
+            wished: Cell::new(false),
+            next_timer: Cell::new(0),
+        }
+    }
+
+    pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands<C>)) {
+        self.wished.set(true);
+        make(&mut self.wishes.borrow_mut());
+    }
+
+    pub(crate) fn next_timer(&self) -> TimerId {
+        self.next_timer.set(self.next_timer.get() + 1);
+        TimerId(self.next_timer.get())
+    }
+
+    /// Something was asked for.
+    #[inline]
+    pub(crate) fn has_wishes(&self) -> bool {
+        self.wished.get()
+    }
+
+    pub(crate) fn take_wishes(&self) -> DeferredCommands<C> {
+        self.wished.set(false);
+        self.wishes.take()
+    }
+}

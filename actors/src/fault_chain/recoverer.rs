@@ -1,0 +1,246 @@
+//! The recoverer's body: it has its machine's orders carried out by strategies.
+
+use super::callbacks::Callbacks;
+use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
+use crate::platform;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use actix::fut::wrap_future;
+use actix::prelude::*;
+use blastema_contract::Confirmed;
+use blastema_contract::detector::FaultOutcome;
+use blastema_contract::recoverer::{CancelRecovery, Recover, SafeStateChanged};
+use blastema_contract::strategy::ExecuteAction;
+use blastema_core::Instant;
+use blastema_core::detection::RecoveryOutcome;
+use blastema_core::recovery::{
+    self, FaultResolution, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed,
+    RecoveryOrder,
+};
+use std::collections::BTreeMap;
+use tokio::sync::watch;
+use tracing::info;
+
+/// What a recoverer is made of.
+pub(crate) struct RecovererSetup {
+    /// The logic, with the plan.
+    pub(crate) machine: recovery::Recoverer,
+    /// How to make strategies.
+    pub(crate) strategies: StrategyTable,
+    /// What strategies are given.
+    pub(crate) tools: StrategyContext,
+    /// Is told what becomes of every fault.
+    pub(crate) detector: Recipient<FaultOutcome>,
+    /// Keeps the strategies alive.
+    pub(crate) guardian: Guardian,
+    /// Finds those that block.
+    pub(crate) callbacks: Callbacks,
+}
+
+/// Decides what is done about a fault.
+pub(crate) struct RecovererActor {
+    machine: recovery::Recoverer,
+    wake: WakeTimer,
+    strategies: StrategyTable,
+    tools: StrategyContext,
+    detector: Recipient<FaultOutcome>,
+    guardian: Guardian,
+    /// The strategies that live at present.
+    engaged: BTreeMap<RecoveryAction, EngagedStrategy>,
+    callbacks: Callbacks,
+}
+
+/// What came back for one order.
+enum Answer {
+    Outcome(Result<RecoveryDone, RecoveryFailed>),
+    /// The thread of the strategy is blocked, by this order.
+    Blocked(u64),
+}
+
+impl RecovererActor {
+    pub(crate) fn new(setup: RecovererSetup) -> Self {
+        let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
+        let engaged = BTreeMap::new();
+        let wake = WakeTimer::default();
+        RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
+    }
+
+    fn strategy(&mut self, measure: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
+        if !self.engaged.get(measure).is_some_and(EngagedStrategy::is_usable) {
+            let (guardian, tools) = (&self.guardian, self.tools.clone());
+            let strategy = self.strategies.make(measure, guardian, tools, &self.callbacks)?;
+            self.engaged.insert(measure.clone(), strategy);
+        }
+        Ok(self.engaged.get(measure).expect("it was just put in"))
+    }
+
+    fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
+        let due = platform::now() + order.within;
+        info!(place = %order.fault.place, measure = %order.measure, attempt = order.attempt, "recovering");
+        let strategy = self.strategy(&order.measure);
+        let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
+        let given = order.clone();
+        let carried_out = async move {
+            let (orders, blocked_by) = match strategy {
+                Ok(strategy) => strategy,
+                Err(failed) => return Answer::Outcome(Err(failed)),
+            };
+            tokio::select! {
+                biased;
+                order = blocked(blocked_by) => Answer::Blocked(order),
+                answer = orders.send(ExecuteAction(given)) => Answer::Outcome(
+                    answer.unwrap_or_else(|_| Err("the strategy ended without an answer".into())),
+                ),
+            }
+        };
+        let settle = move |answer: Answer, recoverer: &mut Self, context: &mut _| {
+            recoverer.handle_answer(order, due, answer, context);
+        };
+        context.spawn(wrap_future::<_, Self>(carried_out).map(settle));
+    }
+
+    fn handle_answer(
+        &mut self,
+        mut order: RecoveryOrder,
+        due: Instant,
+        answer: Answer,
+        context: &mut Context<Self>,
+    ) {
+        let outcome = match answer {
+            Answer::Outcome(outcome) => outcome,
+            Answer::Blocked(culprit) if culprit == order.number => {
+                let limit = self.callbacks.limit().unwrap_or_default();
+                Err(format!("the strategy {} blocked its thread for {limit:?}", order.measure)
+                    .into())
+            }
+            // It waited behind another order, which failed.
+            Answer::Blocked(_) => {
+                order.within = due - platform::now();
+                if !order.within.is_zero() {
+                    return self.have_carried_out(order, context);
+                }
+                Err("its strategy was blocked by another order for all of its time".into())
+            }
+        };
+        self.machine.handle_outcome(order.number, outcome, platform::now());
+        self.drive(context);
+    }
+}
+
+/// Completes with the order that blocks the thread of a strategy.
+async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
+    if let Some(mut blocked_by) = blocked_by
+        && let Ok(order) = blocked_by.wait_for(Option::is_some).await
+        && let Some(order) = *order
+    {
+        return order;
+    }
+    // Its thread has ended, or it has none for itself: then its mailbox says so.
+    std::future::pending().await
+}
+
+/// What the detector's record says about a fault; `None` where the detector has to find out itself.
+fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
+    Some(match settled {
+        FaultResolution::Decided { measure, attempt: 1 } => {
+            RecoveryOutcome::Decided { measure: measure.to_string() }
+        }
+        FaultResolution::Decided { measure, attempt } => {
+            RecoveryOutcome::Decided { measure: format!("{measure}, attempt {attempt}") }
+        }
+        FaultResolution::Observed => {
+            RecoveryOutcome::Decided { measure: RecoveryAction::Observe.to_string() }
+        }
+        FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
+        FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
+        FaultResolution::Contained { measure } => RecoveryOutcome::GaveUp {
+            reason: format!("contained by {measure}; service is not restored"),
+        },
+        _ => return None,
+    })
+}
+
+impl MachineActor for RecovererActor {
+    type Machine = recovery::Recoverer;
+
+    fn machine(&mut self) -> &mut recovery::Recoverer {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut WakeTimer {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
+        match action {
+            RecovererOutput::CarryOut(order) => self.have_carried_out(order, context),
+            RecovererOutput::Settle { fault, settled, .. } => {
+                if let Some(what) = outcome_of(settled) {
+                    self.detector.do_send(FaultOutcome { id: fault, at: platform::now(), what });
+                }
+            }
+            RecovererOutput::Release { measure } => {
+                self.engaged.remove(&measure);
+            }
+            RecovererOutput::LastResort { fault, reason } => {
+                info!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
+                self.tools.rest_node(&fault, &reason);
+            }
+        }
+    }
+}
+
+answers_the_monitor!(RecovererActor);
+
+impl Actor for RecovererActor {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        self.drive(context);
+    }
+}
+
+impl Supervised for RecovererActor {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        self.wake = WakeTimer::default();
+        self.engaged.clear();
+        self.machine = self.machine.begun_anew(platform::now());
+    }
+}
+
+impl Handler<Recover> for RecovererActor {
+    type Result = Confirmed;
+
+    fn handle(&mut self, message: Recover, context: &mut Context<Self>) -> Confirmed {
+        let Recover { fault } = message;
+        self.machine.handle_fault(fault, platform::now());
+        self.drive(context);
+        Confirmed
+    }
+}
+
+impl Handler<CancelRecovery> for RecovererActor {
+    type Result = Confirmed;
+
+    fn handle(&mut self, message: CancelRecovery, context: &mut Context<Self>) -> Confirmed {
+        let CancelRecovery { id, place } = message;
+        self.machine.handle_stand_down(id, &place, platform::now());
+        self.drive(context);
+        Confirmed
+    }
+}
+
+impl Handler<SafeStateChanged> for RecovererActor {
+    type Result = ();
+
+    fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
+        match message.reason {
+            Some(_) => self.machine.handle_rest(platform::now()),
+            None => self.machine.handle_work(),
+        }
+        self.drive(context);
+    }
+}
+
+#[cfg(test)]
+mod tests;

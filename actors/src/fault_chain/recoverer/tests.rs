@@ -1,0 +1,313 @@
+use super::*;
+use crate::component::environment::FaultReports;
+use crate::fault_chain::scripted::{Bench, ScriptedReply, fault};
+use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
+use crate::fault_chain::supervisor::SupervisorChild;
+use crate::registry::Registry;
+use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
+use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
+use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
+use blastema_doubles::{Probe, advance, paused, settle};
+use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::SeqCst;
+use std::time::Duration;
+
+struct Chain {
+    bench: Bench,
+    root: SupervisorChild,
+    recoverer: Addr<RecovererActor>,
+    outcomes: Probe<FaultOutcome>,
+    router: Probe<Reroute>,
+    node: Probe<EnterSafeState>,
+    safe_outputs: Arc<AtomicUsize>,
+}
+
+impl Chain {
+    async fn new(plan: Plan, strategies: StrategyTable) -> Self {
+        let bench = Bench::new();
+        let root = bench.serving(SupervisorRules::default(), &["laser", "arm"]).await;
+        let (outcomes, node) = (Probe::start(), Probe::start());
+        let router = Probe::replying(|Reroute { place }| match place {
+            Place::Node(_) => Err("no other way leads there".into()),
+            _ => Ok(RecoveryDone::default()),
+        });
+        let here = NodeName::new("here").expect("a good name");
+        let safe_outputs = Arc::new(AtomicUsize::new(0));
+        let applied = safe_outputs.clone();
+        let apply: ApplyOutputs = Arc::new(move |_| {
+            applied.fetch_add(1, SeqCst);
+        });
+        let network = Probe::replying(|IsolateNode { node, cause, .. }| match node.as_str() {
+            "there" => Ok(RecoveryDone::default()),
+            _ => Err(cause.into()),
+        });
+        let tools = StrategyContext::new(StrategyTargets {
+            node: here.clone(),
+            directory: bench.directory.clone(),
+            registry: Registry::default(),
+            router: Arc::new(std::sync::OnceLock::from((router.recipient(), network.recipient()))),
+            safe_outputs: SafeOutputs::new(
+                Some(apply),
+                Callbacks::default(),
+                FaultReports::default(),
+            ),
+            rest_node: node.recipient(),
+        });
+        let limits = RecovererLimits { idle: Duration::from_secs(5), ..RecovererLimits::default() };
+        let setup = RecovererSetup {
+            machine: recovery::Recoverer::new(here, plan, limits, 7),
+            strategies,
+            tools,
+            detector: outcomes.recipient(),
+            guardian: bench.guardian.clone(),
+            callbacks: Callbacks::default(),
+        };
+        let name = "chain/recoverer".parse().expect("a good name");
+        let make = move |_: &mut Context<RecovererActor>| RecovererActor::new(setup);
+        let recoverer = bench.guardian.start(name, None, make);
+        Chain { bench, root, recoverer, outcomes, router, node, safe_outputs }
+    }
+
+    async fn built_in() -> Self {
+        Chain::new(Plan::default(), StrategyTable::default()).await
+    }
+
+    async fn recover(&self, fault: Fault) {
+        if let (FaultKind::Panic, Place::Object(address)) = (&fault.kind, &fault.place) {
+            self.bench.script.dies(address.object.as_str());
+        }
+        let confirmed = self.recoverer.send(Recover { fault }).await;
+        assert_eq!(confirmed.expect("it lives"), Confirmed);
+    }
+
+    /// What becomes of the faults, as `1 restart` and `1 recovered`, until `last` has come.
+    async fn told_until(&self, last: &str) -> Vec<String> {
+        let mut told = Vec::new();
+        while told.last().is_none_or(|line| line != last) {
+            let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
+            told.push(match what {
+                RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
+                RecoveryOutcome::Recovered => format!("{id} recovered"),
+                RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
+            });
+        }
+        told
+    }
+}
+
+/// Calls itself by what a test wants it to do.
+struct Homing {
+    made: Arc<AtomicUsize>,
+    released: Arc<AtomicUsize>,
+}
+
+impl Drop for Homing {
+    fn drop(&mut self) {
+        self.released.fetch_add(1, SeqCst);
+    }
+}
+
+impl RecoveryStrategy for Homing {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        assert!(self.made.load(SeqCst) > 0);
+        match order.attempt {
+            1 => panic!("the gripper is open"),
+            2 => std::future::pending().await,
+            3 => Err("still not there".into()),
+            _ => tools.reset(&order.fault.place).await,
+        }
+    }
+}
+
+#[test]
+fn a_panic_is_recovered_by_the_next_life() {
+    paused(async {
+        let chain = Chain::built_in().await;
+
+        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+
+        assert_eq!(chain.told_until("1 recovered").await, ["1 restart", "1 recovered"]);
+        assert_eq!(chain.bench.script.done(), ["start laser"]);
+    });
+}
+
+#[test]
+fn an_error_that_cannot_be_reset_is_restarted() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        chain.bench.script.answer("reset arm", &[ScriptedReply::Fails]);
+
+        chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
+
+        let told = chain.told_until("1 recovered").await;
+        assert_eq!(told, ["1 reset", "1 restart", "1 recovered"]);
+        assert_eq!(chain.bench.script.done(), ["reset arm", "stop arm", "start arm"]);
+    });
+}
+
+#[test]
+fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        chain.bench.script.answer("start laser", &[ScriptedReply::Fails; 3]);
+
+        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+
+        let last = "1 given up: contained by safe stop; service is not restored";
+        assert_eq!(
+            chain.told_until(last).await,
+            ["1 restart", "1 restart, attempt 2", "1 restart, attempt 3", "1 safe stop", last]
+        );
+        assert_eq!(chain.safe_outputs.load(SeqCst), 1);
+        assert_eq!(chain.node.recorded(), 0);
+        let done = ["start laser", "start laser", "start laser", "isolate laser"];
+        assert_eq!(chain.bench.script.done(), done);
+    });
+}
+
+#[test]
+fn what_nobody_keeps_puts_the_node_to_rest() {
+    paused(async {
+        let chain = Chain::built_in().await;
+
+        chain.recover(fault(1, FaultKind::Panic, "router", 1)).await;
+
+        let rest = chain.node.expect().await;
+        assert_eq!(rest.reason, "no supervisor keeps here:router");
+        assert_eq!(rest.fault.id, FaultId(1));
+        assert_eq!(chain.safe_outputs.load(SeqCst), 1);
+    });
+}
+
+#[test]
+fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        let here = NodeName::new("here").expect("a good name");
+        let link = Place::Link { node: here, link: "ethernet".into(), neighbour: None };
+        let there = Place::Node(NodeName::new("there").expect("a good name"));
+
+        let down = fault(1, FaultKind::LinkDown, "laser", 1);
+        chain.recover(Fault { place: link.clone(), ..down.clone() }).await;
+        assert_eq!(chain.told_until("1 recovered").await, ["1 reroute", "1 recovered"]);
+        assert_eq!(chain.router.expect().await.place, link);
+
+        let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
+        chain.recover(Fault { place: there, ..lost }).await;
+        assert_eq!(chain.told_until("2 observe").await, ["2 reroute", "2 observe"]);
+    });
+}
+
+#[test]
+fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        let contained = "given up: contained by isolate; service is not restored";
+        for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
+            let place = Place::Node(NodeName::new(node).expect("a good name"));
+            let fault = Fault { place, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
+            chain.recover(fault).await;
+            let told = chain.told_until(&format!("{id} {last}")).await;
+            assert_eq!(told[0], format!("{id} isolate"), "{told:?}");
+        }
+    });
+}
+
+#[test]
+fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
+    paused(async {
+        let (made, released) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let mut strategies = StrategyTable::default();
+        let counters = (made.clone(), released.clone());
+        strategies.hand_over("homing", move || {
+            counters.0.fetch_add(1, SeqCst);
+            Homing { made: counters.0.clone(), released: counters.1.clone() }
+        });
+        assert_eq!(strategies.names().collect::<Vec<_>>(), ["homing"]);
+        let ladder = Ladder::first(RecoveryAction::Custom("homing".into()))
+            .times(4)
+            .within(Duration::from_secs(1));
+        let plan = Plan::default().on(FaultKind::CheckFailed, ladder);
+        let chain = Chain::new(plan, strategies).await;
+        assert_eq!(made.load(SeqCst), 0);
+
+        chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
+
+        let told = chain.told_until("1 recovered").await;
+        assert_eq!(told.len(), 5, "{told:?}");
+        assert_eq!(chain.bench.script.done(), ["reset arm"]);
+        assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 0));
+        advance(Duration::from_secs(6)).await;
+        assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 1));
+    });
+}
+
+#[test]
+fn a_strategy_that_cannot_even_be_made_has_failed() {
+    paused(async {
+        let mut strategies = StrategyTable::default();
+        strategies.hand_over("homing", || -> Homing { panic!("no such gripper") });
+        let plan = Plan::default()
+            .on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Custom("homing".into())));
+        let chain = Chain::new(plan, strategies).await;
+
+        chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
+
+        chain.outcomes.expect().await;
+        let RecoveryOutcome::GaveUp { reason } = chain.outcomes.expect().await.what else {
+            panic!("it was not given up");
+        };
+        assert!(reason.contains("no such gripper"), "{reason}");
+        settle().await;
+        assert_eq!(chain.bench.script.done(), ["isolate arm", "stop arm"]);
+        assert_eq!(chain.bench.deaths.recorded(), 0);
+    });
+}
+
+#[test]
+fn a_repeated_hand_over_is_confirmed_and_carried_out_once() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
+
+        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+        settle().await;
+
+        assert_eq!(chain.bench.script.done(), ["start laser"]);
+    });
+}
+
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Poison;
+
+impl Handler<Poison> for RecovererActor {
+    type Result = ();
+
+    fn handle(&mut self, _: Poison, _: &mut Context<Self>) {
+        panic!("a mistake in the recoverer");
+    }
+}
+
+#[test]
+fn a_recoverer_that_panics_takes_up_again_what_was_open() {
+    paused(async {
+        let chain = Chain::built_in().await;
+        chain.bench.script.answer("start laser", &[ScriptedReply::Hangs]);
+        chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
+        settle().await;
+
+        chain.recoverer.do_send(Poison);
+
+        let told = chain.told_until("1 recovered").await;
+        assert_eq!(told, ["1 restart", "1 restart", "1 restart, attempt 2", "1 recovered"]);
+        assert!(chain.bench.deaths.expect().await.restarted_as.is_some());
+        drop(chain.root);
+    });
+}

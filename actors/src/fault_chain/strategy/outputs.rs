@@ -1,0 +1,105 @@
+//! The application's declared safe outputs.
+
+use crate::component::environment::FaultReports;
+use crate::fault_chain::callbacks::{CallOutcome, Callbacks};
+use blastema_core::Fault;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::oneshot;
+
+/// Called whenever something enters the safe state.
+pub(crate) type ApplyOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
+
+/// Under this name stands what is wrong with the safe outputs.
+pub(crate) const SAFE_OUTPUTS: &str = "safe-outputs";
+
+/// What is told of safe outputs that block.
+pub(crate) const NOT_RETURNED: &str = "the safe outputs were called, and have not returned in time";
+
+/// Whether the safe outputs were applied, or what is to be told instead.
+pub(crate) type Applied = Result<(), &'static str>;
+
+/// The safe outputs of a node, and whether they are all applied already. Clones share them.
+#[derive(Clone, Default)]
+pub(crate) struct SafeOutputs {
+    apply: Option<ApplyOutputs>,
+    callbacks: Callbacks,
+    reports: FaultReports,
+    resting: Arc<AtomicBool>,
+}
+
+impl SafeOutputs {
+    pub(crate) fn new(
+        apply: Option<ApplyOutputs>,
+        callbacks: Callbacks,
+        reports: FaultReports,
+    ) -> Self {
+        SafeOutputs { apply, callbacks, reports, resting: Arc::default() }
+    }
+
+    /// Whether the application has declared any.
+    pub(crate) fn are_declared(&self) -> bool {
+        self.apply.is_some()
+    }
+
+    /// Something comes to rest. In a node that is at rest, nothing acts any more.
+    pub(crate) async fn apply(&self, fault: &Fault) {
+        if !self.resting.load(Relaxed) {
+            // It ends in every case: with an outcome, or with the thread that no system has any
+            // more.
+            let _ = self.call(fault).await;
+        }
+    }
+
+    /// The whole node comes to rest. What is returned completes when the outputs are applied, or
+    /// have taken longer than they may.
+    pub(crate) fn rest(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
+        self.resting.store(true, Relaxed);
+        self.call(fault)
+    }
+
+    /// The node is going to work again.
+    pub(crate) fn resume(&self) {
+        self.resting.store(false, Relaxed);
+    }
+
+    fn call(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
+        let (done, applied) = oneshot::channel();
+        let Some(apply) = self.apply.clone() else {
+            // Nobody waits yet.
+            let _ = done.send(Ok(()));
+            return applied;
+        };
+        let (fault, reports, done) = (fault.clone(), self.reports.clone(), Mutex::new(Some(done)));
+        self.callbacks.call(
+            move || apply(&fault),
+            move |outcome| {
+                let applied = match outcome {
+                    CallOutcome::Done => Ok(()),
+                    // The safe state is entered all the same: components that stop do less harm
+                    // than components that go on.
+                    CallOutcome::Panicked(text) => {
+                        reports.declare(SAFE_OUTPUTS, format!("the safe outputs panicked: {text}"));
+                        Err("the safe outputs panicked, and may be applied in part")
+                    }
+                    CallOutcome::Blocked(limit) => {
+                        reports.declare(
+                            SAFE_OUTPUTS,
+                            format!("the safe outputs have blocked their thread for {limit:?}"),
+                        );
+                        Err(NOT_RETURNED)
+                    }
+                    CallOutcome::ReturnedLate => {
+                        reports.mend(SAFE_OUTPUTS);
+                        Ok(())
+                    }
+                };
+                if let Some(done) = done.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                    let _ = done.send(applied);
+                }
+            },
+        );
+        applied
+    }
+}

@@ -1,0 +1,148 @@
+//! How to make each strategy when it is needed.
+
+use super::host::{StrategyHost, StrategyThread};
+use super::isolate::IsolateStrategy;
+use super::move_to_own_thread::MoveToOwnThread;
+use super::reroute::RerouteStrategy;
+use super::reset::ResetStrategy;
+use super::restart::RestartStrategy;
+use super::safe_stop::SafeStopStrategy;
+use super::{RecoveryStrategy, StrategyContext};
+use crate::fault_chain::callbacks::Callbacks;
+use crate::runtime::guardian::{Guardian, own_arbiter};
+use actix::prelude::*;
+use blastema_contract::strategy::ExecuteAction;
+use blastema_core::ObjectName;
+use blastema_core::recovery::{RecoveryAction, RecoveryFailed};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use tokio::sync::watch;
+
+type Make = Arc<
+    dyn Fn(
+            (&Guardian, Option<&ArbiterHandle>),
+            ObjectName,
+            StrategyContext,
+            Option<StrategyThread>,
+        ) -> Recipient<ExecuteAction>
+        + Send
+        + Sync,
+>;
+
+/// A strategy that carries orders out at present. Dropped, it ends with its thread.
+pub(crate) struct EngagedStrategy {
+    pub(crate) orders: Recipient<ExecuteAction>,
+    own: Option<(ArbiterHandle, watch::Receiver<Option<u64>>)>,
+}
+
+impl EngagedStrategy {
+    /// Whether it can take orders.
+    pub(crate) fn is_usable(&self) -> bool {
+        let blocked = self.own.as_ref().is_some_and(|(_, blocked)| blocked.borrow().is_some());
+        self.orders.connected() && !blocked
+    }
+
+    /// Is told the order that blocks its thread, where it has one for itself.
+    pub(crate) fn blocked_by(&self) -> Option<watch::Receiver<Option<u64>>> {
+        self.own.as_ref().map(|(_, blocked)| blocked.clone())
+    }
+}
+
+impl Drop for EngagedStrategy {
+    fn drop(&mut self) {
+        if let Some((thread, _)) = &self.own {
+            thread.stop();
+        }
+    }
+}
+
+/// The name under which a strategy is watched.
+pub(crate) fn object_of(measure: &RecoveryAction) -> ObjectName {
+    let plain: String =
+        measure.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    ObjectName::new(&format!("chain/strategy/{plain}"))
+        .or_else(|_| ObjectName::new("chain/strategy/custom"))
+        .expect("this name is well formed")
+}
+
+/// The strategies that this node has: the built-in ones and the application's own.
+#[derive(Clone)]
+pub(crate) struct StrategyTable(BTreeMap<RecoveryAction, Make>);
+
+impl Default for StrategyTable {
+    fn default() -> Self {
+        let mut table = StrategyTable(BTreeMap::new());
+        table.insert(RecoveryAction::Reset, || ResetStrategy);
+        table.insert(RecoveryAction::Restart, || RestartStrategy);
+        table.insert(RecoveryAction::MoveToOwnThread, || MoveToOwnThread);
+        table.insert(RecoveryAction::Reroute, || RerouteStrategy);
+        table.insert(RecoveryAction::Isolate, || IsolateStrategy);
+        table.insert(RecoveryAction::SafeStop, || SafeStopStrategy);
+        table
+    }
+}
+
+impl StrategyTable {
+    /// Takes in a strategy of the application's own.
+    pub(crate) fn hand_over<S: RecoveryStrategy>(
+        &mut self,
+        name: &str,
+        make: impl Fn() -> S + Send + Sync + 'static,
+    ) {
+        self.insert(RecoveryAction::Custom(name.into()), make);
+    }
+
+    /// The names of the application's own strategies.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.0.keys().filter_map(|measure| match measure {
+            RecoveryAction::Custom(name) => Some(name.as_ref()),
+            _ => None,
+        })
+    }
+
+    /// Makes the strategy that carries `measure` out: a built-in one on this arbiter, one of the
+    /// application's own on a thread that it has for itself, unless all of the node runs on one.
+    ///
+    /// # Errors
+    /// There is none, or no thread is left for it.
+    pub(crate) fn make(
+        &self,
+        measure: &RecoveryAction,
+        guardian: &Guardian,
+        tools: StrategyContext,
+        callbacks: &Callbacks,
+    ) -> Result<EngagedStrategy, RecoveryFailed> {
+        let make =
+            self.0.get(measure).ok_or_else(|| format!("there is no strategy {measure:?}"))?;
+        let object = object_of(measure);
+        if !callbacks.have_threads() || !matches!(measure, RecoveryAction::Custom(_)) {
+            let orders = make((guardian, None), object, tools, None);
+            return Ok(EngagedStrategy { orders, own: None });
+        }
+        let arbiter = own_arbiter()
+            .map_err(|error| format!("there is no thread for the strategy {measure}: {error}"))?;
+        let (blocked_by, blocked) = watch::channel(None);
+        let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
+        let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };
+        let orders = make((guardian, Some(&arbiter)), object, tools, Some(thread));
+        Ok(EngagedStrategy { orders, own: Some((arbiter, blocked)) })
+    }
+
+    fn insert<S: RecoveryStrategy>(
+        &mut self,
+        measure: RecoveryAction,
+        make: impl Fn() -> S + Send + Sync + 'static,
+    ) {
+        let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
+        let start = move |(guardian, place): (&Guardian, Option<&ArbiterHandle>),
+                          name: ObjectName,
+                          tools: StrategyContext,
+                          thread: Option<StrategyThread>| {
+            let make = make.clone();
+            let host =
+                move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
+            guardian.start(name, place, host).recipient()
+        };
+        self.0.insert(measure, Arc::new(start));
+    }
+}

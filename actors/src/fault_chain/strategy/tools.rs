@@ -1,0 +1,183 @@
+//! What a strategy can do.
+
+use super::SafeOutputs;
+use crate::fault_chain::directory::{SupervisorDirectory, SupervisorRecipients};
+use crate::messaging::sender::Sender;
+use crate::registry::Registry;
+use actix::prelude::*;
+use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
+use blastema_contract::supervisor::{
+    GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
+};
+use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
+use blastema_core::{Contract, DeliveryError, Fault, NodeName, ObjectName, Place};
+use std::sync::{Arc, OnceLock};
+
+/// Where the tools reach to.
+pub(crate) struct StrategyTargets {
+    pub(crate) node: NodeName,
+    pub(crate) directory: SupervisorDirectory,
+    pub(crate) registry: Registry,
+    /// Empty in a node without a network. The network needs the recoverer, and the recoverer the
+    /// network: that is why it is filled later.
+    pub(crate) router: Arc<OnceLock<(Recipient<Reroute>, Recipient<IsolateNode>)>>,
+    pub(crate) safe_outputs: SafeOutputs,
+    pub(crate) rest_node: Recipient<EnterSafeState>,
+}
+
+/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and
+/// the components of its own node.
+#[derive(Clone)]
+pub struct StrategyContext(Arc<StrategyTargets>);
+
+impl StrategyContext {
+    pub(crate) fn new(tools: StrategyTargets) -> Self {
+        StrategyContext(Arc::new(tools))
+    }
+
+    /// Where messages of contract `M` to the object of this name can be sent: what helps a
+    /// component may be known to itself, or to a neighbour, alone.
+    ///
+    /// # Errors
+    /// As [`Node::sender`](crate::Node::sender).
+    pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
+        self.0.registry.sender(name)
+    }
+
+    /// Replaces the life that the fault struck by the next one; its siblings fare as their
+    /// supervisor's strategy says. Resolves when all of them are at work.
+    ///
+    /// # Errors
+    /// The new life did not come to be, or the supervisor has given up.
+    pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.restart.send(RestartChild { object, fault }).await)
+    }
+
+    /// Lets a component go on in its next life on a thread of its own; its queue comes along.
+    /// Resolves when it is at work there.
+    ///
+    /// # Errors
+    /// It has a thread of its own already, or the whole node lives on one; or as
+    /// [`restart`](StrategyContext::restart).
+    pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.move_away.send(MoveChild { object, fault }).await)
+    }
+
+    /// Lets an object that is in error recover by itself.
+    ///
+    /// # Errors
+    /// It could not, or has no life.
+    pub async fn reset(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+        let (object, keeper) = self.keeper(place)?;
+        // It is the same life as before.
+        judge(keeper.reset.send(ResetChild { object }).await).map(|_| RecoveryDone::default())
+    }
+
+    /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
+    /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
+    ///
+    /// # Errors
+    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
+    /// network.
+    pub async fn isolate(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+        self.set_isolated(place, true, "a recovery strategy says so").await
+    }
+
+    /// Allows an object, or another node, to send and receive again.
+    ///
+    /// # Errors
+    /// As [`isolate`](StrategyContext::isolate).
+    pub async fn admit(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+        self.set_isolated(place, false, "a recovery strategy says so").await
+    }
+
+    /// Isolates where the fault is, and tells the other nodes of it.
+    pub(crate) async fn isolate_because(
+        &self,
+        fault: &Fault,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        self.set_isolated(&fault.place, true, &format!("{}: {}", fault.kind, fault.detail)).await
+    }
+
+    /// Finds another way over the network than this link, or to this node.
+    ///
+    /// # Errors
+    /// There is no other way, or no network.
+    pub async fn reroute(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+        let (router, _) = self.0.router.get().ok_or("this node has no network")?;
+        match router.send(Reroute { place: place.clone() }).await {
+            Ok(outcome) => outcome,
+            Err(_) => Err("the router did not answer".into()),
+        }
+    }
+
+    /// Applies the safe outputs, and puts the object to rest: its life ends, it is isolated, and
+    /// only a person brings it back. A fault that is in no object puts the whole node to rest.
+    ///
+    /// # Errors
+    /// The object is not kept by any supervisor.
+    pub async fn safe_stop(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
+        if !matches!(fault.place, Place::Object(_)) {
+            self.rest_node(fault, "the plan says so");
+            return Ok(RecoveryDone::default());
+        }
+        self.0.safe_outputs.apply(fault).await;
+        let (object, keeper) = self.keeper(&fault.place)?;
+        let fault = Some(fault.clone());
+        judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
+    }
+
+    /// Applies the safe outputs and puts the whole node to rest.
+    pub(crate) fn rest_node(&self, fault: &Fault, reason: &str) {
+        let (fault, reason) = (fault.clone(), reason.into());
+        self.0.rest_node.do_send(EnterSafeState { fault, reason });
+    }
+
+    async fn set_isolated(
+        &self,
+        place: &Place,
+        isolated: bool,
+        cause: &str,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        if let Place::Node(node) = place {
+            if *node == self.0.node {
+                return Err("a node cannot isolate itself: let it enter the safe state".into());
+            }
+            let (_, network) = self.0.router.get().ok_or("this node has no network")?;
+            let (node, cause) = (node.clone(), cause.to_owned());
+            let decided = network.send(IsolateNode { node, isolated, cause }).await;
+            return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
+        }
+        let (object, keeper) = self.keeper(place)?;
+        judge(keeper.isolate.send(IsolateChild { object, isolated }).await)
+    }
+
+    fn keeper(
+        &self,
+        place: &Place,
+    ) -> Result<(ObjectName, Arc<SupervisorRecipients>), RecoveryFailed> {
+        let Place::Object(address) = place else {
+            return Err(format!("{place} is no object").into());
+        };
+        if address.node != self.0.node {
+            return Err(format!("{address} is an object of another node").into());
+        }
+        let keeper = self.0.directory.keeper_of(&address.object);
+        let keeper = keeper.ok_or_else(|| format!("no supervisor keeps {address}"))?;
+        Ok((address.object.clone(), keeper))
+    }
+}
+
+fn judge(
+    answer: Result<Result<Recovered, GaveUp>, MailboxError>,
+) -> Result<RecoveryDone, RecoveryFailed> {
+    match answer {
+        Ok(Ok(Recovered { incarnation, .. })) => Ok(RecoveryDone { incarnation }),
+        Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
+        Err(_) => Err("the supervisor did not answer".into()),
+    }
+}

@@ -1,0 +1,585 @@
+//! The supervisor's body: it holds the children, and does to them what its machine decides.
+
+mod moving;
+mod tree;
+
+use super::directory::{SupervisorDirectory, SupervisorRecipients};
+use crate::messaging::death_watch::{Deaths, Ending};
+use crate::platform;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian;
+use crate::runtime::guardian::Guardian;
+use actix::prelude::*;
+use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
+use blastema_contract::monitor::IsolationReported;
+use blastema_contract::reports::{
+    Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
+};
+use blastema_contract::supervisor::{
+    AbandonChildren, AddChild, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered, RemoveChild,
+    ResetChild, RestartChild, SafeStop, StartSupervisor, StopSupervisor,
+};
+use blastema_core::recovery::{
+    CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
+    SupervisorRules,
+};
+use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
+use std::collections::BTreeMap;
+use tokio::sync::oneshot;
+use tracing::{error, info, warn};
+
+type Outcome = Result<Recovered, GaveUp>;
+
+/// What a supervisor is made of.
+pub(crate) struct SupervisorSetup {
+    /// Its name.
+    pub(crate) name: ObjectName,
+    /// How it decides.
+    pub(crate) rules: SupervisorRules,
+    /// Its children in their start order.
+    pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
+    /// Is told of starts that took too long, and when it gives up.
+    pub(crate) monitor: Recipient<FaultDeclared>,
+    /// Is told when it is at work, and when it has ended.
+    pub(crate) states: Recipient<StateReported>,
+    /// Is told who may not send and receive.
+    pub(crate) isolation: Recipient<IsolationReported>,
+    /// Where strategies find who keeps an object.
+    pub(crate) directory: SupervisorDirectory,
+}
+
+/// One node of the supervision tree.
+pub(crate) struct SupervisorActor {
+    name: ObjectName,
+    machine: Supervisor,
+    wake: WakeTimer,
+    children: BTreeMap<ObjectName, Box<dyn Child>>,
+    /// Who waits for the outcome of a request; bounded by the machine.
+    waiting: BTreeMap<CallId, oneshot::Sender<Outcome>>,
+    tickets: u64,
+    parent: Option<Recipient<ChildReport>>,
+    monitor: Recipient<FaultDeclared>,
+    states: Recipient<StateReported>,
+    isolation: Recipient<IsolationReported>,
+    directory: SupervisorDirectory,
+    /// Where its lives can be watched.
+    watched: Deaths,
+    /// It was told to end because it is to begin anew.
+    again: bool,
+}
+
+impl SupervisorActor {
+    /// Starts a supervisor under the guardian. It does nothing until it is told to begin, by its
+    /// parent, or by the node if it is the root.
+    pub(crate) fn start(
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+        setup: SupervisorSetup,
+    ) -> SupervisorChild {
+        let name = setup.name.clone();
+        // The guardian counts the lives of this actor, the parent those of the supervisor that it
+        // plays: they must not be taken for each other.
+        let body = ObjectName::new(&format!("chain/supervisor/{name}"));
+        let body = body.unwrap_or_else(|_| name.clone());
+        let watched = guardian.watched();
+        let make = move |_: &mut Context<Self>| Self::new(setup, watched);
+        let address = guardian.start(body, arbiter, make);
+        SupervisorChild { name, address, report: None }
+    }
+
+    fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
+        let SupervisorSetup { name, rules, children: given, .. } = setup;
+        let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
+        let mut supervisor = SupervisorActor {
+            name,
+            machine: Supervisor::new(rules),
+            wake: WakeTimer::default(),
+            children: BTreeMap::new(),
+            waiting: BTreeMap::new(),
+            tickets: 0,
+            parent: None,
+            monitor,
+            states,
+            isolation,
+            directory,
+            watched,
+            again: false,
+        };
+        for (child, rules) in given {
+            let name = child.name().clone();
+            if let Err(why) = supervisor.take_in(child, rules) {
+                error!(supervisor = %supervisor.name, child = %name, %why, "a child was refused");
+            }
+        }
+        supervisor
+    }
+
+    fn take_in(&mut self, child: Box<dyn Child>, rules: ChildRules) -> Result<(), GiveUpReason> {
+        let name = child.name().clone();
+        self.machine.add_child(name.clone(), rules, platform::now())?;
+        self.children.insert(name, child);
+        Ok(())
+    }
+
+    /// Hands a request to the machine, and resolves when the machine has answered it.
+    fn ask(
+        &mut self,
+        context: &mut Context<Self>,
+        object: ObjectName,
+        input: impl FnOnce(&mut Supervisor, &ObjectName, CallId, Instant),
+    ) -> ResponseFuture<Outcome> {
+        self.tickets += 1;
+        let ticket = CallId(self.tickets);
+        let (answer, outcome) = oneshot::channel();
+        self.waiting.insert(ticket, answer);
+        input(&mut self.machine, &object, ticket, platform::now());
+        self.drive(context);
+        Box::pin(async move {
+            outcome.await.unwrap_or(Err(GaveUp { object, why: GiveUpReason::Forgotten }))
+        })
+    }
+
+    fn answer(&mut self, ticket: CallId, outcome: Outcome) {
+        if let Some(waiting) = self.waiting.remove(&ticket) {
+            // Whoever asked may have stopped waiting; the deed is done all the same.
+            let _ = waiting.send(outcome);
+        }
+    }
+
+    fn tell_parent(&self, event: ChildEvent) {
+        if let Some(parent) = &self.parent {
+            let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+            parent.do_send(ChildReport { object, incarnation, event });
+        }
+    }
+
+    /// Its own state, so that its faults are over for the detector when its next life is at work.
+    fn report_state(&self, state: Lifecycle) {
+        let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.watched.enter(&object, incarnation, state);
+        self.states.do_send(StateReported { object, incarnation, state, reason: None });
+    }
+
+    fn declare(
+        &self,
+        object: ObjectName,
+        incarnation: Incarnation,
+        kind: FaultKind,
+        detail: String,
+    ) {
+        self.monitor.do_send(FaultDeclared { object, incarnation, kind, detail });
+    }
+
+    fn declare_storm(&self, reason: &str) {
+        error!(supervisor = %self.name, reason, "restarts are not worth it any more");
+        let (name, incarnation) = (self.name.clone(), self.machine.incarnation());
+        self.declare(name, incarnation, FaultKind::RestartStorm, reason.to_owned());
+    }
+
+    /// No life follows for any child: what waits for one is given back, also where none was left
+    /// that could have been stopped.
+    fn retire_all(&mut self) {
+        self.children.values_mut().for_each(|child| child.retire());
+    }
+
+    fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
+        self.children.get_mut(name)
+    }
+}
+
+impl MachineActor for SupervisorActor {
+    type Machine = Supervisor;
+
+    fn machine(&mut self) -> &mut Supervisor {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut WakeTimer {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, action: SupervisorOutput, context: &mut Context<Self>) {
+        match action {
+            SupervisorOutput::Start { child, incarnation } => {
+                let report = context.address().recipient();
+                if let Some(started) = self.child(&child) {
+                    let begun = started.start(incarnation, report);
+                    self.machine.handle_begun(&child, begun);
+                }
+            }
+            SupervisorOutput::Stop { child, again } => {
+                let again = again || self.again;
+                match self.child(&child) {
+                    Some(child) if again => child.make_way(),
+                    Some(child) => child.stop(),
+                    None => {}
+                }
+            }
+            SupervisorOutput::Abandon { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.abandon();
+                }
+            }
+            SupervisorOutput::Reset { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.reset();
+                }
+            }
+            SupervisorOutput::Isolate { child, isolated } => {
+                if let Some(child) = self.child(&child) {
+                    let object = child.name().clone();
+                    child.isolate(isolated);
+                    self.isolation.do_send(IsolationReported { object, isolated });
+                }
+            }
+            SupervisorOutput::StandingOrder { child, order } => {
+                if let Some(child) = self.child(&child) {
+                    child.standing_order(order);
+                }
+            }
+            SupervisorOutput::Recovered { ticket, child, incarnation } => {
+                self.answer(ticket, Ok(Recovered { object: child, incarnation }));
+            }
+            SupervisorOutput::GaveUp { ticket, child, why } => {
+                self.answer(ticket, Err(GaveUp { object: child, why }));
+            }
+            SupervisorOutput::Refused { child, incarnation, reason } => {
+                self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
+                // What waits below for its next life waits in vain.
+                if let Some(child) = self.child(&child) {
+                    child.retire();
+                }
+            }
+            SupervisorOutput::Unavailable { reason } => {
+                warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
+                self.tell_parent(ChildEvent::Unavailable { reason });
+            }
+            SupervisorOutput::Overdue { child, incarnation, limit } => {
+                let detail = format!("it was not at work within {limit:?}");
+                self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
+            }
+            SupervisorOutput::Retire { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.retire();
+                }
+            }
+            SupervisorOutput::Left { child } => {
+                self.children.remove(&child);
+                self.directory.remove(&child);
+            }
+            SupervisorOutput::GiveUp { reason } => {
+                self.declare_storm(&reason);
+                self.tell_parent(ChildEvent::GivesUp { reason });
+            }
+            SupervisorOutput::Escalate { reason } => {
+                if self.machine.rules().root {
+                    self.retire_all();
+                } else {
+                    self.declare_storm(&reason);
+                }
+                self.watched.end(&self.name, Ending::Fatal);
+                self.tell_parent(ChildEvent::Escalated { reason });
+            }
+            SupervisorOutput::AllStarted => {
+                info!(supervisor = %self.name, "all children are at work");
+                self.report_state(Lifecycle::Initialized);
+                self.report_state(Lifecycle::Active);
+                self.tell_parent(ChildEvent::Started);
+            }
+            SupervisorOutput::AllStopped => {
+                if !self.again {
+                    self.retire_all();
+                    self.machine.handle_retired();
+                }
+                self.report_state(Lifecycle::Finalized);
+                self.tell_parent(ChildEvent::Stopped);
+            }
+        }
+    }
+}
+
+/// It answers for the supervisor that it plays, whose lives its parent counts.
+impl Handler<AreYouAlive> for SupervisorActor {
+    type Result = Alive;
+
+    fn handle(&mut self, _: AreYouAlive, _: &mut Context<Self>) -> Alive {
+        let incarnation = self.machine.incarnation().max(Incarnation::FIRST);
+        Alive { incarnation, ..guardian::alive() }
+    }
+}
+
+impl Actor for SupervisorActor {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        let address = context.address();
+        let ports = SupervisorRecipients {
+            restart: address.clone().recipient(),
+            move_away: address.clone().recipient(),
+            reset: address.clone().recipient(),
+            isolate: address.clone().recipient(),
+            safe_stop: address.clone().recipient(),
+            read: address.recipient(),
+        };
+        self.directory.enter(&self.name, ports, self.children.keys());
+        self.drive(context);
+    }
+}
+
+impl Supervised for SupervisorActor {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        warn!(supervisor = %self.name, "begins anew: children in between two lives are started again");
+        self.wake = WakeTimer::default();
+        self.waiting.clear();
+        self.machine.handle_own_restart(platform::now());
+    }
+}
+
+impl Handler<StartSupervisor> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: StartSupervisor, context: &mut Context<Self>) {
+        let StartSupervisor { incarnation, report } = message;
+        self.parent = Some(report);
+        self.again = false;
+        self.machine.handle_begin(incarnation, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<StopSupervisor> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: StopSupervisor, context: &mut Context<Self>) {
+        let StopSupervisor { again } = message;
+        self.again = again;
+        self.machine.handle_end(platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<AbandonChildren> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, _: AbandonChildren, context: &mut Context<Self>) {
+        self.watched.end(&self.name, Ending::Abandoned);
+        self.machine.handle_forsake(platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<IsolateAll> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: IsolateAll, context: &mut Context<Self>) {
+        let IsolateAll { isolated } = message;
+        self.machine.handle_isolate_all(isolated, platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<ChildReport> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: ChildReport, context: &mut Context<Self>) {
+        let ChildReport { object, incarnation, event } = message;
+        let now = platform::now();
+        let machine = &mut self.machine;
+        match event {
+            ChildEvent::Started => machine.handle_started(&object, incarnation, now),
+            ChildEvent::Unavailable { reason } => {
+                machine.handle_unavailable(&object, incarnation, reason, now);
+            }
+            ChildEvent::StartFailed { reason } => {
+                machine.handle_start_failed(&object, incarnation, reason, now);
+            }
+            ChildEvent::Stopped => machine.handle_stopped(&object, incarnation, now),
+            ChildEvent::Reset => machine.handle_reset_done(&object, incarnation, Ok(())),
+            ChildEvent::ResetFailed { reason } => {
+                machine.handle_reset_done(&object, incarnation, Err(reason));
+            }
+            ChildEvent::Died { exit, restarted_as } => {
+                machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
+            }
+            // Said by a root, which has no supervisor.
+            ChildEvent::GivesUp { .. } => {}
+            ChildEvent::Escalated { reason } => {
+                machine.handle_escalated(&object, incarnation, reason, now);
+            }
+        }
+        self.drive(context);
+    }
+}
+
+/// What a guard told the monitor may be told to the supervisor too; it counts a death only once.
+impl Handler<Exited> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: Exited, context: &mut Context<Self>) {
+        let Exited { object, incarnation, exit, restarted_as } = message;
+        let now = platform::now();
+        self.machine.handle_died(&object, incarnation, in_order(&exit), restarted_as, now);
+        self.drive(context);
+    }
+}
+
+fn in_order(exit: &ExitReason) -> bool {
+    matches!(exit, ExitReason::Returned | ExitReason::Stopped)
+}
+
+impl Handler<RestartChild> for SupervisorActor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
+        let RestartChild { object, fault } = message;
+        let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
+        let struck = fault.map(|fault| fault.incarnation);
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_restart(object, ticket, cause, struck, now);
+        })
+    }
+}
+
+impl Handler<ResetChild> for SupervisorActor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
+        let ResetChild { object } = message;
+        self.ask(context, object, Supervisor::handle_reset)
+    }
+}
+
+impl Handler<IsolateChild> for SupervisorActor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
+        let IsolateChild { object, isolated } = message;
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_isolate(object, isolated, ticket, now);
+        })
+    }
+}
+
+impl Handler<SafeStop> for SupervisorActor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
+        let SafeStop { object, fault } = message;
+        let cause = fault.as_ref().map_or(ReplacementCause::Asked, cause_of_rest);
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_rest(object, ticket, cause, now);
+        })
+    }
+}
+
+/// Several measures may have been tried since a panic: whether the present life, if there is one,
+/// ends is found out by asking it. Only one that does not answer is not asked.
+fn cause_of_rest(fault: &Fault) -> ReplacementCause {
+    match ReplacementCause::of(fault) {
+        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind) => stuck,
+        ReplacementCause::Died | ReplacementCause::Faulty | ReplacementCause::Asked => {
+            ReplacementCause::Faulty
+        }
+    }
+}
+
+impl Handler<RemoveChild> for SupervisorActor {
+    type Result = ResponseFuture<Outcome>;
+
+    fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
+        let RemoveChild { object } = message;
+        self.ask(context, object, Supervisor::handle_remove)
+    }
+}
+
+impl Handler<AddChild> for SupervisorActor {
+    type Result = Result<(), GaveUp>;
+
+    fn handle(&mut self, message: AddChild, context: &mut Context<Self>) -> Self::Result {
+        let AddChild { child, rules } = message;
+        let object = child.name().clone();
+        let taken = self.take_in(child, rules);
+        if taken.is_ok() {
+            self.directory.add(&self.name, object.clone());
+        }
+        self.drive(context);
+        taken.map_err(|why| GaveUp { object, why })
+    }
+}
+
+/// A supervisor as its parent, or the node, sees it.
+pub(crate) struct SupervisorChild {
+    name: ObjectName,
+    address: Addr<SupervisorActor>,
+    report: Option<(Incarnation, Recipient<ChildReport>)>,
+}
+
+impl SupervisorChild {
+    /// Where its tree can be read.
+    pub(crate) fn tree(&self) -> Recipient<ReadTree> {
+        self.address.clone().recipient()
+    }
+
+    /// Where it answers the monitor.
+    pub(crate) fn inquiries(&self) -> Recipient<AreYouAlive> {
+        self.address.clone().recipient()
+    }
+
+    /// Where children can be added while it is at work.
+    pub(crate) fn additions(&self) -> Recipient<AddChild> {
+        self.address.clone().recipient()
+    }
+
+    /// Where children can be removed while it is at work.
+    pub(crate) fn removals(&self) -> Recipient<RemoveChild> {
+        self.address.clone().recipient()
+    }
+}
+
+impl Child for SupervisorChild {
+    fn name(&self) -> &ObjectName {
+        &self.name
+    }
+
+    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
+        self.report = Some((incarnation, report.clone()));
+        self.address.do_send(StartSupervisor { incarnation, report });
+        incarnation
+    }
+
+    fn stop(&mut self) {
+        self.address.do_send(StopSupervisor { again: false });
+    }
+
+    fn make_way(&mut self) {
+        self.address.do_send(StopSupervisor { again: true });
+    }
+
+    fn retire(&mut self) {
+        self.address.do_send(StopSupervisor { again: false });
+    }
+
+    fn abandon(&mut self) {
+        self.address.do_send(AbandonChildren);
+    }
+
+    fn reset(&mut self) {
+        if let Some((incarnation, report)) = &self.report {
+            let reason = "a supervisor is restarted, not reset".into();
+            let (object, incarnation) = (self.name.clone(), *incarnation);
+            let event = ChildEvent::ResetFailed { reason };
+            report.do_send(ChildReport { object, incarnation, event });
+        }
+    }
+
+    fn isolate(&mut self, isolated: bool) {
+        self.address.do_send(IsolateAll { isolated });
+    }
+
+    fn standing_order(&mut self, _: Option<RestartGrant>) {
+        // The guardian restarts it by reflex; it needs no permission.
+    }
+}
+
+#[cfg(test)]
+mod tests;

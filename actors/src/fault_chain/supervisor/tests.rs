@@ -1,0 +1,239 @@
+use super::*;
+use crate::fault_chain::scripted::{Bench, ScriptedReply, fault, object};
+use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
+use blastema_doubles::{advance, paused, settle};
+use std::time::Duration;
+
+fn rules(strategy: Strategy) -> SupervisorRules {
+    SupervisorRules { strategy, ..SupervisorRules::default() }
+}
+
+fn restart(bench: &Bench, child: &str, kind: FaultKind, life: u64) -> RestartChild {
+    if kind == FaultKind::Panic {
+        bench.script.dies(child);
+    }
+    RestartChild { object: object(child), fault: Some(fault(1, kind, child, life)) }
+}
+
+fn recovered(child: &str, life: u64) -> Outcome {
+    Ok(Recovered { object: object(child), incarnation: Some(Incarnation(life)) })
+}
+
+#[test]
+fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
+    paused(async {
+        let bench = Bench::new();
+        let children = ["a", "b"].map(|name| (bench.script.child(name), ChildRules::default()));
+        let mut root = bench.supervisor("root", SupervisorRules::default(), children.into());
+
+        root.start(Incarnation(4), bench.above.recipient());
+
+        let report = bench.above.expect().await;
+        assert_eq!(report.event, ChildEvent::Started);
+        assert_eq!((report.object, report.incarnation), (object("root"), Incarnation(4)));
+        assert_eq!(bench.script.done(), ["start a", "start b"]);
+        let states = [Lifecycle::Initialized, Lifecycle::Active];
+        assert_eq!(bench.states.drain().iter().map(|told| told.state).collect::<Vec<_>>(), states);
+
+        root.stop();
+        assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
+        assert_eq!(bench.script.done(), ["stop b", "stop a"]);
+    });
+}
+
+#[test]
+fn a_restart_is_answered_when_the_whole_group_is_at_work() {
+    paused(async {
+        let bench = Bench::new();
+        let root = bench.serving(rules(Strategy::RestForOne), &["a", "b", "c"]).await;
+
+        let outcome = root.address.send(restart(&bench, "b", FaultKind::Hang, 1)).await;
+
+        assert_eq!(outcome.expect("it lives"), recovered("b", 2));
+        assert_eq!(bench.script.done(), ["abandon b", "stop c", "start b", "start c"]);
+    });
+}
+
+#[test]
+fn a_child_that_hangs_in_its_start_is_declared_and_the_request_answered() {
+    paused(async {
+        let bench = Bench::new();
+        let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
+        bench.script.answer("start a", &[ScriptedReply::Hangs]);
+
+        let outcome = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
+
+        let given_up = outcome.expect("it lives").expect_err("its child hangs");
+        assert_eq!(given_up.why.to_string(), "its next life did not start: not at work within 5s");
+        let declared = bench.faults.expect().await;
+        assert_eq!(declared.kind, FaultKind::InitializationFailed);
+        assert_eq!((declared.object, declared.incarnation), (object("a"), Incarnation(2)));
+        assert_eq!(bench.script.done(), ["start a", "abandon a"]);
+    });
+}
+
+#[test]
+fn a_child_that_does_not_stop_is_given_up_in_time() {
+    paused(async {
+        let bench = Bench::new();
+        let mut root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
+        bench.script.answer("stop b", &[ScriptedReply::Hangs]);
+
+        root.stop();
+        advance(Duration::from_secs(5)).await;
+
+        assert_eq!(bench.script.done(), ["stop b", "abandon b", "stop a"]);
+        assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
+    });
+}
+
+#[test]
+fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
+    paused(async {
+        let bench = Bench::new();
+        let when_exceeded = WhenExceeded::Escalate;
+        let rules = SupervisorRules {
+            intensity: 1,
+            root: true,
+            when_exceeded,
+            ..rules(Strategy::OneForOne)
+        };
+        let root = bench.serving(rules, &["a", "b"]).await;
+        let first = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
+        assert_eq!(first.expect("it lives"), recovered("a", 2));
+
+        let second = root.address.send(restart(&bench, "a", FaultKind::Panic, 2)).await;
+
+        let why = second.expect("it lives").expect_err("it gave up").why;
+        assert!(matches!(why, GiveUpReason::Escalated { .. }), "{why}");
+        assert_eq!(bench.faults.expect().await.kind, FaultKind::RestartStorm);
+        let event = bench.above.expect().await.event;
+        assert!(matches!(event, ChildEvent::GivesUp { .. }), "{event:?}");
+        let event = bench.above.expect().await.event;
+        assert!(matches!(event, ChildEvent::Escalated { .. }), "{event:?}");
+        assert_eq!(bench.script.done(), ["start a", "stop b"]);
+    });
+}
+
+#[test]
+fn a_supervisor_below_escalates_and_its_next_life_answers_what_was_asked_of_the_old() {
+    paused(async {
+        let bench = Bench::new();
+        let inner_rules = SupervisorRules { intensity: 0, ..rules(Strategy::OneForAll) };
+        let wheels = vec![(bench.script.child("wheel"), ChildRules::default())];
+        let inner = bench.supervisor("drive", inner_rules, wheels);
+        let drive = inner.address.clone();
+        let children: Vec<(Box<dyn Child>, _)> = vec![
+            (Box::new(inner), ChildRules::supervisor()),
+            (bench.script.child("planner"), ChildRules::default()),
+        ];
+        let mut root = bench.supervisor("root", rules(Strategy::RestForOne), children);
+        root.start(Incarnation::FIRST, bench.above.recipient());
+        assert_eq!(bench.above.expect().await.event, ChildEvent::Started);
+        assert_eq!(bench.script.done(), ["start wheel", "start planner"]);
+
+        let outcome = drive.send(restart(&bench, "wheel", FaultKind::Panic, 1)).await;
+
+        assert_eq!(outcome.expect("it lives"), recovered("wheel", 2));
+        settle().await;
+        assert_eq!(bench.script.done(), ["stop planner", "start wheel", "start planner"]);
+        let tree = root.tree().send(ReadTree).await.expect("it lives");
+        assert_eq!(tree.restarts_left, 2);
+        let drive = tree.children[0].below.as_ref().expect("it is a supervisor");
+        assert_eq!((drive.incarnation, drive.children[0].restarts), (Incarnation(2), 1));
+        assert!(tree.children[1].below.is_none());
+
+        root.abandon();
+        settle().await;
+        assert_eq!(bench.script.done(), ["abandon planner", "abandon wheel"]);
+    });
+}
+
+#[test]
+fn after_a_panic_of_its_own_its_children_stay_at_work() {
+    paused(async {
+        let bench = Bench::new();
+        let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
+        bench.script.answer("start b", &[ScriptedReply::Panics]);
+
+        let lost = root.address.send(restart(&bench, "b", FaultKind::Panic, 1)).await;
+
+        assert!(lost.is_err() || matches!(lost, Ok(Err(_))), "{lost:?}");
+        let death = bench.deaths.expect().await;
+        assert_eq!(death.object, object("chain/supervisor/root"));
+        assert!(death.restarted_as.is_some());
+        settle().await;
+        assert_eq!(bench.script.done(), ["start b", "abandon b", "start b"]);
+        let tree = root.tree().send(ReadTree).await.expect("it lives again");
+        let states: Vec<_> = tree.children.iter().map(|leaf| leaf.state).collect();
+        assert_eq!(states, [ChildState::Running, ChildState::Running]);
+        assert_eq!(tree.children[0].incarnation, Incarnation::FIRST);
+    });
+}
+
+#[test]
+fn children_come_and_go_and_are_found_by_name() {
+    paused(async {
+        let bench = Bench::new();
+        let root = bench.serving(rules(Strategy::OneForOne), &["a"]).await;
+
+        let added = AddChild { child: bench.script.child("b"), rules: ChildRules::default() };
+        assert_eq!(root.additions().send(added).await.expect("it lives"), Ok(()));
+        let twice = AddChild { child: bench.script.child("b"), rules: ChildRules::default() };
+        let refused = root.additions().send(twice).await.expect("it lives");
+        assert_eq!(refused.expect_err("the name is taken").why, GiveUpReason::NameTaken);
+        assert!(bench.directory.keeper_of(&object("b")).is_some());
+
+        let removed = root.removals().send(RemoveChild { object: object("b") }).await;
+        let gone = Recovered { object: object("b"), incarnation: None };
+        assert_eq!(removed.expect("it lives"), Ok(gone));
+        assert!(bench.directory.keeper_of(&object("b")).is_none());
+        assert_eq!(bench.script.done(), ["start b", "stop b"]);
+    });
+}
+
+#[test]
+fn resets_isolation_and_rest_reach_the_child() {
+    paused(async {
+        let bench = Bench::new();
+        let root = bench.serving(rules(Strategy::OneForOne), &["a", "b"]).await;
+        bench.script.answer("reset b", &[ScriptedReply::Fails]);
+        let reset = |child| ResetChild { object: object(child) };
+
+        assert_eq!(root.address.send(reset("a")).await.expect("it lives"), recovered("a", 1));
+        let failed = root.address.send(reset("b")).await.expect("it lives");
+        assert_eq!(
+            failed.expect_err("it is jammed").why,
+            GiveUpReason::ResetFailed { reason: "jammed".into() }
+        );
+        let isolated = IsolateChild { object: object("a"), isolated: true };
+        assert!(root.address.send(isolated).await.expect("it lives").is_ok());
+        let rest = SafeStop { object: object("b"), fault: None };
+        assert!(root.address.send(rest).await.expect("it lives").is_ok());
+        assert_eq!(bench.script.done(), ["reset a", "reset b", "isolate a", "isolate b", "stop b"]);
+    });
+}
+
+#[test]
+fn a_restart_on_the_spot_is_counted_once_whoever_tells_it() {
+    paused(async {
+        let bench = Bench::new();
+        let on_the_spot = ChildRules { on_the_spot: true, ..ChildRules::default() };
+        let children = vec![(bench.script.child("a"), on_the_spot)];
+        let mut root = bench.supervisor("root", rules(Strategy::OneForOne), children);
+        root.start(Incarnation::FIRST, bench.above.recipient());
+        settle().await;
+        assert_eq!(bench.script.done(), ["start a", "order a"]);
+
+        let (exit, restarted_as) = (ExitReason::Returned, Some(Incarnation(2)));
+        let event = ChildEvent::Died { exit: exit.clone(), restarted_as };
+        let (object, incarnation) = (object("a"), Incarnation::FIRST);
+        let report = ChildReport { object: object.clone(), incarnation, event };
+        root.address.do_send(report);
+        root.address.do_send(Exited { object, incarnation, exit, restarted_as });
+
+        let tree = root.tree().send(ReadTree).await.expect("it lives");
+        assert_eq!((tree.restarts_left, tree.children[0].restarts), (2, 1));
+        assert_eq!(tree.children[0].incarnation, Incarnation(2));
+    });
+}

@@ -1,0 +1,479 @@
+//! The body of the claims: names of the whole robot, as this node knows them.
+
+use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
+use crate::net::fault_reporter::FaultReporter;
+use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
+use crate::platform;
+use crate::registry::Registry;
+use crate::runtime::driver::{MachineActor, WakeTimer};
+use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use actix::prelude::*;
+use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::PeerStatusChanged;
+use blastema_core::global_name::{
+    ClaimRefused, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput, Holder,
+    NameHeld, UnmetClaims,
+};
+use blastema_core::net::active_alarms::ActiveAlarms;
+use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::net::{NodeId, Refusals};
+use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::{error, info, warn};
+
+/// How long a name is kept for a node that is not heard of any more. It is heard of four times as
+/// often, which costs some 60 bytes each, and nothing where a node claims nothing.
+const LEASE: Duration = Duration::from_secs(1);
+/// How often it is looked at what was refused.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// What the body is made of.
+#[derive(Clone)]
+pub(crate) struct GlobalNamesSetup {
+    pub(crate) node: NodeName,
+    pub(crate) incarnation: Incarnation,
+    /// How long nothing is granted after the start.
+    pub(crate) settle: Duration,
+    /// Nodes after whose word that is over.
+    pub(crate) expected: Vec<NodeName>,
+    pub(crate) registry: Registry,
+    pub(crate) names: GlobalNameTable,
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+}
+
+/// A name that is claimed here.
+struct Own {
+    wanted: ClaimRequest,
+    number: u64,
+    told: watch::Sender<ClaimState>,
+    unattended: bool,
+}
+
+/// The body.
+pub(crate) struct GlobalNamesActor {
+    setup: GlobalNamesSetup,
+    machine: GlobalNames,
+    wake: WakeTimer,
+    letters: PeerChannel,
+    own: BTreeMap<ObjectName, Own>,
+    /// Nodes that a session is open with.
+    peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
+    complaints: RefusalAlarms<NodeName>,
+    faults: FaultReporter,
+    /// Names that were lost to others, who had claimed them out of sight: as many as are claimed
+    /// here.
+    lost: ActiveAlarms<(ObjectName, u64)>,
+    /// Who goes without a name, and what was said of that last.
+    without: UnmetClaims,
+    said: Option<String>,
+}
+
+/// Where the body is told and asked.
+pub(crate) struct GlobalNamesRecipients {
+    pub(crate) peers: Recipient<PeerStatusChanged>,
+    pub(crate) inquiries: Recipient<AreYouAlive>,
+    #[cfg(test)]
+    panic: Recipient<InjectPanic>,
+}
+
+impl GlobalNamesActor {
+    /// Starts it under the guardian, and leads those who claim to it.
+    pub(crate) fn start(
+        setup: GlobalNamesSetup,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> GlobalNamesRecipients {
+        let names = setup.names.clone();
+        setup.registry.set_name_resolver(names.clone());
+        let make = move |context: &mut Context<Self>| {
+            let reader = context.address().recipient();
+            GlobalNamesActor {
+                machine: GlobalNames::new(config(&setup), platform::now()),
+                wake: WakeTimer::default(),
+                letters: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
+                own: BTreeMap::new(),
+                peers: BTreeMap::new(),
+                complaints: RefusalAlarms::default(),
+                faults: FaultReporter::of("claims", setup.faults.clone(), setup.mended.clone()),
+                lost: ActiveAlarms::default(),
+                without: UnmetClaims::default(),
+                said: None,
+                setup,
+            }
+        };
+        let body = guardian.start(crate::net::named("claims"), arbiter, make);
+        names.lead_to(body.clone().recipient());
+        GlobalNamesRecipients {
+            #[cfg(test)]
+            panic: body.clone().recipient(),
+            peers: body.clone().recipient(),
+            inquiries: body.recipient(),
+        }
+    }
+
+    fn tell(&self, name: &ObjectName, state: ClaimState) {
+        if let Some(own) = self.own.get(name) {
+            own.told.send_if_modified(|told| {
+                let new = *told != state;
+                *told = state;
+                new
+            });
+        }
+    }
+
+    /// The claim is over, and its claimant is told why.
+    fn end(&mut self, name: &ObjectName, state: ClaimState) {
+        self.tell(name, state);
+        self.own.remove(name);
+    }
+
+    fn incarnation_of(&self, node: &NodeName) -> Incarnation {
+        if *node == self.setup.node {
+            return self.setup.incarnation;
+        }
+        self.peers.get(&NodeId::of(node)).map_or(Incarnation::default(), |(_, life)| *life)
+    }
+
+    fn declare(&self, kind: FaultKind, detail: String) {
+        error!("{detail}");
+        self.faults.declare(kind, detail);
+    }
+
+    /// Some names are not lost any more. Of those who go without, it is said again.
+    fn mend(&mut self) {
+        self.said = None;
+        if self.without.text().is_some() {
+            self.say_who_goes_without();
+        } else if self.lost.iter().next().is_none() {
+            self.faults.mend(FaultKind::NameTaken);
+        }
+    }
+
+    /// As it is now.
+    fn say_who_goes_without(&mut self) {
+        match self.without.text() {
+            Some(text) if self.said.as_ref() != Some(&text) => {
+                self.said = Some(text.clone());
+                self.declare(FaultKind::NameTaken, text);
+            }
+            None if self.said.take().is_some() => self.mend(),
+            Some(_) | None => {}
+        }
+    }
+
+    /// A claim is granted, or given back.
+    fn has_its_name(&mut self, name: ObjectName, number: u64) {
+        self.without.handle_end(&name, number);
+        if self.lost.clear(&(name, number)) {
+            self.mend();
+        }
+        self.say_who_goes_without();
+    }
+
+    fn refused(&mut self, name: &ObjectName, refused: ClaimRefused) {
+        warn!(%name, "a claim is refused: {refused}");
+        if let Some(own) = self.own.get(name).filter(|own| own.unattended) {
+            let object = own.wanted.object.clone();
+            self.without.handle_refused((name.clone(), own.number), object, &refused);
+            self.say_who_goes_without();
+        }
+        self.end(name, ClaimState::Refused(refused.into()));
+    }
+
+    /// Whoever sends for seconds what must be refused is named, until it was quiet.
+    fn look_at_refusals(&mut self) {
+        let now = platform::now();
+        let looks: Vec<(NodeName, Refusals)> =
+            self.machine.refusals().map(|(node, refusals)| (node.clone(), refusals)).collect();
+        for (node, refusals) in looks {
+            if let Some(since) = self.complaints.handle_look(node.clone(), refusals, now) {
+                let detail = format!("what {node} claims is refused all the time: {since}");
+                self.declare(FaultKind::CheckFailed, detail);
+            }
+        }
+        if self.complaints.take_over(now) {
+            self.faults.mend(FaultKind::CheckFailed);
+        }
+        if !self.lost.take_over(now).is_empty() {
+            self.mend();
+        }
+    }
+}
+
+fn config(setup: &GlobalNamesSetup) -> GlobalNamesConfig {
+    GlobalNamesConfig {
+        node: setup.node.clone(),
+        incarnation: setup.incarnation,
+        lease: LEASE,
+        settle: setup.settle,
+        expected: setup.expected.iter().cloned().collect(),
+    }
+}
+
+answers_the_monitor!(GlobalNamesActor);
+
+impl Actor for GlobalNamesActor {
+    type Context = Context<Self>;
+
+    fn started(&mut self, context: &mut Context<Self>) {
+        context.run_interval(LOOK, |body, _| body.look_at_refusals());
+        self.drive(context);
+    }
+}
+
+impl Supervised for GlobalNamesActor {
+    /// What is claimed here stays so; what others claim, they are asked for.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        let (now, mut own) = (platform::now(), Vec::new());
+        for Own { wanted, told, .. } in self.own.values() {
+            let epoch = match *told.borrow() {
+                ClaimState::Held { epoch } => Some(epoch),
+                _ => None,
+            };
+            own.push((wanted.clone(), epoch));
+        }
+        self.setup.names.forget_all();
+        self.machine = GlobalNames::reborn(config(&self.setup), own, now);
+        for (node, incarnation) in self.peers.values() {
+            self.machine.handle_opened(node.clone(), *incarnation, now);
+        }
+        self.wake = WakeTimer::default();
+        self.started(context);
+    }
+}
+
+impl MachineActor for GlobalNamesActor {
+    type Machine = GlobalNames;
+
+    fn machine(&mut self) -> &mut GlobalNames {
+        &mut self.machine
+    }
+
+    fn wake(&mut self) -> &mut WakeTimer {
+        &mut self.wake
+    }
+
+    fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {
+        match output {
+            GlobalNamesOutput::Send { to, message } => self.letters.send(&to, &message),
+            GlobalNamesOutput::Granted { name, epoch } => {
+                info!(%name, epoch, "a name is ours");
+                self.tell(&name, ClaimState::Held { epoch });
+                if let Some(number) = self.own.get(&name).map(|own| own.number) {
+                    self.has_its_name(name, number);
+                }
+            }
+            GlobalNamesOutput::StandsBy { name } => self.tell(&name, ClaimState::StandsBy),
+            GlobalNamesOutput::Refused(held) => {
+                let name = held.name.clone();
+                self.refused(&name, held.into());
+            }
+            GlobalNamesOutput::Lost { name, to, epoch, stands_by } => {
+                let what = if stands_by {
+                    "it stands by for it from now on"
+                } else {
+                    "it is to claim another, or to stand by"
+                };
+                let detail = format!(
+                    "the name {name} is lost to {to}, whose claim {epoch} is the later one of two \
+                     that were made out of each other's sight; {what}"
+                );
+                self.declare(FaultKind::NameTaken, detail);
+                // Each of the two knows it now, and what becomes of it.
+                let number = self.own.get(&name).map_or(0, |own| own.number);
+                self.lost.raise((name.clone(), number), platform::now());
+                match stands_by {
+                    true => self.tell(&name, ClaimState::StandsBy),
+                    false => self.end(&name, ClaimState::Lost { to, epoch }),
+                }
+            }
+            GlobalNamesOutput::Held { name, holder } => {
+                self.without.handle_holder(&name, holder.as_ref());
+                self.say_who_goes_without();
+                let life = |holder: Holder| {
+                    let incarnation = self.incarnation_of(&holder.node);
+                    (holder, incarnation)
+                };
+                self.setup.names.note(name, holder.map(life));
+            }
+        }
+    }
+}
+
+impl Handler<ClaimCommand> for GlobalNamesActor {
+    type Result = ();
+
+    fn handle(&mut self, wish: ClaimCommand, context: &mut Context<Self>) {
+        match wish {
+            ClaimCommand::Claim { wanted, number, told, unattended } => {
+                let name = wanted.name.clone();
+                match self.own.get(&name) {
+                    // The next life of the same component.
+                    Some(own) if own.number == number => return,
+                    Some(Own { wanted: own, .. }) => {
+                        let other = own.object.clone();
+                        let holder = self.setup.node.clone();
+                        let epoch = self.machine.holder(&name).map_or(0, |held| held.epoch);
+                        let held = NameHeld { name, holder, epoch };
+                        if unattended {
+                            let claim = (held.name.clone(), number);
+                            self.without.handle_doubled(claim, wanted.object, &other);
+                            self.say_who_goes_without();
+                        }
+                        told.send_replace(ClaimState::Refused(held.into()));
+                        return;
+                    }
+                    None => {}
+                }
+                let own = Own { wanted: wanted.clone(), number, told, unattended };
+                self.own.insert(name.clone(), own);
+                if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
+                    self.refused(&name, refused);
+                }
+            }
+            ClaimCommand::Withdraw { name, number } => {
+                if self.own.get(&name).is_some_and(|own| own.number == number) {
+                    self.own.remove(&name);
+                    self.machine.handle_withdrawn(&name);
+                }
+                // Also of one that was refused, and goes without.
+                self.has_its_name(name, number);
+            }
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<PeerStatusChanged> for GlobalNamesActor {
+    type Result = ();
+
+    fn handle(&mut self, seen: PeerStatusChanged, context: &mut Context<Self>) {
+        let now = platform::now();
+        match seen {
+            PeerStatusChanged::Opened { node, incarnation } => {
+                self.peers.insert(NodeId::of(&node), (node.clone(), incarnation));
+                self.machine.handle_opened(node, incarnation, now);
+            }
+            PeerStatusChanged::Ended { node } => {
+                self.peers.remove(&NodeId::of(&node));
+                self.machine.handle_ended(&node);
+            }
+            PeerStatusChanged::Left { node } => self.machine.handle_left(&node, now),
+        }
+        self.drive(context);
+    }
+}
+
+impl Handler<ActorMessageReceived> for GlobalNamesActor {
+    type Result = ();
+
+    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
+        self.letters.read_one();
+        if let Some((node, _)) = self.peers.get(&letter.from) {
+            self.machine.handle_message(node, &letter.bytes, platform::now());
+            self.drive(context);
+        }
+    }
+}
+
+impl Handler<InjectPanic> for GlobalNamesActor {
+    type Result = ();
+
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
+        panic!("the claims panic on purpose");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::global_name::Claim;
+    use blastema_core::global_name::ClaimPolicy;
+    use blastema_doubles::{Probe, advance, paused, settle};
+
+    fn wanted() -> ClaimRequest {
+        ClaimRequest::new(ObjectName::new("map").unwrap(), ClaimPolicy::Refuse)
+    }
+
+    fn setup(names: &GlobalNameTable) -> GlobalNamesSetup {
+        GlobalNamesSetup {
+            node: NodeName::new("a").unwrap(),
+            incarnation: Incarnation(1),
+            settle: Duration::ZERO,
+            expected: Vec::new(),
+            registry: Registry::default(),
+            names: names.clone(),
+            faults: None,
+            mended: None,
+        }
+    }
+
+    #[test]
+    fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
+        paused(async {
+            let (declared, mended) =
+                (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
+            let (faults, over) = (Some(declared.recipient()), Some(mended.recipient()));
+            let names = GlobalNameTable::default();
+            let setup = GlobalNamesSetup { faults, mended: over, ..setup(&names) };
+            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let claim = Claim::make(&names, wanted()).await.unwrap();
+
+            names.claim_unattended(wanted(), 98);
+            assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            drop(claim);
+            names.claim_unattended(wanted(), 99);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            names.withdraw(&wanted().name, 99);
+            // The next life of the one that was refused.
+            names.claim_unattended(wanted(), 98);
+
+            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+        });
+    }
+
+    #[test]
+    fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
+        paused(async {
+            let mended = Probe::<DeclaredFaultCleared>::start();
+            let names = GlobalNameTable::default();
+            let setup = GlobalNamesSetup { mended: Some(mended.recipient()), ..setup(&names) };
+            let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let _claim = Claim::make(&names, wanted()).await.unwrap();
+            names.claim_unattended(wanted(), 98);
+            names.claim_unattended(wanted(), 99);
+
+            names.withdraw(&wanted().name, 98);
+            mended.expect_none_for(Duration::from_secs(100)).await;
+            names.withdraw(&wanted().name, 99);
+
+            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+        });
+    }
+
+    #[test]
+    fn what_is_claimed_outlives_a_panic_of_those_who_keep_it() {
+        paused(async {
+            let names = GlobalNameTable::default();
+            let setup = setup(&names);
+            let ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
+            let claim = Claim::make(&names, wanted()).await.unwrap();
+            let epoch = claim.epoch().unwrap();
+
+            ports.panic.do_send(InjectPanic);
+            settle().await;
+
+            assert_eq!(claim.epoch(), Some(epoch));
+            assert_eq!(names.holder(claim.name()).unwrap().epoch, epoch);
+            assert!(Claim::make(&names, wanted()).await.is_err(), "it has it still");
+            drop(claim);
+            advance(LEASE).await;
+            assert_eq!(names.rows(), []);
+        });
+    }
+}

@@ -1,0 +1,199 @@
+//! Names of the whole robot: an address without a node.
+//!
+//! ```text
+//!  Claim ── Wish ──► body (net::claims) ◄── letters ──► bodies of other nodes
+//!                      │ Held
+//!                      ▼
+//!  Roaming ── who? ── Names        `*:map` is sent to whoever holds `map` now
+//! ```
+
+pub(crate) mod actor;
+pub(crate) mod table;
+
+pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
+
+pub(crate) use crate::registry::lookup::GlobalNameSender;
+pub(crate) use table::{ClaimCommand, GlobalNameTable};
+
+use blastema_core::global_name::{ClaimRefused, ClaimRequest};
+use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
+use std::fmt;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Why a name was not claimed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ClaimError {
+    /// The name does not parse.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// Somebody else has the name. Stand by for it, or take another.
+    #[error(transparent)]
+    Held(#[from] NameHeld),
+    /// This node claims too many names already. Give some back.
+    #[error("this node claims {limit} names already, and no more: give some back")]
+    TooMany {
+        /// The most that it may.
+        limit: usize,
+    },
+    /// The node has ended.
+    #[error("the node has ended")]
+    Stopped,
+}
+
+impl From<ClaimRefused> for ClaimError {
+    fn from(refused: ClaimRefused) -> Self {
+        match refused {
+            ClaimRefused::Held(held) => ClaimError::Held(held),
+            ClaimRefused::TooMany { limit } => ClaimError::TooMany { limit },
+        }
+    }
+}
+
+/// How a claim stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ClaimState {
+    /// The node has just started, and listens whether somebody has the name.
+    Waiting,
+    /// The name is ours.
+    Held {
+        /// Under which epoch: each holder has a greater one than those before.
+        epoch: u64,
+    },
+    /// Another node holds it; we are to follow.
+    StandsBy,
+    /// The claim is over: it was not granted.
+    Refused(ClaimError),
+    /// The claim is over: two had claimed the name, out of each other's sight, and the other's is
+    /// the later claim.
+    Lost {
+        /// Whose it is.
+        to: NodeName,
+        /// Under which epoch.
+        epoch: u64,
+    },
+}
+
+/// A name of the whole robot that an object of this node claims. From
+/// [`Node::claim`](crate::Node::claim). It is given back when this is dropped.
+pub struct Claim {
+    name: ObjectName,
+    number: u64,
+    names: GlobalNameTable,
+    state: watch::Receiver<ClaimState>,
+}
+
+impl fmt::Debug for Claim {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "claim of {}: {:?}", self.name, *self.state.borrow())
+    }
+}
+
+impl Claim {
+    /// Claims, and waits until that is granted, refused, or stood by for.
+    pub(crate) async fn make(
+        names: &GlobalNameTable,
+        wanted: ClaimRequest,
+    ) -> Result<Self, ClaimError> {
+        let (name, number) = (wanted.name.clone(), names.number());
+        let state = names.claim(wanted, number);
+        let mut claim = Claim { name, number, names: names.clone(), state };
+        let decided = claim.state.wait_for(|state| *state != ClaimState::Waiting).await;
+        match decided.map(|state| state.clone()) {
+            Ok(ClaimState::Refused(error)) => Err(error),
+            Ok(_) => Ok(claim),
+            Err(_) => Err(ClaimError::Stopped),
+        }
+    }
+
+    /// The name.
+    pub fn name(&self) -> &ObjectName {
+        &self.name
+    }
+
+    /// How it stands now.
+    pub fn state(&self) -> ClaimState {
+        self.state.borrow().clone()
+    }
+
+    /// Under which epoch the name is ours, if it is.
+    pub fn epoch(&self) -> Option<u64> {
+        match *self.state.borrow() {
+            ClaimState::Held { epoch } => Some(epoch),
+            _ => None,
+        }
+    }
+
+    /// Waits until it stands otherwise than when this was last asked, and says how; `None` once the
+    /// node has ended.
+    pub async fn changed(&mut self) -> Option<ClaimState> {
+        self.state.changed().await.ok()?;
+        Some(self.state.borrow_and_update().clone())
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        self.names.withdraw(&self.name, self.number);
+    }
+}
+
+/// Tells who holds a name of the whole robot, whenever that changes. From
+/// [`Node::watch_name`](crate::Node::watch_name).
+pub struct NameWatch {
+    name: ObjectName,
+    names: GlobalNameTable,
+    revision: watch::Receiver<u64>,
+    told: Option<Option<Holder>>,
+}
+
+impl fmt::Debug for NameWatch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "watch of {}", self.name)
+    }
+}
+
+impl NameWatch {
+    pub(crate) fn new(names: &GlobalNameTable, name: ObjectName) -> Self {
+        NameWatch { name, names: names.clone(), revision: names.revision(), told: None }
+    }
+
+    /// Who holds it: at once when this is first called, and then whenever it is somebody else, or
+    /// nobody. What changed more than once meanwhile is told as it is now.
+    pub async fn next(&mut self) -> Option<Holder> {
+        loop {
+            self.revision.mark_unchanged();
+            let holder = self.names.holder(&self.name);
+            if self.told.as_ref() != Some(&holder) {
+                self.told = Some(holder.clone());
+                return holder;
+            }
+            // It ends with the last clone of the names, of which this has one.
+            let _ = self.revision.changed().await;
+        }
+    }
+
+    /// Waits until somebody holds it.
+    pub async fn held(&mut self) -> Holder {
+        loop {
+            if let Some(holder) = self.next().await {
+                return holder;
+            }
+        }
+    }
+}
+
+/// A name of the whole robot and who holds it, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ClaimRow {
+    /// The name.
+    pub name: ObjectName,
+    /// Who holds it, and under which epoch.
+    pub holder: Holder,
+    /// In which life of its node.
+    pub incarnation: Incarnation,
+    /// For how long this node has known so.
+    pub age: Duration,
+}

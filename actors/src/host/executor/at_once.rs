@@ -1,0 +1,53 @@
+//! Events straight from the arbiter's hub to the handler, without the queue.
+
+use super::{ComponentExecutor, Service};
+use crate::component::Component;
+use crate::component::envelope::Envelope;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::task;
+
+impl<C: Component> ComponentExecutor<C> {
+    /// Nothing is before a message that comes now.
+    #[inline]
+    pub(crate) fn is_free(&self) -> bool {
+        matches!(self.service, Service::Idle)
+            && self.anchor.lane.is_empty()
+            && self.course.is_serving()
+            && !self.over
+            && self.home.is_some()
+            && self.waker.is_some()
+            && !self.life.has_wishes()
+            && !self.life.token.has_ended()
+            && !self.life.token.is_muted()
+            && self.budget.is_trusted()
+    }
+
+    /// The hub has found that this component took long over an event.
+    pub(crate) fn overdraw(&self) {
+        if let Some(waker) = &self.waker {
+            self.budget.overdraw(waker);
+        }
+    }
+
+    /// An event straight to the handler, without the queue: only for a pump that is free. It runs
+    /// on the arbiter's hub, which has named the component to the pulse, under its guard and stamp.
+    #[inline]
+    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Envelope<C>) {
+        let Some(waker) = self.waker.take() else { return };
+        let mut cx = task::Context::from_waker(&waker);
+        let served = catch_unwind(AssertUnwindSafe(|| {
+            self.begin_message(&mail.brief(), mail);
+            self.advance(&mut cx)
+        }));
+        if let Err(payload) = served {
+            self.died_in_service(payload);
+        }
+        if self.is_abandoned() {
+            self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
+        }
+        if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
+            waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
+        }
+        self.waker = Some(waker);
+    }
+}

@@ -1,0 +1,220 @@
+//! How lives end, and what follows: a replacement on the spot, or a report and rest.
+
+use super::{ComponentExecutor, Service};
+use crate::component::Component;
+use crate::component::cell::Blame;
+use crate::component::life::{DeferredCommands, IncarnationState};
+use crate::host::executor::outbox::DeferredReport;
+use crate::host::lifecycle::{EndReason, IncarnationLifecycle};
+use crate::liveness::label;
+use crate::messaging::death_watch::{Down, Ending};
+use crate::platform;
+use crate::platform::panics;
+use blastema_contract::child::{ChildEvent, RestartGrant};
+use blastema_contract::reports::{ExitReason, Exited};
+use blastema_core::{DeliveryError, Incarnation, Lifecycle};
+use std::any::Any;
+use std::rc::Rc;
+
+impl<C: Component> ComponentExecutor<C> {
+    /// A condition that the component gave has panicked.
+    pub(crate) fn die_of(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
+        self.died(payload, during);
+        if let Some(waker) = &self.waker {
+            waker.wake_by_ref();
+        }
+    }
+
+    pub(super) fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
+        let during = label::name(self.slot.stamp.read().during);
+        self.died(payload, during);
+    }
+
+    /// This life has ended by a panic. Begins the next one where a standing order says so.
+    #[cold]
+    pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
+        let at = panics::take_place();
+        let text = panics::text_of(payload);
+        if self.over {
+            // The life has one end, and its report waits in the outbox: another condition of the
+            // component panicked before the pump had its turn.
+            return;
+        }
+        let exit = ExitReason::Panicked { text, at, during };
+        if self.slot.stamp.is_busy() {
+            self.slot.stamp.step();
+        }
+        let incarnation = self.life.incarnation;
+        self.life.token.end();
+        if let Service::Message(_) = self.service {
+            let contract = label::name(self.slot.stamp.read().during);
+            self.anchor.record.record_fatal_message(incarnation);
+            self.anchor
+                .record
+                .record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
+        }
+        self.bury(Blame::Log);
+        let restarted_as = self.may_restart().then(|| incarnation.next());
+        let mine = match restarted_as {
+            Some(next) => self.anchor.lane.pass_on(incarnation, next),
+            None => self.anchor.lane.leave(incarnation),
+        };
+        if !mine {
+            return self.leave(); // It had been given up before; nobody waits for its report.
+        }
+        match restarted_as {
+            Some(next) => {
+                self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
+                self.course = IncarnationLifecycle::new(self.course.is_starting());
+                self.start_failed = false;
+                self.begin_life();
+                let subscriptions = self.anchor.subscriptions();
+                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.anchor));
+            }
+            None => self.over = true,
+        }
+        self.report_exit(incarnation, exit, restarted_as);
+    }
+
+    /// Draws on the standing order, if there is one.
+    pub(super) fn may_restart(&mut self) -> bool {
+        let Some(RestartGrant { times, period, .. }) = self.anchor.record.order() else {
+            return false;
+        };
+        if self.course.is_ending() {
+            return false;
+        }
+        let now = platform::now();
+        while self.deaths.front().is_some_and(|&death| now - death > period) {
+            self.deaths.pop_front();
+        }
+        let allowed = self.deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
+        if allowed {
+            self.deaths.push_back(now);
+        }
+        allowed
+    }
+
+    /// Tells how a life has ended: the monitor, the supervisor, and those who watch.
+    pub(super) fn report_exit(
+        &mut self,
+        incarnation: Incarnation,
+        exit: ExitReason,
+        restarted_as: Option<Incarnation>,
+    ) {
+        let record = &self.anchor.record;
+        if restarted_as.is_none() {
+            record.withdraw_names();
+        }
+        let object = record.name.clone();
+        let ending = Ending::from(&exit);
+        record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
+        let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
+            (ExitReason::Stopped, _) => ChildEvent::Stopped,
+            (ExitReason::Panicked { text, at, .. }, true) => {
+                ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
+            }
+            _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
+        };
+        // A life of which the supervisor knows that it never began does not die in addition.
+        let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
+        let exited = DeferredReport::Exited(Exited { object, incarnation, exit, restarted_as });
+        // A replacement's own news come after the end of the life that it replaces.
+        let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
+        let place = place.unwrap_or(self.outbox.len());
+        let child = (!known).then_some(DeferredReport::Child(event, incarnation));
+        self.outbox.splice(place..place, [exited].into_iter().chain(child));
+    }
+
+    /// The life ends without a panic, its hooks done.
+    pub(super) fn end(&mut self, end: EndReason) {
+        let incarnation = self.life.incarnation;
+        self.over = true;
+        self.life.token.end();
+        self.bury(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
+        let exit = match end {
+            EndReason::Stopped => {
+                self.anchor.end_by(incarnation);
+                ExitReason::Stopped
+            }
+            EndReason::Replaced => {
+                self.anchor.lane.leave(incarnation);
+                ExitReason::Stopped
+            }
+            EndReason::Returned => {
+                self.anchor.lane.leave(incarnation);
+                ExitReason::Returned
+            }
+            EndReason::Fatal => {
+                self.anchor.lane.leave(incarnation);
+                ExitReason::Fatal
+            }
+        };
+        self.anchor.record.set_state(Lifecycle::Finalized);
+        self.report_exit(incarnation, exit, None);
+    }
+
+    /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
+    pub(super) fn bury(&mut self, blame: Blame) {
+        self.followed = false;
+        self.dispose_service(blame);
+        let record = &self.anchor.record;
+        let DeferredCommands { tasks, timers, .. } = self.life.take_wishes();
+        let fresh = timers.into_iter().map(|(_, _, action)| action);
+        fresh.for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
+        let (tasks, timers) = self.chores.clear();
+        timers.into_iter().for_each(|action| record.dispose("a timer", action, blame));
+        tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
+        record.dispose("the component", self.home.take(), blame);
+    }
+
+    /// Drops what was in service, and what it was kept in.
+    pub(super) fn dispose_service(&mut self, blame: Blame) {
+        let service = std::mem::replace(&mut self.service, Service::Idle);
+        let nests = std::mem::take(&mut self.nests);
+        let record = &self.anchor.record;
+        record.dispose("what it was serving", service, blame);
+        // One by one: a second panic while unwinding from the first would end the process.
+        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
+    }
+
+    /// Somebody gave this life up and begins, or has begun, the next.
+    pub(super) fn is_abandoned(&self) -> bool {
+        self.life.token.has_ended() && !self.over
+    }
+
+    /// Ends without a report, after having been given up. Who gave this life up knows of its end,
+    /// but perhaps not yet of those before it.
+    pub(super) fn leave(&mut self) {
+        self.over = true;
+        self.bury(Blame::Log);
+        let present = self.life.incarnation;
+        self.outbox.retain(|notice| notice.is_death_before(present));
+        self.flush();
+        if self.pulse.is_lost() {
+            self.seat.return_late();
+        } else {
+            self.pulse.lift();
+        }
+    }
+
+    /// The future is dropped: after its end, or because its arbiter goes away.
+    pub(super) fn drop_before_the_end(&mut self) {
+        if self.over {
+            // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
+            return self.flush();
+        }
+        if self.is_abandoned() {
+            return self.leave();
+        }
+        let incarnation = self.life.incarnation;
+        self.over = true;
+        self.life.token.end();
+        self.anchor.record.record_fatal_message(incarnation);
+        self.bury(Blame::Log);
+        self.anchor.lane.leave(incarnation);
+        self.report_exit(incarnation, ExitReason::Aborted, None);
+        self.flush();
+    }
+}

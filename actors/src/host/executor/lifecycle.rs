@@ -1,0 +1,68 @@
+//! What follows when a hook has ended: the next state of the life cycle, and who is told.
+
+use super::ComponentExecutor;
+use super::outbox::DeferredReport;
+use crate::component::{Component, Failure};
+use crate::host::lifecycle::{Hook, LifecycleReport};
+use crate::host::schedule::DueWork;
+use blastema_contract::child::ChildEvent;
+use blastema_contract::reports::{FaultDeclared, StateReported};
+use blastema_core::{FaultKind, Lifecycle};
+
+impl<C: Component> ComponentExecutor<C> {
+    pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
+        let silent = self.anchor.record.injected.is_silent();
+        if hook == Hook::Execute && result.is_ok() && !silent {
+            self.slot.stamp.end_round();
+        }
+        self.course.handle_done(hook, result);
+        self.tell_news();
+    }
+
+    /// Passes on what the course has to tell, and keeps the rest of the host in step with it.
+    pub(super) fn tell_news(&mut self) {
+        for news in self.course.poll_news() {
+            match news {
+                LifecycleReport::State(state, reason) => self.enter(state, reason),
+                LifecycleReport::Unavailable { reason, retry_in } => {
+                    self.chores.limit(DueWork::Retry, retry_in);
+                    let object = self.anchor.record.name.clone();
+                    let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
+                    let declared = FaultDeclared { object, incarnation, kind, detail: reason };
+                    self.outbox.push(DeferredReport::Declared(declared));
+                }
+                LifecycleReport::Child(event) => {
+                    self.chores.cancel_limit(DueWork::ReadyLimit);
+                    self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
+                    self.outbox.push(DeferredReport::Child(event, self.life.incarnation));
+                }
+            }
+        }
+    }
+
+    fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
+        self.anchor.record.set_state(state);
+        self.slot.stamp.expect_signs(state == Lifecycle::Active);
+        self.chores.set_active(state == Lifecycle::Active);
+        if state == Lifecycle::Active {
+            self.anchor.record.claim_names();
+        }
+        let incarnation = self.life.incarnation;
+        // States that were passed through within one poll are not told one by one.
+        if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
+            && last.incarnation == incarnation
+            && last.reason.is_none()
+            && reason.is_none()
+        {
+            last.state = state;
+            return;
+        }
+        let object = self.anchor.record.name.clone();
+        self.outbox.push(DeferredReport::State(StateReported {
+            object,
+            incarnation,
+            state,
+            reason,
+        }));
+    }
+}

@@ -1,0 +1,561 @@
+//! Serves one component's life: hooks, timers, tasks and the data lane, every poll under the guard.
+//!
+//! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and
+//! only the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that
+//! unwinds borrows it, so that unwinding never runs its `Drop`; it is dropped afterwards, under a
+//! guard of its own.
+
+mod at_once;
+mod ending;
+mod lifecycle;
+mod outbox;
+mod shared;
+
+pub(crate) use shared::{SharedExecutor, executor_here};
+
+use outbox::DeferredReport;
+
+use super::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleStep};
+use super::schedule::{DueWork, ScheduledWork};
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::pool::ArbiterSlot;
+use crate::arbiter::turn_budget::TurnBudget;
+use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
+use crate::component::context::Context;
+use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
+use crate::component::life::IncarnationState;
+use crate::component::{Component, Failure};
+use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
+use crate::liveness::label::label;
+use crate::liveness::sampler::SampledComponent;
+use crate::messaging::queue::Popped;
+use crate::platform;
+use crate::platform::panics::PanicGuard;
+use actix::Recipient;
+use blastema_contract::child::ChildReport;
+use blastema_core::{DeliveryError, Incarnation, Instant};
+use std::any::TypeId;
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::task::{self, Poll, Waker};
+
+/// Messages per poll while they are quick; then neighbours and the control lane have their turn.
+const BUDGET: usize = 64;
+/// Nests kept at most; a component that takes more contracts than this pays a box for the others.
+const NESTS: usize = 4;
+
+/// Where the component lives. A running handler borrows it for as long as it runs; since the guard
+/// holds the other `Rc`, a handler that unwinds never drops the component.
+pub(crate) struct ComponentSlot<C: Component> {
+    pub(crate) seat: RefCell<ComponentAndContext<C>>,
+}
+
+/// The component and its context, which a handler borrows together.
+pub(crate) struct ComponentAndContext<C: Component> {
+    component: C,
+    cx: Context<C>,
+}
+
+impl<C: Component> ComponentAndContext<C> {
+    #[inline]
+    pub(crate) fn both(&mut self) -> (&mut C, &mut Context<C>) {
+        (&mut self.component, &mut self.cx)
+    }
+}
+
+/// What is in service.
+enum Service {
+    Idle,
+    /// A message, in the nest of this number.
+    Message(usize),
+    Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
+}
+
+struct Nested<C: Component> {
+    contract: TypeId,
+    label: u32,
+    nest: Pin<Box<dyn FutureSlot<C>>>,
+}
+
+/// How far one step came.
+enum Progress {
+    /// Something is done; there may be more.
+    More,
+    /// Nothing to do now.
+    Wait,
+    /// Nothing to do for ever.
+    Over,
+}
+
+pub(crate) struct ComponentExecutor<C: Component> {
+    anchor: Arc<ComponentCell<C>>,
+    life: Rc<IncarnationState<C>>,
+    course: IncarnationLifecycle,
+    home: Option<Rc<ComponentSlot<C>>>,
+    service: Service,
+    nests: Vec<Nested<C>>,
+    /// Boxed, so that what every message touches lies closer together.
+    chores: Box<ScheduledWork<C>>,
+    /// Shared with the component's tasks.
+    budget: Rc<TurnBudget>,
+    /// The last turn went to the component's tasks; this one begins with the next step.
+    step_first: bool,
+    /// The last step went to a round or a timer.
+    message_next: bool,
+    slot: ActivitySlot,
+    seat: ArbiterSlot,
+    pulse: Arc<ArbiterHeartbeat>,
+    waker: Option<Waker>,
+    /// The message in service is to be blamed by its identity if it brings death.
+    followed: bool,
+    /// The supervisor knows that the life did not come to work.
+    start_failed: bool,
+    /// This life is over, and none comes after it here.
+    over: bool,
+    deaths: VecDeque<Instant>,
+    outbox: Vec<DeferredReport>,
+    supervisor: Recipient<ChildReport>,
+}
+
+impl<C: Component> ComponentExecutor<C> {
+    /// A pump for a life that begins on this arbiter.
+    pub(crate) fn new(
+        anchor: Arc<ComponentCell<C>>,
+        incarnation: Incarnation,
+        seat: ArbiterSlot,
+        supervisor: Recipient<ChildReport>,
+    ) -> Self {
+        let slot = ActivitySlot::claim();
+        let life = Rc::new(IncarnationState::new(incarnation, slot.stamp));
+        let mut pump = ComponentExecutor {
+            anchor,
+            life,
+            course: IncarnationLifecycle::new(true),
+            home: None,
+            service: Service::Idle,
+            nests: Vec::new(),
+            chores: Box::default(),
+            budget: Rc::default(),
+            step_first: false,
+            message_next: false,
+            slot,
+            pulse: seat.pulse.clone(),
+            seat,
+            waker: None,
+            followed: false,
+            start_failed: false,
+            over: false,
+            deaths: VecDeque::new(),
+            outbox: Vec::new(),
+            supervisor,
+        };
+        pump.begin_life();
+        let record = &pump.anchor.record;
+        let anchor = Arc::downgrade(&pump.anchor);
+        let watched = SampledComponent {
+            object: record.name.clone(),
+            inside: anchor,
+            pulse: pump.pulse.clone(),
+            stamp: pump.slot.stamp,
+            limits: record.limits.clone(),
+        };
+        record.environment.watch_list.enter(pump.slot.index, watched);
+        pump
+    }
+
+    fn begin_life(&mut self) {
+        let record = &self.anchor.record;
+        self.slot.stamp.begin_life(self.life.incarnation.0);
+        self.life.token.mute(record.is_isolated());
+        let (seat, token) = (self.seat.clone(), self.life.token.clone());
+        let seated = CurrentPlacement { seat, slot: self.place(), token };
+        let is_newest = record.enter(self.life.incarnation, seated);
+        self.chores.begin(record.limits.interval);
+        self.slot.stamp.run_every(record.limits.interval);
+        if self.course.is_starting() {
+            self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
+        }
+        // Whoever gave this life up before its place was known could not tell it so.
+        if !is_newest || self.anchor.lane.owner() != Some(self.life.incarnation) {
+            self.life.token.end();
+        }
+    }
+
+    #[inline]
+    pub(crate) fn place(&self) -> ActivitySlotRef {
+        ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
+    }
+
+    /// The place where it lived is free.
+    pub(crate) fn vacate(&self) {
+        self.seat.vacate();
+    }
+
+    /// The supervisor asks for a recovery within this life.
+    pub(crate) fn reset(&mut self) {
+        self.course.handle_reset();
+        self.tell_news();
+    }
+
+    /// Somebody asks the component to return to work, or to leave it.
+    pub(crate) fn activate(&mut self, active: bool) {
+        self.course.handle_activate(active);
+    }
+
+    /// The supervisor asks for an end in order.
+    pub(crate) fn stop(&mut self, end: EndReason) {
+        self.course.handle_stop(end);
+        self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
+    }
+
+    /// One poll of everything. Ready when the last life here is over.
+    pub(crate) fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
+        if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
+            self.waker = Some(cx.waker().clone());
+        }
+        if self.is_abandoned() {
+            self.leave();
+            return Poll::Ready(());
+        }
+        if self.pulse.is_lost() {
+            return Poll::Pending; // The arbiter came back too late; the successor is on its way.
+        }
+        if self.budget.is_resting() {
+            return Poll::Pending; // The scheduler wakes it when the others have had their turn.
+        }
+        let muted = self.life.token.is_muted();
+        if muted {
+            self.pulse.mute(true);
+        }
+        self.pulse.run(Some(self.slot.index));
+        let guarded = PanicGuard::enter();
+        self.budget.begin();
+        let over = self.turn(cx);
+        self.budget.end(cx.waker());
+        drop(guarded);
+        self.pulse.run(None);
+        if muted {
+            self.pulse.mute(false);
+        }
+        if self.is_abandoned() {
+            self.leave();
+            return Poll::Ready(());
+        }
+        self.flush();
+        if over { Poll::Ready(()) } else { Poll::Pending }
+    }
+
+    /// Says whether the last life here is over.
+    fn turn(&mut self, cx: &mut task::Context<'_>) -> bool {
+        if self.over {
+            return true;
+        }
+        let mut chores_wait = !self.chores.is_empty();
+        if chores_wait && !std::mem::take(&mut self.step_first) {
+            chores_wait = false;
+            if self.poll_chores(cx) {
+                return self.over;
+            }
+        }
+        for _ in 0..BUDGET {
+            if self.over || self.life.token.has_ended() {
+                return true;
+            }
+            match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
+                Ok(Progress::More) => {}
+                Ok(Progress::Wait) => {
+                    if !matches!(self.service, Service::Idle) && !self.budget.lasts() {
+                        return self.over;
+                    }
+                    if !chores_wait && !self.chores.is_fresh() {
+                        return false;
+                    }
+                    chores_wait = false;
+                    if self.poll_chores(cx) {
+                        return self.over;
+                    }
+                }
+                Ok(Progress::Over) => return true,
+                Err(payload) => self.died_in_service(payload),
+            }
+            if !self.budget.lasts() {
+                return self.over;
+            }
+        }
+        self.budget.pause(cx.waker());
+        false
+    }
+
+    /// Says whether that has used the turn up.
+    fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx))) {
+            self.died(payload, "a task of its own");
+        }
+        self.handle_limits();
+        self.step_first = self.budget.is_spent();
+        self.step_first
+    }
+
+    /// One hook, timer or message a little further.
+    fn step(&mut self, cx: &mut task::Context<'_>) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
+        if !matches!(self.service, Service::Idle) {
+            return self.advance(cx);
+        }
+        if self.home.is_none() {
+            self.build();
+        }
+        if !self.course.is_serving() {
+            match self.course.next() {
+                LifecycleStep::Run(hook) => {
+                    self.begin_hook(hook);
+                    return self.advance(cx);
+                }
+                LifecycleStep::Serve => {}
+                LifecycleStep::Rest => return Progress::Wait,
+                LifecycleStep::End(end) => {
+                    self.end(end);
+                    return Progress::Over;
+                }
+            }
+        }
+        // A message follows each round and timer, so that those which are late all the time leave
+        // room.
+        if !std::mem::take(&mut self.message_next)
+            && let Some(chore) = self.chores.next_due()
+        {
+            self.message_next = true;
+            return self.do_chore(chore, cx);
+        }
+        match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
+            Popped::Got(mail) => self.open(mail, cx),
+            Popped::Empty => match self.chores.next_due() {
+                Some(chore) => self.do_chore(chore, cx),
+                None => Progress::Wait,
+            },
+            Popped::Retired => {
+                self.life.token.end();
+                Progress::Over
+            }
+        }
+    }
+
+    /// Takes a message into service.
+    #[inline]
+    fn open(&mut self, mut mail: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
+        let brief = mail.brief();
+        if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
+            self.slot.stamp.expire();
+            self.anchor.return_mail(mail, DeliveryError::Expired);
+            return Progress::More;
+        }
+        if brief.is_followed
+            && let Some(why) = self.follow(&*mail)
+        {
+            self.anchor.return_mail(mail, why);
+            return Progress::More;
+        }
+        self.begin_message(&brief, &mut *mail);
+        drop(mail);
+        self.advance(cx)
+    }
+
+    /// Notes who is to be told if this message brings death; says why it is not to be served.
+    fn follow(&mut self, mail: &dyn Envelope<C>) -> Option<DeliveryError> {
+        if mail.is_void() {
+            self.slot.stamp.expire();
+            return Some(DeliveryError::DeadlinePassed);
+        }
+        let id = mail.id();
+        if id.is_some()
+            && let Some(why) = self.anchor.record.refusal(id)
+        {
+            return Some(why);
+        }
+        self.anchor.record.begin_service(mail.revocable(), id);
+        self.followed = id.is_some();
+        None
+    }
+
+    /// Fills the contract's nest, or builds it.
+    #[inline]
+    fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
+        let Some(home) = &self.home else { return };
+        self.life.captured_at.set(Some(brief.captured_at));
+        if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
+            let nested = &mut self.nests[at];
+            self.slot.stamp.begin(nested.label);
+            if nested.nest.as_mut().refill(mail.contents(), home) {
+                self.service = Service::Message(at);
+            } else {
+                self.slot.stamp.step();
+            }
+            return;
+        }
+        let label = label(brief.name);
+        self.slot.stamp.begin(label);
+        let Some(nest) = mail.nest(home) else { return self.slot.stamp.step() };
+        self.nests.truncate(NESTS - 1);
+        self.nests.push(Nested { contract: brief.contract, label, nest });
+        self.service = Service::Message(self.nests.len() - 1);
+    }
+
+    fn begin_hook(&mut self, hook: Hook) {
+        let Some(home) = &self.home else { return };
+        self.slot.stamp.begin(label(hook.name()));
+        self.service = Service::Hook(hook, Box::pin(run_hook(home.clone(), hook)));
+    }
+
+    /// What is in service, a little further.
+    #[inline]
+    fn advance(&mut self, cx: &mut task::Context<'_>) -> Progress {
+        match &mut self.service {
+            Service::Idle => return Progress::More,
+            Service::Message(at) => {
+                if self.nests[*at].nest.as_mut().poll(cx).is_pending() {
+                    return self.wait();
+                }
+                self.service = Service::Idle;
+                if self.followed {
+                    self.followed = false;
+                    self.anchor.record.end_service();
+                }
+            }
+            Service::Hook(hook, future) => {
+                let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
+                let hook = *hook;
+                self.service = Service::Idle;
+                self.hook_done(hook, result);
+            }
+        }
+        self.slot.stamp.step();
+        Progress::More
+    }
+
+    /// What is in service awaits something, perhaps what it has just started.
+    fn wait(&mut self) -> Progress {
+        if self.life.has_wishes() {
+            self.grant();
+        }
+        Progress::Wait
+    }
+
+    /// Builds the component; user code, so it runs under the guard.
+    fn build(&mut self) {
+        self.slot.stamp.begin(label("its factory"));
+        let cx = Context::new(self.anchor.clone(), self.life.clone());
+        let component = (self.anchor.factory)();
+        self.home = Some(Rc::new(ComponentSlot {
+            seat: RefCell::new(ComponentAndContext { component, cx }),
+        }));
+        self.slot.stamp.step();
+        self.tell_news();
+    }
+
+    /// Fulfils what a handler or hook asked for.
+    fn grant(&mut self) {
+        let wishes = self.life.take_wishes();
+        if let Some(interval) = wishes.interval
+            && self.chores.set_interval(interval)
+        {
+            self.slot.stamp.run_every(interval);
+            self.course.handle_rate_changed();
+        }
+        if let Some(failure) = wishes.failure {
+            self.course.handle_failure(failure);
+        }
+        if wishes.stop {
+            self.course.handle_stop(EndReason::Returned);
+            self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
+        }
+        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
+        self.tell_news();
+    }
+
+    fn do_chore(&mut self, chore: DueWork, cx: &mut task::Context<'_>) -> Progress {
+        match chore {
+            DueWork::Execute => {
+                self.begin_hook(Hook::Execute);
+                self.advance(cx)
+            }
+            DueWork::Timer(id) => {
+                if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
+                    self.slot.stamp.begin(label("a timer"));
+                    {
+                        let mut chair = home.seat.borrow_mut();
+                        let (component, cx) = chair.both();
+                        action(component, cx);
+                    }
+                    self.slot.stamp.step();
+                    self.chores.put_back(id, action);
+                }
+                Progress::More
+            }
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => Progress::More,
+        }
+    }
+
+    fn handle_limits(&mut self) {
+        if self.chores.take_limit(DueWork::Retry) && self.course.handle_retry() {
+            self.chores.limit(DueWork::ReadyLimit, self.anchor.record.limits.ready_within);
+        }
+        if self.chores.take_limit(DueWork::ReadyLimit) && self.course.is_starting() {
+            self.drop_service();
+            let within = self.anchor.record.limits.ready_within;
+            self.course.handle_fatal(format!("it was not ready within {within:?}"));
+            self.tell_news();
+        }
+        if self.chores.take_limit(DueWork::StopLimit) && self.course.is_ending() {
+            self.drop_service();
+            self.end(if self.course.makes_way() {
+                EndReason::Replaced
+            } else {
+                EndReason::Stopped
+            });
+        }
+    }
+
+    /// Gives up what is in service; its sender is told.
+    fn drop_service(&mut self) {
+        if matches!(self.service, Service::Idle) {
+            return;
+        }
+        self.anchor.record.record_fatal_message(self.life.incarnation);
+        self.followed = false;
+        self.dispose_service(Blame::Log);
+        self.slot.stamp.step();
+    }
+}
+
+#[expect(
+    clippy::await_holding_refcell_ref,
+    reason = "messages wait while one is served; the control lane does not borrow"
+)]
+async fn run_hook<C: Component>(home: Rc<ComponentSlot<C>>, hook: Hook) -> Result<(), Failure> {
+    let mut chair = home.seat.borrow_mut();
+    let (component, cx) = chair.both();
+    if let Some(injected) = cx.before() {
+        injected.await;
+    }
+    match hook {
+        Hook::Initialize if cx.fails_initialization() => Err("it was told to fail".into()),
+        Hook::Initialize => component.on_initialize(cx).await,
+        Hook::Startup => component.on_startup(cx).await,
+        Hook::Activated => component.on_activated(cx).await,
+        Hook::Execute => component.on_execute(cx).await,
+        Hook::RateChanged => component.on_rate_changed(cx).await,
+        Hook::Deactivated => component.on_deactivated(cx).await,
+        Hook::Aborting => component.on_aborting(cx).await,
+        Hook::Error => component.on_error(cx).await,
+        Hook::Reset => component.on_reset(cx).await,
+        Hook::Shutdown => component.on_shutdown(cx).await,
+        Hook::Finalize => component.on_finalize(cx).await,
+    }
+}

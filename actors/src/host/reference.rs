@@ -1,0 +1,135 @@
+//! A reference to one component, of which the sender knows the type.
+
+use crate::component::cell::ComponentCell;
+use crate::component::{Component, Handle};
+use crate::host::HostCommand;
+use crate::messaging::retry;
+use crate::messaging::sender::{
+    DEFAULT_DEADLINE, MessageSink, RequestError, SendError, Sender, deliver,
+};
+use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending
+/// means.
+pub struct ActorRef<C: Component>(pub(crate) Arc<ComponentCell<C>>);
+
+impl<C: Component> Clone for ActorRef<C> {
+    fn clone(&self) -> Self {
+        ActorRef(self.0.clone())
+    }
+}
+
+impl<C: Component> fmt::Debug for ActorRef<C> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.name(), self.incarnation())
+    }
+}
+
+impl<C: Component> ActorRef<C> {
+    /// Hands the message to the component's queue. Never waits.
+    ///
+    /// # Errors
+    /// The reason, and the message as it was.
+    #[inline]
+    pub fn tell<M: Contract>(&self, message: M) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        let told = MessageSink::tell(&*self.0, message);
+        told.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+    }
+
+    /// Hands the message to the component's queue, and waits while it has no room.
+    ///
+    /// # Errors
+    /// As [`Sender::deliver`].
+    pub async fn deliver<M: Contract>(&self, message: M) -> Result<(), SendError<M>>
+    where
+        C: Handle<M>,
+    {
+        let delivered = deliver(&*self.0, message).await;
+        delivered.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+    }
+
+    /// Asks, and waits for the reply for one second at most.
+    ///
+    /// # Errors
+    /// As [`Sender::ask`].
+    pub async fn ask<M: Contract>(&self, message: M) -> Result<M::Reply, RequestError<M>>
+    where
+        C: Handle<M>,
+    {
+        self.ask_within(message, DEFAULT_DEADLINE).await
+    }
+
+    /// Asks, and waits for the reply until the deadline.
+    ///
+    /// # Errors
+    /// As [`Sender::ask`].
+    #[inline]
+    pub async fn ask_within<M: Contract>(
+        &self,
+        message: M,
+        deadline: Duration,
+    ) -> Result<M::Reply, RequestError<M>>
+    where
+        C: Handle<M>,
+    {
+        let asked = async {
+            if M::IDEMPOTENT {
+                return retry::ask_idempotent::<M>(&*self.0, message, deadline).await;
+            }
+            MessageSink::ask(&*self.0, message, None, Some(deadline))?.within(deadline).await
+        };
+        asked.await.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+    }
+
+    /// The same for one contract only, with the component's type hidden.
+    pub fn sender<M: Contract>(&self) -> Sender<M>
+    where
+        C: Handle<M>,
+    {
+        Sender(self.0.clone())
+    }
+
+    /// Asks the component to leave work in order; messages wait until it returns. Without effect
+    /// unless it is active.
+    pub fn deactivate(&self) {
+        self.order(HostCommand::Activate(false));
+    }
+
+    /// Asks the component to return to work. Without effect unless it is initialised and not
+    /// active.
+    pub fn activate(&self) {
+        self.order(HostCommand::Activate(true));
+    }
+
+    fn order(&self, control: HostCommand) {
+        if let Some(host) = self.0.control() {
+            host.do_send(control);
+        }
+    }
+
+    /// The component's name.
+    pub fn name(&self) -> &ObjectName {
+        &self.0.record.name
+    }
+
+    /// The life that began last.
+    pub fn incarnation(&self) -> Incarnation {
+        self.0.record.incarnation()
+    }
+
+    /// Where the component stands.
+    pub fn state(&self) -> Lifecycle {
+        self.0.record.state()
+    }
+
+    /// How many messages wait.
+    pub fn queued(&self) -> usize {
+        self.0.lane.depth()
+    }
+}

@@ -1,0 +1,362 @@
+//! What a life has to do beside messages: its rounds, its timers, its tasks, and two limits.
+//!
+//! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a
+//! time stands in one schedule, of which one sleeping future waits for the earliest entry: a timer
+//! costs its closure and an entry, and frees both as soon as it is cancelled. Rounds and timers
+//! become due here and take their turn between messages; one that is due already is not made due
+//! again, so that nothing stale piles up while the component is busy.
+
+use crate::arbiter::turn_budget::TurnBudget;
+use crate::component::Component;
+use crate::component::life::{Task, TimerAction, TimerId, TimerMode};
+use crate::platform;
+use blastema_core::Instant;
+use futures_util::stream::{FuturesUnordered, Stream};
+use std::collections::{BTreeMap, VecDeque};
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::time::Sleep;
+
+/// Tasks of one component at one time. Who has more has lost count of them.
+const TASKS: usize = 1024;
+/// Timers of one component at one time, for the same reason.
+const TIMERS: usize = 1024;
+/// Tasks that may end in one poll; then the rest of the arbiter has its turn.
+const BUDGET: usize = 64;
+/// Ticks that are no later than this are made up for, so that the runtime's clock, which rounds up
+/// to whole milliseconds, costs a fast rhythm none of them.
+const LATE: Duration = Duration::from_millis(5);
+/// The runtime's clock is no finer. Ticks of a faster rhythm are never made up for.
+const FINEST: Duration = Duration::from_millis(1);
+
+/// Something that is due.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum DueWork {
+    Execute,
+    Timer(TimerId),
+    /// The life should have begun by now.
+    ReadyLimit,
+    /// It should have ended by now.
+    StopLimit,
+    /// What was not there yet may be there now.
+    Retry,
+}
+
+/// When an entry of the schedule is due, and which of those of one instant it is.
+type Entry = (Instant, u64);
+
+struct Timer<C: Component> {
+    every: Option<Duration>,
+    /// Its entry in the schedule, until it is due for the last time.
+    entry: Option<Entry>,
+    /// Lifted out while it runs.
+    action: Option<TimerAction<C>>,
+}
+
+/// A task of the component's own; it waits while the turn is over.
+struct Spawned {
+    task: Task,
+    budget: Rc<TurnBudget>,
+}
+
+impl Future for Spawned {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
+        if self.budget.is_spent() {
+            cx.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        let polled = self.task.as_mut().poll(cx);
+        self.budget.lasts();
+        polled
+    }
+}
+
+pub(crate) struct ScheduledWork<C: Component> {
+    tasks: FuturesUnordered<Spawned>,
+    timers: BTreeMap<u64, Timer<C>>,
+    schedule: BTreeMap<Entry, DueWork>,
+    /// Numbers the entries.
+    next_entry: u64,
+    /// Sleeps until the earliest entry, or one before it.
+    alarm: Option<(Instant, Pin<Box<Sleep>>)>,
+    /// At most one entry per timer, and one for the round.
+    due: VecDeque<DueWork>,
+    /// Limits that were reached and have not been asked for yet.
+    reached: Vec<DueWork>,
+    interval: Option<Duration>,
+    active: bool,
+    /// The entry of the next round.
+    round: Option<Entry>,
+    /// When the last round was to be, since the component is active.
+    last_round: Option<Instant>,
+    /// Something was started and has not been polled yet.
+    fresh: bool,
+}
+
+impl<C: Component> Default for ScheduledWork<C> {
+    fn default() -> Self {
+        ScheduledWork {
+            tasks: FuturesUnordered::new(),
+            timers: BTreeMap::new(),
+            schedule: BTreeMap::new(),
+            next_entry: 0,
+            alarm: None,
+            due: VecDeque::new(),
+            reached: Vec::new(),
+            interval: None,
+            active: false,
+            round: None,
+            last_round: None,
+            fresh: false,
+        }
+    }
+}
+
+/// The tick after the one of `due`, for who sees that one at `now`.
+fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
+    // A timer of no interval would keep the arbiter for itself.
+    let every = every.max(Duration::from_micros(1));
+    let late = now - due;
+    if late < every || (late <= LATE && every >= FINEST) {
+        return due + every;
+    }
+    let past = u64::try_from(late.as_nanos() % every.as_nanos()).unwrap_or(0);
+    now + (every - Duration::from_nanos(past))
+}
+
+impl<C: Component> ScheduledWork<C> {
+    /// For a life that begins, with rounds at this interval.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
+        *self = ScheduledWork { interval, ..ScheduledWork::default() };
+    }
+
+    #[inline]
+    pub(crate) fn is_empty(&self) -> bool {
+        self.tasks.is_empty() && self.schedule.is_empty()
+    }
+
+    /// Something was started and has not been polled yet.
+    #[inline]
+    pub(crate) fn is_fresh(&self) -> bool {
+        self.fresh
+    }
+
+    pub(crate) fn set_active(&mut self, active: bool) {
+        if self.active == active {
+            return;
+        }
+        self.active = active;
+        self.last_round = None;
+        self.due.retain(|chore| *chore != DueWork::Execute);
+        self.plan_round();
+    }
+
+    /// Says whether that is another interval than before. The next round comes so long after the
+    /// last one, or at once.
+    pub(crate) fn set_interval(&mut self, interval: Option<Duration>) -> bool {
+        let changed = self.interval != interval;
+        if changed {
+            self.interval = interval;
+            self.plan_round();
+        }
+        changed
+    }
+
+    fn plan_round(&mut self) {
+        if let Some(entry) = self.round.take() {
+            self.schedule.remove(&entry);
+        }
+        if let (true, Some(interval)) = (self.active, self.interval) {
+            let now = platform::now();
+            let at = self.last_round.map_or(now, |last| (last + interval).max(now));
+            self.round = Some(self.enter(at, DueWork::Execute));
+        }
+    }
+
+    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
+        self.fresh = true;
+        self.next_entry += 1;
+        let entry = (at, self.next_entry);
+        self.schedule.insert(entry, chore);
+        entry
+    }
+
+    /// Takes on what the component has started, and ends what it has cancelled.
+    pub(crate) fn take_on(
+        &mut self,
+        tasks: Vec<Task>,
+        timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
+        cancelled: &[TimerId],
+        budget: &Rc<TurnBudget>,
+    ) {
+        for task in tasks {
+            let held = self.tasks.len();
+            assert!(held < TASKS, "the component holds {TASKS} tasks and starts yet another");
+            self.fresh = true;
+            self.tasks.push(Spawned { task, budget: budget.clone() });
+        }
+        cancelled.iter().for_each(|id| self.cancel(*id));
+        let now = platform::now();
+        for (id, rhythm, action) in timers {
+            if cancelled.contains(&id) {
+                continue;
+            }
+            let held = self.timers.len();
+            assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
+            let (delay, every) = match rhythm {
+                TimerMode::Once(delay) => (delay, None),
+                TimerMode::Every(interval) => (interval, Some(interval)),
+            };
+            let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
+            self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
+        }
+    }
+
+    fn cancel(&mut self, id: TimerId) {
+        let Some(timer) = self.timers.remove(&id.0) else { return };
+        if let Some(entry) = timer.entry {
+            self.schedule.remove(&entry);
+        }
+        self.due.retain(|chore| *chore != DueWork::Timer(id));
+    }
+
+    /// Sets one of the limits. One that is set already stays as it is.
+    pub(crate) fn limit(&mut self, limit: DueWork, within: Duration) {
+        if self.schedule.values().all(|set| *set != limit) {
+            self.enter(platform::now() + within, limit);
+        }
+    }
+
+    pub(crate) fn cancel_limit(&mut self, limit: DueWork) {
+        self.schedule.retain(|_, set| *set != limit);
+        self.reached.retain(|reached| *reached != limit);
+    }
+
+    /// Says whether this limit has been reached, once.
+    pub(crate) fn take_limit(&mut self, limit: DueWork) -> bool {
+        let before = self.reached.len();
+        self.reached.retain(|reached| *reached != limit);
+        self.reached.len() < before
+    }
+
+    /// Polls what was started. A panic in it is the component's.
+    pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
+        self.fresh = false;
+        self.poll_schedule(cx);
+        for _ in 0..BUDGET {
+            if !matches!(Pin::new(&mut self.tasks).poll_next(cx), Poll::Ready(Some(()))) {
+                return;
+            }
+        }
+        cx.waker().wake_by_ref();
+    }
+
+    /// Makes due what is, until everything lies ahead.
+    fn poll_schedule(&mut self, cx: &mut Context<'_>) {
+        while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
+            let until = platform::timer_at(earliest);
+            let (set_for, alarm) = self
+                .alarm
+                .get_or_insert_with(|| (earliest, Box::pin(tokio::time::sleep_until(until))));
+            if *set_for != earliest {
+                *set_for = earliest;
+                alarm.as_mut().reset(until);
+            }
+            if alarm.as_mut().poll(cx).is_pending() {
+                return;
+            }
+            let now = platform::now().max(earliest);
+            while let Some(first) = self.schedule.first_entry().filter(|first| first.key().0 <= now)
+            {
+                let ((at, _), chore) = first.remove_entry();
+                self.fall_due(chore, at, now);
+            }
+        }
+        self.alarm = None;
+    }
+
+    fn fall_due(&mut self, chore: DueWork, at: Instant, now: Instant) {
+        match chore {
+            DueWork::Execute => {
+                self.last_round = Some(at);
+                let next = self.interval.map(|interval| next_tick(at, interval, now));
+                self.round = next.map(|next| self.enter(next, DueWork::Execute));
+            }
+            DueWork::Timer(id) => {
+                let every = self.timers.get(&id.0).and_then(|timer| timer.every);
+                let next = every.map(|every| next_tick(at, every, now));
+                let entry = next.map(|next| self.enter(next, chore));
+                if let Some(timer) = self.timers.get_mut(&id.0) {
+                    timer.entry = entry;
+                }
+            }
+            DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {
+                return self.reached.push(chore);
+            }
+        }
+        if !self.due.contains(&chore) {
+            self.due.push_back(chore);
+        }
+    }
+
+    /// What is due first.
+    #[inline]
+    pub(crate) fn next_due(&mut self) -> Option<DueWork> {
+        self.due.pop_front()
+    }
+
+    /// The timer's action, to be run.
+    pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
+        self.timers.get_mut(&id.0)?.action.take()
+    }
+
+    /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
+    pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
+        if let Some(timer) = self.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
+            timer.action = Some(action);
+            return;
+        }
+        self.timers.remove(&id.0);
+    }
+
+    /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
+    pub(crate) fn clear(&mut self) -> (Vec<Task>, Vec<TimerAction<C>>) {
+        let ScheduledWork { tasks, timers, .. } = std::mem::take(self);
+        let tasks = tasks.into_iter().map(|spawned| spawned.task);
+        let actions = timers.into_values().filter_map(|timer| timer.action);
+        (tasks.collect(), actions.collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(micros: u64) -> Instant {
+        Instant::from_nanos(micros * 1000)
+    }
+
+    #[test]
+    fn a_tick_follows_the_one_before_it_and_those_that_were_missed_are_skipped() {
+        let ms = Duration::from_millis;
+        for (every, now, next) in [
+            (ms(10), 0, 10_000),
+            (ms(10), 3_000, 10_000),
+            // Late, but not by more than is made up for.
+            (ms(1), 1_500, 1_000),
+            (ms(10), 10_000, 20_000),
+            (ms(10), 25_000, 30_000),
+            (ms(10), 30_000, 40_000),
+            // Faster than the clock.
+            (Duration::from_micros(100), 1_050, 1_100),
+            (Duration::ZERO, 1_000, 1_001),
+        ] {
+            assert_eq!(next_tick(at(0), every, at(now)), at(next), "{every:?} seen at {now}");
+        }
+    }
+}

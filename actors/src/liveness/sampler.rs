@@ -1,0 +1,514 @@
+//! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
+//!
+//! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
+//! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
+
+use super::activity::ActivityRecord;
+use super::label;
+use super::limits::ComponentLimits;
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::pool::ArbiterPool;
+use crate::platform;
+use actix::Recipient;
+use blastema_contract::reports::LivenessReported;
+use blastema_core::detection::hang::{
+    ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig, HangLimits,
+    LivenessEvent, Looked, MaxSilence, QueueReading, SlotId,
+};
+use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, Pull, QueueSample};
+use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use std::{io, thread};
+
+/// How often pulses are looked at: as often as they beat.
+const PULSES: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
+/// Every so many looks stamps are looked at too. There are many of them: at every look it would
+/// cost six percent of a core for a hundred thousand.
+const STAMPS: u64 = 10;
+
+/// What can be told of a component without asking it.
+pub(crate) trait AliveSource: Send + Sync {
+    /// The life that began last.
+    fn incarnation(&self) -> Incarnation;
+    /// How many messages wait, and how long the oldest of them has.
+    fn queue(&self) -> QueueReading;
+}
+
+/// What a component is doing, also if it is stuck.
+struct Glance {
+    incarnation: Incarnation,
+    queue: QueueReading,
+    missed_rounds: u64,
+    /// The contract or hook in service, and since when, at least.
+    current: Option<CurrentHandler>,
+    /// How long ago it gave a sign of life, if it did.
+    last_sign: Option<Duration>,
+}
+
+/// One component as the watch sees it.
+pub(crate) struct SampledComponent {
+    pub(crate) object: ObjectName,
+    pub(crate) inside: Weak<dyn AliveSource>,
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) limits: ComponentLimits,
+}
+
+impl SampledComponent {
+    fn judged(&self) -> HangLimits {
+        let max_silence = match self.limits.watch {
+            // Half an interval of lateness is not another lost sign.
+            Liveness::Push(push) => Some(MaxSilence {
+                first: push.start_up,
+                between: push
+                    .interval
+                    .saturating_mul(push.tolerance)
+                    .saturating_add(push.interval / 2),
+            }),
+            _ => None,
+        };
+        // It is looked at every interval, and may be found dead that much later.
+        let max_unanswered = match self.limits.watch {
+            Liveness::Pull(Pull { interval, within, tolerance, .. }) => {
+                Some(within.saturating_mul(tolerance).saturating_add(interval))
+            }
+            _ => None,
+        };
+        HangLimits {
+            object: self.object.clone(),
+            arbiter: self.pulse.id(),
+            max_block: self.limits.max_block,
+            max_wait: self.limits.max_wait,
+            max_silence,
+            max_unanswered,
+            max_delay: self.limits.max_delay,
+            max_missed_percent: self.limits.max_missed_percent,
+        }
+    }
+}
+
+/// Everything that is to be watched: as many entries as components live. Clones share it.
+#[derive(Clone, Default)]
+pub(crate) struct SampledComponents(Arc<Entries>);
+
+#[derive(Default)]
+struct Entries {
+    by_slot: Mutex<BTreeMap<u32, SampledComponent>>,
+    /// Raised by every change.
+    version: AtomicU64,
+    /// What was in service at the last look: slot, turn, and since when.
+    busy: Mutex<Vec<(u32, u64, Instant)>>,
+    /// When components that give signs of life by themselves were last seen to have given one, by
+    /// slot.
+    signs: Mutex<Vec<(u32, Option<Instant>)>>,
+    /// How many rounds each slot's present life has missed, where any.
+    missed: Mutex<BTreeMap<u32, u64>>,
+    /// What the last look found of the arbiters.
+    arbiters: Mutex<BTreeMap<u64, ArbiterStatus>>,
+}
+
+/// Who lives on an arbiter.
+pub(crate) struct ArbiterResidents {
+    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    /// Who is on the thread right now.
+    pub(crate) running: Option<ObjectName>,
+    /// Each with the number of messages that wait for it.
+    pub(crate) components: Vec<(ObjectName, usize)>,
+}
+
+impl ArbiterResidents {
+    pub(crate) fn none(pulse: &Arc<ArbiterHeartbeat>) -> Self {
+        ArbiterResidents { pulse: pulse.clone(), running: None, components: Vec::new() }
+    }
+}
+
+impl SampledComponents {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, SampledComponent>> {
+        self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
+        self.lock().insert(slot, watched);
+        self.0.version.fetch_add(1, Relaxed);
+    }
+
+    /// What every component is doing now.
+    fn glances(&self) -> BTreeMap<ObjectName, Glance> {
+        let now = platform::now();
+        let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let glance = |(slot, watched): (&u32, &SampledComponent)| {
+            let reading = watched.stamp.read();
+            let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
+            let since = since.filter(|(_, turn, _)| *turn == reading.turn);
+            let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
+            let is_busy = reading.turn % 2 == 1;
+            let during = label::name(reading.during);
+            let inside = watched.inside.upgrade()?;
+            let current = is_busy.then_some(CurrentHandler { during, age });
+            let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
+            let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
+                (Some(sign), _) => sign.map(|at| now - at),
+                (None, true) => Some(age),
+                (None, false) => watched.pulse.last_beat().map(|at| now - at),
+            };
+            let glance = Glance {
+                incarnation: inside.incarnation(),
+                queue: inside.queue(),
+                missed_rounds: missed.get(slot).copied().unwrap_or_default(),
+                current,
+                last_sign,
+            };
+            Some((watched.object.clone(), glance))
+        };
+        self.lock().iter().filter_map(glance).collect()
+    }
+
+    /// Who lives on which arbiter now.
+    pub(crate) fn residents(&self) -> BTreeMap<u64, ArbiterResidents> {
+        let mut residents = BTreeMap::new();
+        for (slot, watched) in self.lock().iter() {
+            let Some(inside) = watched.inside.upgrade() else { continue };
+            let pulse = &watched.pulse;
+            let on = residents.entry(pulse.id()).or_insert_with(|| ArbiterResidents::none(pulse));
+            if pulse.running() == Some(*slot) {
+                on.running = Some(watched.object.clone());
+            }
+            on.components.push((watched.object.clone(), inside.queue().queued));
+        }
+        residents
+    }
+
+    /// What the last look found of the arbiters.
+    pub(crate) fn seen(&self) -> BTreeMap<u64, ArbiterStatus> {
+        self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Completes the rows of this node's components by what they are doing now, also if they are
+    /// stuck.
+    pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
+        let glances = self.glances();
+        for row in rows {
+            let Place::Object(address) = &row.place else { continue };
+            let Some(glance) = glances.get(&address.object).filter(|_| address.node == *node)
+            else {
+                continue;
+            };
+            let QueueReading { queued, oldest } = glance.queue;
+            if row.incarnation == glance.incarnation {
+                row.missed_rounds = glance.missed_rounds;
+                row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
+                row.current = glance.current;
+                // The monitor knows of reports, and the watch of everything else.
+                row.last_sign = row.last_sign.into_iter().chain(glance.last_sign).min();
+            }
+        }
+    }
+
+    pub(crate) fn leave(&self, slot: u32) {
+        if self.lock().remove(&slot).is_some() {
+            self.0.version.fetch_add(1, Relaxed);
+        }
+    }
+}
+
+/// Tells from outside which component is on a thread of a node; it keeps nothing of the node.
+#[derive(Clone)]
+pub struct Running(pub(crate) SampledComponents);
+
+impl std::fmt::Debug for Running {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.components()).finish()
+    }
+}
+
+impl Running {
+    /// The components that are on a thread now, each with what it does and the number of its turn.
+    pub fn components(&self) -> Vec<(ObjectName, &'static str, u64)> {
+        let on_thread = |(slot, watched): (&u32, &SampledComponent)| {
+            let reading = watched.stamp.read();
+            let running = watched.pulse.running() == Some(*slot);
+            running.then(|| (watched.object.clone(), label::name(reading.during), reading.turn))
+        };
+        self.0.lock().iter().filter_map(on_thread).collect()
+    }
+}
+
+/// Ends the watch when dropped.
+pub(crate) struct SamplerGuard {
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for SamplerGuard {
+    fn drop(&mut self) {
+        self.ended.store(true, Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // It never waits for anybody, so that it is gone after the present look.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Watches from a thread of its own.
+///
+/// # Errors
+/// The operating system has no thread left.
+pub(crate) fn start_thread(
+    list: SampledComponents,
+    arbiters: ArbiterPool,
+    config: HangDetectorConfig,
+    monitor: Recipient<LivenessReported>,
+) -> io::Result<SamplerGuard> {
+    let ended = Arc::new(AtomicBool::new(false));
+    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let told = ended.clone();
+    let thread = platform::start_thread("watch", move || {
+        while !told.load(Relaxed) {
+            thread::sleep(PULSES);
+            eyes.look(platform::now());
+        }
+    })?;
+    Ok(SamplerGuard { ended, thread: Some(thread) })
+}
+
+/// Watches from a task on this arbiter, under its clock: it sees who waits and who is silent, but
+/// not who hangs.
+pub(crate) fn start_task(
+    list: SampledComponents,
+    arbiters: ArbiterPool,
+    config: HangDetectorConfig,
+    monitor: Recipient<LivenessReported>,
+) -> SamplerGuard {
+    let ended = Arc::new(AtomicBool::new(false));
+    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let told = ended.clone();
+    actix_rt::spawn(async move {
+        while !told.load(Relaxed) {
+            tokio::time::sleep(PULSES).await;
+            eyes.look(platform::now());
+        }
+    });
+    SamplerGuard { ended, thread: None }
+}
+
+/// What the watch knows between two looks.
+struct Eyes {
+    list: SampledComponents,
+    version: u64,
+    scanner: HangDetector,
+    looks: u64,
+    stamps: Stamps,
+    pulses: BTreeMap<u64, Arc<ArbiterHeartbeat>>,
+    arbiters: ArbiterPool,
+    monitor: Recipient<LivenessReported>,
+}
+
+struct Known {
+    object: ObjectName,
+    arbiter: u64,
+    stamp: &'static ActivityRecord,
+    inside: Weak<dyn AliveSource>,
+}
+
+/// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
+#[derive(Default)]
+struct Stamps(Vec<Option<Known>>);
+
+impl Stamps {
+    fn get(&self, slot: u32) -> Option<&Known> {
+        self.0.get(slot as usize)?.as_ref()
+    }
+
+    fn enter(&mut self, slot: u32, known: Known) {
+        let at = slot as usize;
+        if self.0.len() <= at {
+            self.0.resize_with(at + 1, || None);
+        }
+        self.0[at] = Some(known);
+    }
+
+    fn retain(&mut self, mut keeps: impl FnMut(u32, &Known) -> bool) {
+        for (slot, place) in (0..).zip(&mut self.0) {
+            if place.as_ref().is_some_and(|known| !keeps(slot, known)) {
+                *place = None;
+            }
+        }
+    }
+}
+
+impl Looked for Stamps {
+    fn stamp(&self, slot: SlotId) -> ComponentSample {
+        read(self.get(slot))
+    }
+
+    fn queue(&self, slot: SlotId) -> QueueReading {
+        let inside = self.get(slot).and_then(|known| known.inside.upgrade());
+        inside.map(|inside| inside.queue()).unwrap_or_default()
+    }
+}
+
+impl Eyes {
+    fn new(
+        list: SampledComponents,
+        arbiters: ArbiterPool,
+        config: HangDetectorConfig,
+        monitor: Recipient<LivenessReported>,
+    ) -> Self {
+        Eyes {
+            list,
+            version: u64::MAX,
+            scanner: HangDetector::new(config),
+            looks: 0,
+            stamps: Stamps::default(),
+            pulses: BTreeMap::new(),
+            arbiters,
+            monitor,
+        }
+    }
+
+    fn look(&mut self, now: Instant) {
+        let version = self.list.0.version.load(Relaxed);
+        if version != self.version {
+            self.version = version;
+            self.learn(now);
+        }
+        self.scanner.handle_look(now);
+        for (id, pulse) in &self.pulses {
+            let running = pulse.running();
+            let known = running.and_then(|slot| self.stamps.get(slot));
+            let reading = ArbiterSample {
+                beat: pulse.beats(),
+                running,
+                stamp: known.map(|known| read(Some(known))),
+                fenced: pulse.is_fenced(),
+            };
+            self.scanner.handle_pulse(*id, reading, now);
+        }
+        if self.looks.is_multiple_of(STAMPS) {
+            self.scanner.handle_stamps(now, &self.stamps);
+            let missed = self.scanner.missed_rounds().collect();
+            *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
+            let busy = self.scanner.busy().collect();
+            *self.list.0.busy.lock().unwrap_or_else(PoisonError::into_inner) = busy;
+            let signs = self.scanner.last_signs().collect();
+            *self.list.0.signs.lock().unwrap_or_else(PoisonError::into_inner) = signs;
+            let seen = self.scanner.arbiters().collect();
+            *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
+        }
+        self.looks += 1;
+        while let Some(sighting) = self.scanner.poll_output() {
+            if let Some(sighted) = self.translate(sighting) {
+                self.monitor.do_send(sighted);
+            }
+        }
+    }
+
+    /// Brings what is known up to date with the list.
+    fn learn(&mut self, now: Instant) {
+        let list = self.list.clone();
+        let entries = list.lock();
+        let scanner = &mut self.scanner;
+        self.stamps.retain(|slot, known| {
+            let entry = entries.get(&slot);
+            let same = entry.is_some_and(|entry| {
+                entry.object == known.object && entry.pulse.id() == known.arbiter
+            });
+            if !same {
+                scanner.handle_leave(slot);
+            }
+            same
+        });
+        for (slot, entry) in entries.iter() {
+            if self.stamps.get(*slot).is_some() {
+                continue;
+            }
+            scanner.handle_enter(*slot, entry.judged(), now);
+            let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
+            let (stamp, inside) = (entry.stamp, entry.inside.clone());
+            self.stamps.enter(*slot, Known { object, arbiter, stamp, inside });
+            self.pulses.insert(arbiter, entry.pulse.clone());
+        }
+        let arbiters: BTreeSet<u64> =
+            self.stamps.0.iter().flatten().map(|known| known.arbiter).collect();
+        self.pulses.retain(|id, pulse| {
+            // A fenced arbiter is followed until it comes back or is lost, also if nobody is left.
+            let awaited = pulse.is_fenced() && !pulse.is_lost();
+            let kept = awaited || arbiters.contains(id);
+            if !kept {
+                scanner.handle_gone(*id);
+            }
+            kept
+        });
+    }
+
+    fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
+        let during = |slot| {
+            let known = self.stamps.get(slot);
+            label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
+        };
+        Some(match sighting {
+            LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
+                object,
+                incarnation: read(self.stamps.get(slot)).incarnation,
+                during: during(slot),
+                age,
+                victims: victims.into(),
+            },
+            LivenessEvent::Waits { slot, object, incarnation, age } => {
+                LivenessReported::Waits { object, incarnation, during: during(slot), age }
+            }
+            LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
+                LivenessReported::Overloaded {
+                    object,
+                    incarnation,
+                    figures,
+                    victims: victims.into(),
+                }
+            }
+            LivenessEvent::Stuck { object, incarnation, queue } => {
+                LivenessReported::Stuck { object, incarnation, queue }
+            }
+            LivenessEvent::Flows { object, incarnation } => {
+                LivenessReported::Flows { object, incarnation }
+            }
+            LivenessEvent::Silent { object, incarnation, silent_for } => {
+                LivenessReported::Silent { object, incarnation, silent_for }
+            }
+            LivenessEvent::Spoke { object, incarnation } => {
+                LivenessReported::Spoke { object, incarnation }
+            }
+            LivenessEvent::Resumed { objects } => {
+                LivenessReported::Resumed { objects: objects.into() }
+            }
+            LivenessEvent::Lost { arbiter, culprit, victims } => {
+                // It may have come back just now; then nobody has to move.
+                if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?, &culprit) {
+                    return None;
+                }
+                LivenessReported::Lost { culprit, victims: victims.into() }
+            }
+            LivenessEvent::Stalled { gap } => LivenessReported::Stalled { gap },
+        })
+    }
+}
+
+fn read(known: Option<&Known>) -> ComponentSample {
+    let reading = known.map(|known| known.stamp.read()).unwrap_or_default();
+    ComponentSample {
+        turn: reading.turn,
+        alive: reading.alive,
+        incarnation: Incarnation(reading.incarnation),
+        speaks: reading.speaks,
+        allowance: reading.allowance,
+        rounds: reading.rounds,
+        interval: reading.interval,
+        expired: reading.expired,
+    }
+}

@@ -1,0 +1,119 @@
+//! The threads that components live on, for people.
+
+use super::sampler::{ArbiterResidents, SampledComponents};
+use crate::arbiter::pool::{ArbiterPool, ArbiterThread};
+use crate::platform;
+use blastema_core::ObjectName;
+use std::fmt;
+use std::time::Duration;
+
+/// A thread that components live on. The middleware's own threads stand in the table by the objects
+/// that live there, each of which is asked whether it lives.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct ThreadRow {
+    /// Which: counted through the life of the process.
+    pub number: u64,
+    /// Who may live on it.
+    pub kind: ThreadKind,
+    /// How it is.
+    pub state: ThreadState,
+    /// The share of about the last second, 0 to 1, in which a component was on it: running, or
+    /// blocking it. From looks every 10 ms; `None` before the first, and once it is abandoned.
+    pub busy: Option<f32>,
+    /// How long ago its event loop last turned, to a hundredth of a second; `None` for never.
+    pub last_beat: Option<Duration>,
+    /// The component that is on it right now.
+    pub running: Option<ObjectName>,
+    /// How many messages wait for the components that live on it.
+    pub queued: usize,
+    /// Who lives on it, in alphabetical order.
+    pub components: Vec<ObjectName>,
+}
+
+/// Who may live on a thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ThreadKind {
+    /// Any component.
+    Shared,
+    /// One component, which asked for it.
+    Own,
+    /// Components and the rest of the application: it is the one that started the node.
+    Starter,
+}
+
+impl fmt::Display for ThreadKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            ThreadKind::Shared => "shared",
+            ThreadKind::Own => "own",
+            ThreadKind::Starter => "starter",
+        })
+    }
+}
+
+/// How a thread is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ThreadState {
+    /// Its event loop turns.
+    Alive,
+    /// A handler has kept it for longer than it may.
+    Blocked {
+        /// The culprit.
+        by: ObjectName,
+        /// For how long it has, at least.
+        age: Duration,
+    },
+    /// It did not come back in time: its components live elsewhere. It ends if the handler ever
+    /// returns.
+    Abandoned {
+        /// The culprit.
+        by: ObjectName,
+    },
+}
+
+impl fmt::Display for ThreadState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ThreadState::Alive => f.write_str("alive"),
+            ThreadState::Blocked { by, age } => write!(f, "blocked by {by} for {age:.1?}"),
+            ThreadState::Abandoned { by } => write!(f, "abandoned to {by}"),
+        }
+    }
+}
+
+/// All threads, in the order in which they were begun.
+pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<ThreadRow> {
+    let (mut residents, seen) = (list.residents(), list.seen());
+    let mut threads = arbiters.threads();
+    if arbiters.are_here() {
+        let starter = |of: &ArbiterResidents| {
+            let (kind, pulse) = (ThreadKind::Starter, of.pulse.clone());
+            ArbiterThread { kind, pulse, lost_to: None }
+        };
+        threads = residents.values().map(starter).collect();
+    }
+    threads.sort_by_key(|thread| thread.pulse.id());
+    let now = platform::now();
+    let row = |ArbiterThread { kind, pulse, lost_to }: ArbiterThread| {
+        let number = pulse.id();
+        let seen = seen.get(&number);
+        let mut lives = residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&pulse));
+        lives.components.sort();
+        ThreadRow {
+            number,
+            kind,
+            state: match (lost_to, seen.and_then(|seen| seen.hangs.clone())) {
+                (Some(by), _) => ThreadState::Abandoned { by },
+                (None, Some((by, since))) => ThreadState::Blocked { by, age: now - since },
+                (None, None) => ThreadState::Alive,
+            },
+            busy: seen.and_then(|seen| seen.busy),
+            last_beat: pulse.last_beat().map(|at| now - at),
+            running: lives.running,
+            queued: lives.components.iter().map(|(_, queued)| queued).sum(),
+            components: lives.components.into_iter().map(|(name, _)| name).collect(),
+        }
+    };
+    threads.into_iter().map(row).collect()
+}

@@ -1,0 +1,182 @@
+//! Death watch: anyone may ask to be told when a life of an object ends.
+
+use crate::component::injection::Injection;
+use crate::component::life::IncarnationToken;
+use blastema_contract::reports::ExitReason;
+use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
+use blastema_macros::{Event, Structure};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A life of a watched object has ended.
+#[derive(Clone, Debug, PartialEq, Eq, Event)]
+#[contract(crate = "crate", name = "blastema/down", version = 1)]
+pub struct Down {
+    /// Who.
+    pub object: ObjectName,
+    /// On which other node it is; `None` for an object of the watcher's own.
+    pub node: Option<NodeName>,
+    /// Which of its lives; 0 for one that never lived.
+    pub incarnation: Incarnation,
+    /// How it ended.
+    pub ending: Ending,
+}
+
+/// How a life ended.
+#[derive(Clone, Debug, PartialEq, Eq, Structure)]
+#[contract(crate = "crate")]
+pub enum Ending {
+    /// It ended itself, in order.
+    Returned,
+    /// It could not go on: it did not come to work, or declared a fatal fault.
+    Fatal,
+    /// It panicked.
+    Panicked {
+        /// The panic's text.
+        text: String,
+        /// File and line.
+        at: String,
+        /// The contract or hook that it was serving.
+        during: String,
+    },
+    /// Its arbiter went away.
+    Aborted,
+    /// It was told to.
+    Stopped,
+    /// It was given up, because it hung.
+    Abandoned,
+    /// It does not live now: it was not started yet, or is between two lives.
+    NotAlive,
+    /// No object of this name is known.
+    Unknown,
+    /// Its node has ended, has left, or cannot be reached any more. What became of the object is
+    /// not known; its incarnation is given as 0.
+    NodeLost {
+        /// What is known of the node.
+        reason: String,
+    },
+}
+
+impl From<&ExitReason> for Ending {
+    fn from(exit: &ExitReason) -> Self {
+        match exit {
+            ExitReason::Returned => Ending::Returned,
+            ExitReason::Fatal => Ending::Fatal,
+            ExitReason::Panicked { text, at, during } => Ending::Panicked {
+                text: text.clone(),
+                at: at.clone(),
+                during: (*during).to_owned(),
+            },
+            ExitReason::Aborted => Ending::Aborted,
+            ExitReason::Stopped => Ending::Stopped,
+        }
+    }
+}
+
+/// Somebody who wants to be told.
+pub(crate) struct Watcher {
+    /// Asking twice is asking once.
+    pub(crate) who: ObjectName,
+    /// The life that asked; when it has ended, nobody is told any more.
+    pub(crate) life: Arc<IncarnationToken>,
+    pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
+}
+
+/// Those who watch one object: at most one entry for each object of the node.
+#[derive(Default)]
+pub(crate) struct Watchers(Mutex<Vec<Arc<Watcher>>>);
+
+impl Watchers {
+    pub(crate) fn join(&self, mourner: Arc<Watcher>) {
+        let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        mourners.retain(|known| known.who != mourner.who && !known.life.has_ended());
+        mourners.push(mourner);
+    }
+
+    pub(crate) fn tell(&self, down: &Down) {
+        let mourners = {
+            let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            mourners.retain(|mourner| !mourner.life.has_ended());
+            mourners.clone()
+        };
+        // Outside of the lock: a mourner may be watched by whom it mourns.
+        mourners.iter().for_each(|mourner| (mourner.tell)(down.clone()));
+    }
+
+    /// How many entries there are.
+    #[cfg(test)]
+    pub(crate) fn count(&self) -> usize {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+}
+
+/// The ends of objects that are not components: supervisors, and the middleware's own. Clones share
+/// it.
+#[derive(Clone, Default)]
+pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
+
+/// As many as the node has such objects.
+#[derive(Default)]
+struct Watched {
+    incarnation: Incarnation,
+    is_alive: bool,
+    mourners: Arc<Watchers>,
+}
+
+impl Deaths {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Watched>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A life of the object begins.
+    pub(crate) fn begin(&self, object: &ObjectName, incarnation: Incarnation) {
+        let mut objects = self.lock();
+        let watched = objects.entry(object.clone()).or_default();
+        (watched.incarnation, watched.is_alive) = (incarnation, true);
+    }
+
+    /// A life of the object is in this state.
+    pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
+        match state {
+            Lifecycle::Active => self.begin(object, incarnation),
+            Lifecycle::Finalized => self.end(object, Ending::Stopped),
+            _ => {}
+        }
+    }
+
+    /// The present life of the object has ended; without effect where none is.
+    pub(crate) fn end(&self, object: &ObjectName, ending: Ending) {
+        let mut objects = self.lock();
+        let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
+        let Some(Watched { incarnation, is_alive, mourners }) = alive else { return };
+        *is_alive = false;
+        let (incarnation, mourners) = (*incarnation, mourners.clone());
+        drop(objects);
+        mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
+    }
+
+    /// As [`Watchable::watch`]. A name that never was an object's gives the mourner back.
+    pub(crate) fn watch(&self, object: &ObjectName, mourner: Watcher) -> Option<Watcher> {
+        let objects = self.lock();
+        let Some(Watched { incarnation, is_alive, mourners }) = objects.get(object) else {
+            return Some(mourner);
+        };
+        let (incarnation, is_alive, mourners) = (*incarnation, *is_alive, mourners.clone());
+        drop(objects);
+        let mourner = Arc::new(mourner);
+        mourners.join(mourner.clone());
+        if !is_alive {
+            let (object, ending) = (object.clone(), Ending::NotAlive);
+            (mourner.tell)(Down { object, node: None, incarnation, ending });
+        }
+        None
+    }
+}
+
+/// What can be watched.
+pub(crate) trait Watchable: Send + Sync {
+    /// Tells at once if it is not alive, and whenever a life of it ends.
+    fn watch(&self, mourner: Watcher);
+    /// Puts a fault into it, where it is a component.
+    fn inject(&self, _: Injection) {}
+}

@@ -1,0 +1,456 @@
+//! The keeper: it starts the root supervisor, ends it, brings the whole node to the safe state, and
+//! back.
+//!
+//! ```text
+//!  Down ─ start ─► Up ─ stop, rest ─► Ending ─► Down ─ restart, from rest only ─► Up
+//!                   └─ the root has given up ────►┘
+//! ```
+
+use crate::actuator::ActuatorTable;
+use crate::fault_chain::strategy::SafeOutputs;
+use crate::platform;
+use crate::runtime::guardian::answers_the_monitor;
+use actix::prelude::*;
+use blastema_contract::child::{Child, ChildEvent, ChildReport};
+use blastema_contract::monitor::NodeReported;
+use blastema_contract::recoverer::SafeStateChanged;
+use blastema_contract::strategy::EnterSafeState;
+use blastema_core::detection::NodeCondition;
+use blastema_core::{Fault, FaultKind, Incarnation, NodeName};
+use tokio::sync::{oneshot, watch};
+use tracing::info;
+
+/// How a node is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NodeState {
+    /// Its components are being started, in order.
+    Starting,
+    /// All components have been started.
+    Running,
+    /// Something could not be contained, or was restarted more often than the root allows: the safe
+    /// outputs were applied and everything was stopped. [`Node::restart`](crate::Node::restart)
+    /// brings it back.
+    InSafeState {
+        /// Why.
+        reason: String,
+    },
+    /// It was told to stop, and has, from work or from rest.
+    Stopped,
+}
+
+/// From the node: start the root. Answered once, when all children are at work or that has failed.
+#[derive(Message)]
+#[rtype(result = "Result<(), String>")]
+pub(super) struct StartRoot(pub(super) Box<dyn Child>);
+
+/// From the node: start the root once more, from safe state. Answered likewise.
+#[derive(Message)]
+#[rtype(result = "Result<(), RestartRefused>")]
+pub(super) struct RestartRoot;
+
+/// Why the root was not started once more.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum RestartRefused {
+    /// The node is not at rest, but so.
+    NotAtRest(NodeState),
+    /// It was told to stop for good, before that or while it waited for the last ones to end.
+    ShutDown,
+    /// It came to rest again, for this reason.
+    GaveUp(String),
+}
+
+/// From the node: stop everything in order. Answered when that is done.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Shutdown;
+
+/// Tells this one too when the node comes to rest, and when it goes to work again. As many as the
+/// node has parts that want to know.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct SubscribeSafeState(pub(super) Recipient<SafeStateChanged>);
+
+/// What the keeper is made of.
+pub(super) struct NodeControllerSetup {
+    pub(super) node: NodeName,
+    /// The node's own.
+    pub(super) incarnation: Incarnation,
+    pub(super) state: watch::Sender<NodeState>,
+    pub(super) safe_outputs: SafeOutputs,
+    /// Nobody commands at rest.
+    pub(super) actuators: ActuatorTable,
+    /// Is told of this node as of others.
+    pub(super) nodes: Recipient<NodeReported>,
+}
+
+pub(super) struct NodeController {
+    setup: NodeControllerSetup,
+    root: Option<Box<dyn Child>>,
+    /// The root's.
+    life: Incarnation,
+    phase: Phase,
+    /// The node is at rest, and is to begin anew as soon as all have ended.
+    again: bool,
+    /// It comes to rest: the safe outputs are being applied.
+    comes_to_rest: bool,
+    /// It was told to stop for good.
+    closed: bool,
+    /// Who waits for the start; as many as have asked for it.
+    started: Vec<oneshot::Sender<Result<(), String>>>,
+    /// Who waits for the end; as many as have called `shutdown`.
+    ended: Vec<oneshot::Sender<()>>,
+    told: Vec<Recipient<SafeStateChanged>>,
+}
+
+/// What the root's children do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// None lives.
+    Down,
+    /// They are started, or at work.
+    Up,
+    /// They are being stopped.
+    Ending,
+}
+
+impl NodeController {
+    pub(super) fn new(setup: NodeControllerSetup) -> Self {
+        NodeController {
+            setup,
+            root: None,
+            life: Incarnation::default(),
+            phase: Phase::Down,
+            again: false,
+            comes_to_rest: false,
+            closed: false,
+            started: Vec::new(),
+            ended: Vec::new(),
+            told: Vec::new(),
+        }
+    }
+
+    fn state(&self) -> NodeState {
+        self.setup.state.borrow().clone()
+    }
+
+    fn rests(&self) -> bool {
+        matches!(self.state(), NodeState::InSafeState { .. })
+    }
+
+    fn begin(&mut self, context: &mut Context<Self>) {
+        let Some(root) = &mut self.root else { return };
+        self.life = self.life.next();
+        self.phase = Phase::Up;
+        root.start(self.life, context.address().recipient());
+    }
+
+    fn begin_again(&mut self, context: &mut Context<Self>) {
+        info!("the node goes to work again");
+        self.again = false;
+        self.setup.safe_outputs.resume();
+        self.setup.actuators.resume();
+        self.setup.state.send_replace(NodeState::Starting);
+        self.tell_rest(None);
+        self.begin(context);
+    }
+
+    fn end(&mut self) {
+        if self.phase == Phase::Up
+            && let Some(root) = &mut self.root
+        {
+            self.phase = Phase::Ending;
+            root.stop();
+        }
+    }
+
+    /// All children have ended.
+    fn handle_down(&mut self, context: &mut Context<Self>) {
+        self.phase = Phase::Down;
+        if self.closed || !(self.rests() || self.comes_to_rest) {
+            self.setup.state.send_replace(NodeState::Stopped);
+        }
+        // Who waited may have gone.
+        for ended in self.ended.drain(..) {
+            let _ = ended.send(());
+        }
+        if self.again && !self.closed {
+            self.begin_again(context);
+        }
+    }
+
+    /// The fault of a root that has given up: the detector has the particulars of each restart.
+    fn storm(&self, reason: &str) -> Fault {
+        let (node, kind) = (self.setup.node.clone(), FaultKind::RestartStorm);
+        Fault::of_node(node, kind, reason.to_owned(), platform::now())
+    }
+
+    fn tell_started(&mut self, outcome: &Result<(), String>) {
+        for started in self.started.drain(..) {
+            let _ = started.send(outcome.clone());
+        }
+    }
+
+    fn tell_rest(&self, reason: Option<&str>) {
+        let reason = reason.map(str::to_owned);
+        let rests = SafeStateChanged { reason: reason.clone() };
+        self.told.iter().for_each(|told| told.do_send(rests.clone()));
+        let NodeControllerSetup { node, incarnation, nodes, .. } = &self.setup;
+        let (node, incarnation) = (node.clone(), *incarnation);
+        let condition = match reason {
+            Some(reason) => NodeCondition::AtRest { reason },
+            None => NodeCondition::AtWork,
+        };
+        nodes.do_send(NodeReported { node, incarnation, condition });
+    }
+
+    fn rest(&mut self, fault: &Fault, reason: String, context: &mut Context<Self>) {
+        if self.comes_to_rest || self.rests() || self.state() == NodeState::Stopped {
+            return;
+        }
+        info!(reason, "the node enters the safe state");
+        self.comes_to_rest = true;
+        let mut applied = self.setup.safe_outputs.rest(fault);
+        self.setup.actuators.rest();
+        if !matches!(applied.try_recv(), Err(oneshot::error::TryRecvError::Empty)) {
+            return self.handle_safe(reason);
+        }
+        // For as long as they may take at most.
+        let applied = actix::fut::wrap_future::<_, Self>(applied);
+        context.spawn(applied.map(|_, keeper: &mut Self, _| keeper.handle_safe(reason)));
+    }
+
+    /// The safe outputs are applied, or take longer than they may.
+    fn handle_safe(&mut self, reason: String) {
+        self.comes_to_rest = false;
+        // It may have been told to stop in between.
+        if self.state() != NodeState::Stopped {
+            self.tell_rest(Some(&reason));
+            // Listeners see the reason before the last component has stopped.
+            self.setup.state.send_replace(NodeState::InSafeState { reason: reason.clone() });
+            self.end();
+        }
+        self.tell_started(&Err(reason));
+    }
+}
+
+answers_the_monitor!(NodeController);
+
+impl Actor for NodeController {
+    type Context = Context<Self>;
+}
+
+impl Supervised for NodeController {
+    fn restarting(&mut self, _: &mut Context<Self>) {
+        // What waited for the safe outputs went with the panic.
+        self.comes_to_rest = false;
+    }
+}
+
+impl Handler<SubscribeSafeState> for NodeController {
+    type Result = ();
+
+    fn handle(&mut self, SubscribeSafeState(told): SubscribeSafeState, _: &mut Context<Self>) {
+        self.told.push(told);
+    }
+}
+
+impl Handler<StartRoot> for NodeController {
+    type Result = ResponseFuture<Result<(), String>>;
+
+    fn handle(&mut self, message: StartRoot, context: &mut Context<Self>) -> Self::Result {
+        let StartRoot(root) = message;
+        let (answer, started) = oneshot::channel();
+        self.started.push(answer);
+        self.root = Some(root);
+        match self.state() {
+            // Something could not be contained before anything had begun.
+            NodeState::InSafeState { reason } => self.tell_started(&Err(reason)),
+            _ => self.begin(context),
+        }
+        Box::pin(async move {
+            started.await.unwrap_or_else(|_| Err("the node was ended before it had started".into()))
+        })
+    }
+}
+
+impl Handler<RestartRoot> for NodeController {
+    type Result = ResponseFuture<Result<(), RestartRefused>>;
+
+    fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
+        let refused = match self.state() {
+            // It is at rest until the last ones have ended; its threads end next.
+            _ if self.closed => Some(RestartRefused::ShutDown),
+            NodeState::InSafeState { .. } => None,
+            state => Some(RestartRefused::NotAtRest(state)),
+        };
+        if let Some(refused) = refused {
+            return Box::pin(std::future::ready(Err(refused)));
+        }
+        let (answer, started) = oneshot::channel();
+        self.started.push(answer);
+        match self.phase {
+            // Who is still being stopped has its time for that.
+            Phase::Up | Phase::Ending => self.again = true,
+            Phase::Down => self.begin_again(context),
+        }
+        Box::pin(async move {
+            let started = started.await.map_err(|_| RestartRefused::ShutDown)?;
+            started.map_err(RestartRefused::GaveUp)
+        })
+    }
+}
+
+impl Handler<ChildReport> for NodeController {
+    type Result = ();
+
+    fn handle(&mut self, report: ChildReport, context: &mut Context<Self>) {
+        if report.incarnation != self.life {
+            return;
+        }
+        match report.event {
+            // What waits for something that is not there yet holds nobody up who looks after the
+            // node.
+            ChildEvent::Started | ChildEvent::Unavailable { .. } => {
+                if self.state() == NodeState::Starting {
+                    info!("the node runs");
+                    self.setup.state.send_replace(NodeState::Running);
+                    // Whoever asks a node at rest waits for the next life, not for this one.
+                    self.tell_started(&Ok(()));
+                }
+            }
+            ChildEvent::GivesUp { reason } => {
+                // The root ends its children by itself.
+                self.phase = Phase::Ending;
+                self.rest(&self.storm(&reason), reason, context);
+            }
+            ChildEvent::StartFailed { reason } | ChildEvent::Escalated { reason } => {
+                // It has ended them.
+                self.phase = Phase::Down;
+                self.rest(&self.storm(&reason), reason, context);
+                self.handle_down(context);
+            }
+            ChildEvent::Stopped => self.handle_down(context),
+            ChildEvent::Reset | ChildEvent::ResetFailed { .. } | ChildEvent::Died { .. } => {}
+        }
+    }
+}
+
+impl Handler<EnterSafeState> for NodeController {
+    type Result = ();
+
+    fn handle(&mut self, message: EnterSafeState, context: &mut Context<Self>) {
+        let EnterSafeState { fault, reason } = message;
+        let reason = format!("{} of {}: {reason}", fault.kind, fault.place);
+        self.rest(&fault, reason, context);
+    }
+}
+
+impl Handler<Shutdown> for NodeController {
+    type Result = ResponseFuture<()>;
+
+    fn handle(&mut self, _: Shutdown, _: &mut Context<Self>) -> Self::Result {
+        self.closed = true;
+        if std::mem::take(&mut self.again) {
+            // They see that they wait in vain.
+            self.started.clear();
+        }
+        if self.phase == Phase::Down {
+            self.setup.state.send_replace(NodeState::Stopped);
+            return Box::pin(std::future::ready(()));
+        }
+        let (answer, ended) = oneshot::channel();
+        self.ended.push(answer);
+        self.end();
+        Box::pin(async move { ended.await.unwrap_or(()) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fault_chain::scripted::{Script, ScriptedReply};
+    use blastema_core::ObjectName;
+    use blastema_doubles::{Probe, paused, settle};
+
+    /// A keeper whose root starts, ends or hangs as a script says.
+    struct Rig {
+        keeper: Addr<NodeController>,
+        script: Script,
+        state: watch::Receiver<NodeState>,
+        _nodes: Probe<NodeReported>,
+    }
+
+    impl Rig {
+        fn start(answers: &[(&str, ScriptedReply)]) -> Self {
+            let (state, seen) = watch::channel(NodeState::Starting);
+            let (script, nodes) = (Script::default(), Probe::<NodeReported>::start());
+            let setup = NodeControllerSetup {
+                node: NodeName::new("n").unwrap(),
+                incarnation: Incarnation(1),
+                state,
+                safe_outputs: SafeOutputs::default(),
+                actuators: ActuatorTable::default(),
+                nodes: nodes.recipient(),
+            };
+            answers.iter().for_each(|(call, answer)| script.answer(call, &[*answer]));
+            let keeper = NodeController::new(setup).start();
+            keeper.do_send(StartRoot(script.child("root")));
+            Rig { keeper, script, state: seen, _nodes: nodes }
+        }
+
+        fn rest(&self) {
+            let node = NodeName::new("n").unwrap();
+            let fault = Fault::of_node(node, FaultKind::Panic, "why".into(), platform::now());
+            self.keeper.do_send(EnterSafeState { fault, reason: "it panics".into() });
+        }
+
+        /// The root says so, of its first life.
+        fn says(&self, event: ChildEvent) {
+            let object = ObjectName::new("root").unwrap();
+            self.keeper.do_send(ChildReport { object, incarnation: Incarnation(1), event });
+        }
+    }
+
+    #[test]
+    fn a_node_that_is_told_to_stop_while_its_last_ones_end_is_not_started_once_more() {
+        paused(async {
+            let rig = Rig::start(&[("stop root", ScriptedReply::Hangs)]);
+            settle().await;
+            rig.rest();
+            let closed = tokio::task::spawn_local(rig.keeper.send(Shutdown));
+            settle().await;
+            assert!(matches!(*rig.state.borrow(), NodeState::InSafeState { .. }), "one still ends");
+
+            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            settle().await;
+            rig.says(ChildEvent::Stopped);
+
+            closed.await.unwrap().unwrap();
+            assert_eq!(again.await.unwrap().unwrap(), Err(RestartRefused::ShutDown));
+            settle().await;
+            assert_eq!(rig.script.done(), ["start root", "stop root"]);
+            assert_eq!(*rig.state.borrow(), NodeState::Stopped);
+        });
+    }
+
+    #[test]
+    fn who_asks_for_the_next_life_is_not_told_of_the_one_before() {
+        paused(async {
+            let late = [("start root", ScriptedReply::Hangs), ("stop root", ScriptedReply::Hangs)];
+            let rig = Rig::start(&late);
+            settle().await;
+            rig.rest();
+            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            settle().await;
+
+            rig.says(ChildEvent::Started);
+            settle().await;
+
+            assert!(!again.is_finished(), "{:?}", rig.state.borrow());
+            rig.says(ChildEvent::Stopped);
+            assert_eq!(again.await.unwrap().unwrap(), Ok(()));
+            assert_eq!(rig.script.done(), ["start root", "stop root", "start root"]);
+            assert_eq!(*rig.state.borrow(), NodeState::Running);
+        });
+    }
+}

@@ -1,0 +1,96 @@
+//! The window: a socket in the file system at which other processes of the machine see the node.
+//!
+//! Whoever connects is given one [`NodeSnapshot`](super::Picture) as JSON, and the end. Nothing is
+//! read, so that nothing can be asked or done there. It stays open in the safe state, and closes
+//! with the node.
+
+pub(crate) mod server;
+
+use self::server::InspectionServer;
+use super::{Node, NodeState, Shared};
+use crate::component::environment::FaultReports;
+use crate::runtime::guardian::answers_the_monitor;
+use actix::prelude::*;
+use blastema_transports::unix::{PathListener, explain};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Weak};
+use tokio::sync::watch;
+
+/// Its owner's processes may look, nobody else's.
+const MODE: u32 = 0o600;
+
+/// Shows the node, once there is one.
+pub(super) struct InspectionActor {
+    path: Arc<Path>,
+    node: Weak<Shared>,
+    state: watch::Receiver<NodeState>,
+    reports: FaultReports,
+}
+
+/// The node can be seen from now on. Answers why nobody can listen there, and what to do.
+#[derive(Message)]
+#[rtype(result = "Result<(), String>")]
+pub(super) struct StartInspection(Weak<Shared>);
+
+impl StartInspection {
+    pub(super) fn node(node: &Node) -> Self {
+        StartInspection(Arc::downgrade(&node.0))
+    }
+}
+
+impl InspectionActor {
+    pub(super) fn new(
+        path: PathBuf,
+        state: watch::Receiver<NodeState>,
+        reports: FaultReports,
+    ) -> Self {
+        InspectionActor { path: path.into(), node: Weak::new(), state, reports }
+    }
+
+    fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
+        let (path, node, reports) = (self.path.clone(), self.node.clone(), self.reports.clone());
+        let showing = InspectionServer::new(path, node, reports, listener);
+        let mut state = self.state.clone();
+        let until_the_end = async move {
+            tokio::select! {
+                () = showing.run() => {}
+                // Also where nobody is left who could say so.
+                _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
+            }
+        };
+        context.spawn(until_the_end.into_actor(self));
+    }
+}
+
+/// Makes the socket. Says what helps where that cannot be done.
+fn open(path: &Arc<Path>) -> Result<PathListener, String> {
+    PathListener::open(path, MODE).map_err(|error| explain(path, &error))
+}
+
+answers_the_monitor!(InspectionActor);
+
+impl Actor for InspectionActor {
+    type Context = Context<Self>;
+}
+
+impl Supervised for InspectionActor {
+    /// What showed the node went with the panic, and the socket with it: it is made again.
+    fn restarting(&mut self, context: &mut Context<Self>) {
+        self.show(None, context);
+    }
+}
+
+impl Handler<StartInspection> for InspectionActor {
+    type Result = Result<(), String>;
+
+    fn handle(
+        &mut self,
+        StartInspection(node): StartInspection,
+        context: &mut Context<Self>,
+    ) -> Self::Result {
+        self.node = node;
+        let listener = open(&self.path)?;
+        self.show(Some(listener), context);
+        Ok(())
+    }
+}

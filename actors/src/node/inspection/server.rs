@@ -1,0 +1,178 @@
+//! What goes on at a window: who comes is shown the node, and a socket that is taken away is made
+//! again.
+
+use super::open;
+use crate::component::environment::FaultReports;
+use crate::node::{Node, Shared};
+use crate::platform;
+use blastema_core::Machine;
+use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
+use blastema_transports::unix::PathListener;
+use futures_util::StreamExt;
+use futures_util::future::{AbortHandle, abortable};
+use futures_util::stream::FuturesUnordered;
+use std::collections::BTreeMap;
+use std::future::{self, Future};
+use std::path::Path;
+use std::pin::Pin;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+use tokio::net::UnixStream;
+use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
+use tracing::info;
+
+/// How often it is looked whether the socket is still there. A look at the folder takes
+/// microseconds.
+const LOOK: Duration = Duration::from_millis(500);
+/// After so long a machine that had no descriptor left may have one again.
+const PAUSE: Duration = Duration::from_millis(10);
+
+pub(super) struct InspectionServer {
+    path: Arc<Path>,
+    node: Weak<Shared>,
+    reports: FaultReports,
+    /// `None` while the socket cannot be made.
+    listener: Option<PathListener>,
+    /// Whether it was told last that it cannot. Nobody knows what a life before has told.
+    told: Option<bool>,
+    audience: SnapshotServer,
+    /// Those who are not given their picture yet.
+    waiting: BTreeMap<ClientId, UnixStream>,
+    /// Those who are given it: as many as the audience has seats.
+    looking: BTreeMap<ClientId, AbortHandle>,
+    work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
+}
+
+enum Done {
+    Taken { picture: SnapshotId, text: Arc<str> },
+    Seen(ClientId),
+    Closed,
+}
+
+impl InspectionServer {
+    pub(super) fn new(
+        path: Arc<Path>,
+        node: Weak<Shared>,
+        reports: FaultReports,
+        listener: Option<PathListener>,
+    ) -> Self {
+        InspectionServer {
+            path,
+            node,
+            reports,
+            listener,
+            told: None,
+            audience: SnapshotServer::default(),
+            waiting: BTreeMap::new(),
+            looking: BTreeMap::new(),
+            work: FuturesUnordered::new(),
+        }
+    }
+
+    /// Ends when the node is gone.
+    pub(super) async fn run(mut self) {
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        while self.carry_out() {
+            let due = self.audience.poll_timeout();
+            tokio::select! {
+                viewer = accept(self.listener.as_ref()), if self.audience.is_open() => {
+                    let number = self.audience.handle_arrival(platform::now());
+                    self.waiting.insert(number, viewer);
+                }
+                Some(done) = self.work.next() => self.done(done),
+                () = until(due) => self.audience.handle_timeout(platform::now()),
+                _ = looks.tick() => self.look_after_the_socket(),
+            }
+        }
+    }
+
+    /// Answers whether the node is still there.
+    fn carry_out(&mut self) -> bool {
+        while let Some(output) = self.audience.poll_output() {
+            match output {
+                SnapshotServerOutput::Take(picture) => {
+                    let Some(node) = self.node.upgrade().map(Node) else { return false };
+                    self.work.push(Box::pin(async move {
+                        let text = (node.snapshot().await.to_json() + "\n").into();
+                        Done::Taken { picture, text }
+                    }));
+                }
+                SnapshotServerOutput::Close(viewer) => {
+                    if let Some(looking) = self.looking.remove(&viewer) {
+                        looking.abort();
+                    }
+                }
+            }
+        }
+        true
+    }
+
+    fn done(&mut self, done: Done) {
+        match done {
+            Done::Taken { picture, text } => {
+                for viewer in self.audience.handle_taken(picture, platform::now()) {
+                    self.give(viewer, text.clone());
+                }
+            }
+            Done::Seen(viewer) => {
+                self.looking.remove(&viewer);
+                self.audience.handle_gone(viewer, platform::now());
+            }
+            Done::Closed => {}
+        }
+    }
+
+    fn give(&mut self, viewer: ClientId, text: Arc<str>) {
+        let Some(mut stream) = self.waiting.remove(&viewer) else { return };
+        let (seen, looking) = abortable(async move {
+            // Whoever goes away while it reads has seen enough.
+            let _ = stream.write_all(text.as_bytes()).await;
+            Done::Seen(viewer)
+        });
+        self.looking.insert(viewer, looking);
+        self.work.push(Box::pin(async move { seen.await.unwrap_or(Done::Closed) }));
+    }
+
+    /// Makes the socket again where somebody has removed it. That this cannot be done is a fault
+    /// until it can.
+    fn look_after_the_socket(&mut self) {
+        if self.listener.as_ref().is_some_and(PathListener::stands) {
+            return;
+        }
+        // Its lock is given back first.
+        self.listener = None;
+        match open(&self.path) {
+            Ok(listener) => {
+                info!(path = %self.path.display(), "the node's window was gone, and is made again");
+                self.listener = Some(listener);
+                if self.told.replace(false) != Some(false) {
+                    self.reports.mend("window");
+                }
+            }
+            Err(reason) if self.told.replace(true) != Some(true) => {
+                let detail = format!("the node is not shown any more: {reason}");
+                self.reports.declare("window", detail);
+            }
+            Err(_) => {}
+        }
+    }
+}
+
+async fn accept(listener: Option<&PathListener>) -> UnixStream {
+    let Some(listener) = listener else { return future::pending().await };
+    loop {
+        match listener.accept().await {
+            Ok(viewer) => return viewer,
+            Err(_) => sleep(PAUSE).await,
+        }
+    }
+}
+
+async fn until(due: Option<blastema_core::Instant>) {
+    match due {
+        Some(due) => sleep_until(platform::timer_at(due)).await,
+        None => future::pending().await,
+    }
+}

@@ -1,0 +1,330 @@
+//! Everything that a node knows of itself at one moment, for people and for their tools.
+
+use super::{Node, NodeState};
+use crate::actuator::ActuatorRow;
+use crate::global_name::ClaimRow;
+use crate::liveness::threads::{ThreadRow, ThreadState};
+use crate::platform;
+use crate::service::ServiceRow;
+use crate::topic::TopicRow;
+use blastema_contract::link::LinkRow;
+use blastema_contract::session::SessionRow;
+use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
+use blastema_core::lease::LeaseStatus;
+use blastema_core::{Incarnation, Instant, NodeName, ObjectName, Severity};
+use serde_json::{Value, json};
+use std::future::Future;
+use std::time::Duration;
+
+/// How long the parts of the picture are waited for, all at once. What does not come by then is not
+/// known, so that a node whose network hangs still shows the rest.
+pub(super) const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
+/// where whoever keeps it did not answer within a second: that there is nothing is an empty list.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct NodeSnapshot {
+    /// Which node.
+    pub node: NodeName,
+    /// Which of its lives.
+    pub incarnation: Incarnation,
+    /// How it is.
+    pub state: NodeState,
+    /// When this was seen, on the node's clock.
+    pub seen_at: Instant,
+    /// The monitor's table: components, supervisors, links, neighbours, objects of the middleware.
+    pub table: Option<Vec<MonitorRow>>,
+    /// The threads that components live on.
+    pub threads: Vec<ThreadRow>,
+    /// The links, in the order in which they were described.
+    pub links: Option<Vec<LinkRow>>,
+    /// The sessions with other nodes.
+    pub sessions: Option<Vec<SessionRow>>,
+    /// The names of the whole robot that are held, as far as this node knows.
+    pub claims: Vec<ClaimRow>,
+    /// The services that the node carries, and who serves each.
+    pub services: Vec<ServiceRow>,
+    /// The node's actuators, and who commands each.
+    pub actuators: Vec<ActuatorRow>,
+    /// The topics that objects of the node have named.
+    pub topics: Vec<TopicRow>,
+    /// The record of faults.
+    pub faults: Option<FaultRecord>,
+}
+
+impl NodeSnapshot {
+    pub(super) async fn of(node: &Node) -> Self {
+        let (table, links, sessions, faults) = futures_util::future::join4(
+            in_time(node.table()),
+            in_time(node.links()),
+            in_time(node.sessions()),
+            in_time(node.faults()),
+        )
+        .await;
+        NodeSnapshot {
+            node: node.name().clone(),
+            incarnation: node.incarnation(),
+            state: node.state(),
+            table,
+            threads: node.threads(),
+            links,
+            sessions,
+            claims: node.claims(),
+            services: node.services(),
+            actuators: node.actuators(),
+            topics: node.topics(),
+            faults,
+            seen_at: platform::now(),
+        }
+    }
+
+    /// The same as one JSON document, on one line. Spans are in milliseconds (`_ms`); what is not
+    /// known is `null`.
+    pub fn to_json(&self) -> String {
+        let (state, reason) = match &self.state {
+            NodeState::Starting => ("starting", None),
+            NodeState::Running => ("running", None),
+            NodeState::InSafeState { reason } => ("at rest", Some(reason)),
+            NodeState::Stopped => ("stopped", None),
+        };
+        let faults = self.faults.as_ref();
+        let entry = |entry: &FaultEntry| fault(entry, self.seen_at);
+        let document = json!({
+            "node": self.node.as_str(),
+            "incarnation": self.incarnation.0,
+            "state": state,
+            "reason": reason,
+            "table": self.table.as_deref().map(|rows| rows_of(rows, object)),
+            "threads": rows_of(&self.threads, thread),
+            "links": self.links.as_deref().map(|rows| rows_of(rows, link)),
+            "sessions": self.sessions.as_deref().map(|rows| rows_of(rows, session)),
+            "claims": rows_of(&self.claims, claim),
+            "services": rows_of(&self.services, service),
+            "actuators": rows_of(&self.actuators, actuator),
+            "topics": rows_of(&self.topics, topic),
+            "faults": faults.map(|record| rows_of(&record.entries, entry)),
+            "faults_dropped": faults.map(|record| record.dropped),
+        });
+        document.to_string()
+    }
+}
+
+async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
+    tokio::time::timeout(PATIENCE, part).await.ok()
+}
+
+fn rows_of<T>(rows: &[T], row: impl Fn(&T) -> Value) -> Vec<Value> {
+    rows.iter().map(row).collect()
+}
+
+fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
+    // To the microsecond: finer than anything that is measured here.
+    span.into().map(|span| (span.as_secs_f64() * 1e6).round() / 1e3)
+}
+
+fn object(row: &MonitorRow) -> Value {
+    json!({
+        "place": row.place.to_string(),
+        "kind": match row.kind {
+            ObjectKind::Component => "component",
+            ObjectKind::Middleware => "middleware",
+            ObjectKind::Link => "link",
+            ObjectKind::Node => "node",
+        },
+        "incarnation": row.incarnation.0,
+        "state": row.state.map(|state| state.to_string()),
+        "opinion": row.opinion.to_string(),
+        "last_sign_ms": millis(row.last_sign),
+        "restarts": row.restarts,
+        "suspicions": row.suspicions,
+        "missed_rounds": row.missed_rounds,
+        "queued": row.queue.map(|queue| queue.queued),
+        "oldest_ms": millis(row.queue.map(|queue| queue.oldest)),
+        "current": row.current.map(|current| current.during),
+        "current_ms": millis(row.current.map(|current| current.age)),
+        "isolated": row.isolated,
+        "note": row.note,
+    })
+}
+
+fn thread(row: &ThreadRow) -> Value {
+    let (state, by, blocked) = match &row.state {
+        ThreadState::Alive => ("alive", None, None),
+        ThreadState::Blocked { by, age } => ("blocked", Some(by), Some(*age)),
+        ThreadState::Abandoned { by } => ("abandoned", Some(by), None),
+    };
+    json!({
+        "number": row.number,
+        "kind": row.kind.to_string(),
+        "state": state,
+        "by": by.map(ObjectName::as_str),
+        "blocked_ms": millis(blocked),
+        "busy": row.busy,
+        "last_beat_ms": millis(row.last_beat),
+        "running": row.running.as_ref().map(ObjectName::as_str),
+        "queued": row.queued,
+        "components": row.components.iter().map(ObjectName::as_str).collect::<Vec<_>>(),
+    })
+}
+
+fn link(row: &LinkRow) -> Value {
+    json!({
+        "network": &*row.network,
+        "link": &*row.link,
+        "state": row.state.to_string(),
+        "neighbour": row.neighbour.as_ref().map(|neighbour| neighbour.node.as_str()),
+        "last_sign_ms": millis(row.last_sign),
+        "round_trip_ms": millis(row.quality.round_trip),
+        "jitter_ms": millis(row.quality.jitter),
+        "loss_permille": row.quality.loss_permille,
+        "cost": row.cost,
+        "refused": row.refusals.total(),
+    })
+}
+
+fn session(row: &SessionRow) -> Value {
+    let (standing, counters) = (&row.standing, &row.standing.counters);
+    json!({
+        "node": row.node.as_str(),
+        "state": standing.state.to_string(),
+        "incarnation": standing.incarnation.map(|life| life.0),
+        "round_trip_ms": millis(standing.round_trip),
+        "unacknowledged": standing.unacknowledged,
+        "in_flight": standing.in_flight,
+        "window": standing.window,
+        "sent": counters.sent,
+        "repeated": counters.repeated,
+        "doubled": counters.doubled,
+        "late": counters.overtaken,
+        "unfinished": counters.unfinished,
+        "returned": counters.returned,
+        "refused": standing.refusals.total(),
+        "differences": row.differences,
+    })
+}
+
+fn claim(row: &ClaimRow) -> Value {
+    json!({
+        "name": row.name.as_str(),
+        "node": row.holder.node.as_str(),
+        "object": row.holder.object.as_str(),
+        "epoch": row.holder.epoch,
+        "incarnation": row.incarnation.0,
+        "age_ms": millis(row.age),
+    })
+}
+
+fn service(row: &ServiceRow) -> Value {
+    let names = |nodes: &[NodeName]| rows_of(nodes, |node| node.as_str().into());
+    json!({
+        "name": row.name.as_str(),
+        "state": row.state.to_string(),
+        "since_ms": millis(row.since),
+        "kind": row.kind.to_string(),
+        "epoch": row.epoch,
+        "primary": row.primary.as_ref().map(NodeName::as_str),
+        "members": names(&row.members),
+        "unheard": names(&row.unheard),
+        "unprotected": row.unprotected,
+        "seen_ms": millis(row.age),
+    })
+}
+
+fn actuator(row: &ActuatorRow) -> Value {
+    let (state, commander, lease) = match &row.standing {
+        LeaseStatus::Free => ("free", None, None),
+        LeaseStatus::Held { commander, epoch, left } => {
+            ("held", Some(commander), Some((*epoch, *left)))
+        }
+        LeaseStatus::Settling { commander } => ("settling", Some(commander), None),
+    };
+    json!({
+        "object": row.object.as_str(),
+        "contract": row.contract,
+        "state": state,
+        "commander": commander.map(|commander| commander.name.as_str()),
+        "incarnation": commander.map(|commander| commander.life.0),
+        "epoch": lease.map(|(epoch, _)| epoch),
+        "left_ms": millis(lease.map(|(_, left)| left)),
+    })
+}
+
+fn topic(row: &TopicRow) -> Value {
+    json!({
+        "topic": row.topic,
+        "contract": row.contract,
+        "latched": row.latched,
+        "publishers": row.publishers,
+        "listeners": rows_of(&row.listeners, |name| name.as_str().into()),
+        "nodes": row.nodes,
+        "events": row.events,
+        "rate_hz": row.rate_hz,
+        "bytes": row.bytes,
+        "similar": row.similar,
+    })
+}
+
+fn fault(entry: &FaultEntry, now: Instant) -> Value {
+    let fault = &entry.fault;
+    json!({
+        "id": fault.id.to_string(),
+        "code": fault.kind.code(),
+        "kind": fault.kind.to_string(),
+        "severity": match fault.severity {
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+            Severity::Critical => "critical",
+        },
+        "place": fault.place.to_string(),
+        "incarnation": fault.incarnation.0,
+        "detail": fault.detail,
+        "count": fault.count,
+        "symptom_of": fault.symptom_of.map(|root| root.to_string()),
+        "age_ms": millis(now - fault.found_at),
+        "measure": entry.decided.as_ref().map(|(_, measure)| measure),
+        "status": entry.status().to_string(),
+        "given_up": entry.given_up.as_ref().map(|(_, reason)| reason),
+        "recovered_ms": millis(entry.recovered_at.map(|at| now - at)),
+        "recovered_after_ms": millis(entry.recovered_after()),
+        "repaired_ms": millis(entry.repaired_at.map(|at| now - at)),
+        "repaired_after_ms": millis(entry.repaired_after()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_doubles::paused;
+    use std::future;
+
+    #[test]
+    fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {
+        paused(async {
+            let picture = NodeSnapshot {
+                node: NodeName::new("n").unwrap(),
+                incarnation: Incarnation(1),
+                state: NodeState::Running,
+                seen_at: Instant::ORIGIN,
+                table: in_time(future::ready(Vec::new())).await,
+                threads: Vec::new(),
+                links: in_time(future::ready(Vec::new())).await,
+                sessions: in_time(future::pending()).await,
+                claims: Vec::new(),
+                services: Vec::new(),
+                actuators: Vec::new(),
+                topics: Vec::new(),
+                faults: in_time(future::pending()).await,
+            };
+
+            let seen: Value = serde_json::from_str(&picture.to_json()).unwrap();
+
+            for silent in ["sessions", "faults", "faults_dropped"] {
+                assert_eq!(seen.get(silent), Some(&Value::Null), "{silent}");
+            }
+            for empty in ["table", "links", "threads"] {
+                assert_eq!(seen[empty], json!([]), "{empty}");
+            }
+        });
+    }
+}

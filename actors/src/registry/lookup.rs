@@ -1,0 +1,88 @@
+//! What stands behind a `Sender` of a claimed name: whoever holds it when something is sent.
+
+use crate::global_name::GlobalNameTable;
+use crate::messaging::reply::ReplyFuture;
+use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
+use crate::registry::Registry;
+use blastema_core::global_name::Holder;
+use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// Messages of one contract to the holder of a name.
+pub(crate) struct GlobalNameSender<M: Contract> {
+    name: ObjectName,
+    registry: Registry,
+    names: GlobalNameTable,
+    /// Who was sent to last, and how.
+    last: Mutex<Option<(Holder, Sender<M>)>>,
+}
+
+impl<M: Contract> GlobalNameSender<M> {
+    pub(crate) fn new(name: ObjectName, registry: Registry, names: GlobalNameTable) -> Self {
+        GlobalNameSender { name, registry, names, last: Mutex::default() }
+    }
+
+    /// The way to whoever holds the name now.
+    fn present(&self) -> Result<Sender<M>, DeliveryError> {
+        let holder = self.names.holder(&self.name);
+        let holder =
+            holder.ok_or_else(|| DeliveryError::Unclaimed { name: self.name.to_string() })?;
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((known, sender)) = last.as_ref()
+            && *known == holder
+        {
+            return Ok(sender.clone());
+        }
+        let sender = self.registry.sender::<M>(&format!("{}:{}", holder.node, holder.object))?;
+        *last = Some((holder, sender.clone()));
+        Ok(sender)
+    }
+}
+
+impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
+    fn tell(&self, message: M) -> Result<(), SendError<M>> {
+        match self.present() {
+            Ok(sender) => sender.0.tell(message),
+            Err(why) => Err(SendError::new(why, message)),
+        }
+    }
+
+    fn offer(&self, message: M) -> Result<(), SendError<M>> {
+        match self.present() {
+            Ok(sender) => sender.0.offer(message),
+            Err(why) => Err(SendError::new(why, message)),
+        }
+    }
+
+    fn room<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        let refused = refused.clone();
+        Box::pin(async move {
+            let mut revision = self.names.revision();
+            // Whoever has no room now need not be the one who is sent to next.
+            if let Ok(sender) = self.present() {
+                tokio::select! {
+                    () = sender.0.room(&refused) => {}
+                    _ = revision.changed() => {}
+                }
+            }
+        })
+    }
+
+    fn ask(
+        &self,
+        message: M,
+        id: Option<MessageId>,
+        within: Option<Duration>,
+    ) -> Result<ReplyFuture<M>, RequestError<M>> {
+        match self.present() {
+            Ok(sender) => sender.0.ask(message, id, within),
+            Err(why) => Err(RequestError::new(why, Some(message))),
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The reflex that keeps the middleware's own actors alive.
+//!
+//! Components are hosted; the objects of the middleware itself are plain actors, and this is what
+//! stands between their panics and actix. A panic is caught around each poll, so that actix never
+//! sees it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox
+//! live on. Only the message that it was serving is lost.
+
+use crate::messaging::death_watch::{Deaths, Ending};
+use crate::platform;
+use crate::platform::panics;
+use actix::dev::{ContextFut, channel};
+use actix::prelude::*;
+use blastema_contract::reports::{Alive, ExitReason, Exited};
+use blastema_core::{Incarnation, Instant, Lifecycle, ObjectName};
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::Pin;
+use std::sync::{Arc, OnceLock};
+use std::task::{self, Poll};
+use std::time::Duration;
+
+/// More restarts than this within [`PERIOD`], and the reflex gives up: an actor of the middleware
+/// that cannot stay alive is a matter for the whole node.
+const TIMES: usize = 20;
+/// The sliding window in which restarts are counted.
+const PERIOD: Duration = Duration::from_secs(10);
+/// Requests that may wait on the mailbox before a sender notices; `do_send` knows no bound.
+const MAILBOX: usize = 1024;
+
+thread_local! {
+    static LIFE: Cell<Incarnation> = const { Cell::new(Incarnation::FIRST) };
+}
+
+/// The answer of the guarded actor that is running now to "are you alive?".
+pub(crate) fn alive() -> Alive {
+    Alive { incarnation: LIFE.get(), state: Lifecycle::Active }
+}
+
+/// Lets a guarded actor answer the monitor.
+macro_rules! answers_the_monitor {
+    ($actor:ty) => {
+        impl actix::Handler<blastema_contract::reports::AreYouAlive> for $actor {
+            type Result = blastema_contract::reports::Alive;
+
+            fn handle(
+                &mut self,
+                _: blastema_contract::reports::AreYouAlive,
+                _: &mut Self::Context,
+            ) -> Self::Result {
+                crate::runtime::guardian::alive()
+            }
+        }
+    };
+}
+pub(crate) use answers_the_monitor;
+
+/// An arbiter on a thread of its own, for the middleware.
+pub(crate) fn own_arbiter() -> std::io::Result<ArbiterHandle> {
+    let arbiter = Arbiter::try_with_tokio_rt(|| {
+        tokio::runtime::Builder::new_current_thread().enable_all().build()
+    })?;
+    Ok(arbiter.handle())
+}
+
+/// Runs actors that must not die. They begin anew, in their own `restarting`, from what they were
+/// configured with.
+#[derive(Clone, Default)]
+pub(crate) struct Guardian {
+    deaths: Arc<OnceLock<Recipient<Exited>>>,
+    watched: Deaths,
+}
+
+impl Guardian {
+    /// A guardian whose reports go to `deaths` from the beginning.
+    #[cfg(test)]
+    pub(crate) fn reporting_to(deaths: Recipient<Exited>) -> Self {
+        let guardian = Guardian::default();
+        guardian.report_to(deaths);
+        guardian
+    }
+
+    /// From now on every death, survived or not, is reported to `deaths`. The monitor, which is
+    /// told, is itself guarded: that is why this cannot be said when the guardian is made.
+    pub(crate) fn report_to(&self, deaths: Recipient<Exited>) {
+        // A second monitor would be a second master; the first stays.
+        let _ = self.deaths.set(deaths);
+    }
+
+    /// Where the lives of its actors can be watched.
+    pub(crate) fn watched(&self) -> Deaths {
+        self.watched.clone()
+    }
+
+    /// Starts an actor on `arbiter`, or here.
+    pub(crate) fn start<A>(
+        &self,
+        name: ObjectName,
+        arbiter: Option<&ArbiterHandle>,
+        make: impl FnOnce(&mut Context<A>) -> A + Send + 'static,
+    ) -> Addr<A>
+    where
+        A: Actor<Context = Context<A>> + Supervised,
+    {
+        panics::install_hook();
+        let (sender, receiver) = channel::channel(MAILBOX);
+        let (deaths, watched) = (self.deaths.clone(), self.watched());
+        watched.begin(&name, Incarnation::FIRST);
+        let enter = move || {
+            let mut context = Context::with_receiver(receiver);
+            let actor = make(&mut context);
+            let future = Box::pin(context.into_future(actor));
+            let past = VecDeque::new();
+            let incarnation = Incarnation::FIRST;
+            actix_rt::spawn(Ward { future, name, incarnation, past, deaths, watched });
+        };
+        match arbiter {
+            Some(arbiter) => {
+                arbiter.spawn_fn(enter);
+            }
+            None => enter(),
+        }
+        Addr::new(sender)
+    }
+}
+
+/// One guarded actor.
+struct Ward<A: Actor<Context = Context<A>> + Supervised> {
+    future: Pin<Box<ContextFut<A, Context<A>>>>,
+    name: ObjectName,
+    incarnation: Incarnation,
+    past: VecDeque<Instant>,
+    deaths: Arc<OnceLock<Recipient<Exited>>>,
+    watched: Deaths,
+}
+
+impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
+    /// Says whether the actor lives again.
+    fn revive(&mut self, text: String) -> bool {
+        let now = platform::now();
+        while self.past.front().is_some_and(|&death| now - death > PERIOD) {
+            self.past.pop_front();
+        }
+        self.past.push_back(now);
+        let alive = self.past.len() <= TIMES
+            && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
+        let exit =
+            ExitReason::Panicked { text, at: panics::take_place(), during: "the middleware" };
+        let restarted_as = alive.then(|| self.incarnation.next());
+        let (object, incarnation) = (self.name.clone(), self.incarnation);
+        self.watched.end(&object, Ending::from(&exit));
+        if let Some(next) = restarted_as {
+            self.watched.begin(&object, next);
+        }
+        if let Some(deaths) = self.deaths.get() {
+            deaths.do_send(Exited { object, incarnation, exit, restarted_as });
+        }
+        self.incarnation = self.incarnation.next();
+        alive
+    }
+}
+
+impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
+        LIFE.set(self.incarnation);
+        let future = &mut self.future;
+        let caught = {
+            let _guarded = panics::PanicGuard::enter();
+            catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))
+        };
+        match caught {
+            Ok(Poll::Ready(())) => {
+                self.watched.end(&self.name, Ending::Stopped);
+                Poll::Ready(())
+            }
+            Ok(Poll::Pending) => Poll::Pending,
+            Err(payload) => {
+                if !self.revive(panics::text_of(payload)) {
+                    return Poll::Ready(());
+                }
+                // Its neighbours have their turn before it tries again.
+                cx.waker().wake_by_ref();
+                Poll::Pending
+            }
+        }
+    }
+}

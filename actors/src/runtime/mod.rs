@@ -1,0 +1,4 @@
+//! What drives a machine of `core` and restarts the middleware's own actors.
+
+pub(crate) mod driver;
+pub(crate) mod guardian;
