@@ -2,13 +2,16 @@
 
 pub(crate) mod cell;
 pub(crate) mod context;
+pub(crate) mod control;
 pub(crate) mod envelope;
 pub(crate) mod environment;
-pub(crate) mod injection;
 pub(crate) mod life;
 pub(crate) mod ports;
+pub(crate) mod slot;
+pub(crate) mod spec_error;
+pub(crate) mod subscription;
 
-use crate::errors;
+use crate::platform::errors;
 use blastema_core::Contract;
 use context::Context;
 use ports::Ports;

@@ -84,7 +84,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 mod actuator;
 mod arbiter;
 mod component;
-mod errors;
 mod fault_chain;
 mod global_name;
 mod host;
@@ -121,14 +120,16 @@ pub use blastema_macros::{Event, Parameters, Request, Structure, Variable};
 pub use serde;
 
 // Components.
+pub use crate::arbiter::pool::ThreadKind;
 pub use crate::component::context::{Context, LongOperation};
-pub use crate::component::injection::Injection;
 pub use crate::component::life::TimerId;
 pub use crate::component::ports::{ListenPort, Ports};
-pub use crate::liveness::threads::{ThreadKind, ThreadRow, ThreadState};
+use crate::component::spec_error::SpecError;
+pub use crate::liveness::threads::{ThreadRow, ThreadState};
+pub use crate::messaging::injection::Injection;
 pub use crate::messaging::queue::WhenFull;
 pub use component::{Component, Failure, Handle};
-pub use host::spec::{ChildSpec, SpecError};
+pub use host::spec::ChildSpec;
 pub use platform::sleep;
 
 // Sending, and what becomes of messages.
@@ -225,8 +226,8 @@ pub mod prelude {
 /// What [`main`](macro@main) writes and `blastema-testkit` needs; not for use by hand.
 #[doc(hidden)]
 pub mod program {
-    pub use crate::errors::{Fatal, ReportBoxed};
     pub use crate::liveness::sampler::Running;
+    pub use crate::platform::errors::{Fatal, ReportBoxed};
 }
 
 /// Runs a future on this thread until it is done, with everything that nodes need around it.

@@ -1,9 +1,12 @@
 //! What the operating system gives: the one place that reads a clock, starts threads and knows
 //! processes.
 
+pub(crate) mod errors;
 pub(crate) mod panics;
 pub(crate) mod signals;
 pub(crate) mod systemd;
+#[cfg(feature = "journal")]
+pub(crate) mod wall_time;
 pub(crate) mod watchdog_device;
 
 use blastema_core::{Incarnation, Instant};
@@ -125,12 +128,12 @@ pub(crate) fn keep_freed_memory() {
 
 /// The time on the wall clock.
 #[cfg(feature = "journal")]
-pub(crate) fn wall_clock() -> crate::journal::WallTime {
+pub(crate) fn wall_clock() -> wall_time::WallTime {
     let micros = match SystemTime::now().duration_since(SystemTime::UNIX_EPOCH) {
         Ok(since) => i64::try_from(since.as_micros()).unwrap_or(i64::MAX),
         Err(before) => -i64::try_from(before.duration().as_micros()).unwrap_or(i64::MAX),
     };
-    crate::journal::WallTime::from_micros(micros)
+    wall_time::WallTime::from_micros(micros)
 }
 
 /// A seed that differs from run to run.

@@ -5,11 +5,11 @@
 //! safe.
 
 use super::command::{ActuatorCommand, Ordered, Wish};
-use crate::fault_chain::callbacks::{CallOutcome, Callbacks};
 use crate::messaging::reply::Responder;
 use crate::platform;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
+use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;

@@ -3,15 +3,14 @@
 //! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.
 
+use super::deadline;
 use super::pool::LoopGuard;
-use crate::messaging::reply::Cancel;
 use crate::platform;
 use blastema_core::{DeliveryError, Instant};
-use std::cell::{Cell, OnceCell, RefCell};
+use std::cell::{Cell, OnceCell};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64};
-use std::thread::ThreadId;
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 
@@ -39,8 +38,6 @@ pub(crate) struct ArbiterHeartbeat {
 thread_local! {
     static HERE: OnceCell<Arc<ArbiterHeartbeat>> = const { OnceCell::new() };
     static BEATS: Cell<bool> = const { Cell::new(false) };
-    /// Requests that were made here and wait for a reply.
-    static DEADLINES: RefCell<Deadlines> = const { RefCell::new(Deadlines::new()) };
 }
 
 /// Why nothing may be sent from here now, if that is so. A send that is past this check when the
@@ -144,9 +141,8 @@ impl ArbiterHeartbeat {
         self.time.store(now.as_nanos(), Relaxed);
         // The loop turns, so whoever kept it has come back.
         self.lift();
-        // Beaten on the arbiter's own thread, where its deadlines are.
-        let due = DEADLINES.with_borrow_mut(|deadlines| deadlines.sweep(now));
-        due.into_iter().for_each(|slot| slot.cancel(DeliveryError::DeadlinePassed));
+        // This is the arbiter's own thread, where its deadlines are.
+        deadline::sweep(now);
     }
 
     /// How often it has beaten.
@@ -221,106 +217,6 @@ impl ArbiterHeartbeat {
         HERE.try_with(|here| here.get().is_some_and(|here| std::ptr::eq(&**here, self)))
             .unwrap_or(false)
     }
-}
-
-/// Requests of one arbiter that wait for a reply: as many as there are futures that wait, and those
-/// whose future was dropped on another thread, until the next sweep.
-struct Deadlines {
-    waiting: Vec<Option<Waiting>>,
-    free: Vec<usize>,
-    /// Numbers the entries, so that a place that was taken anew is known.
-    next: u64,
-}
-
-struct Waiting {
-    number: u64,
-    due: Due,
-    slot: Arc<dyn Cancel>,
-}
-
-/// The first sweep after a request was made turns its span into a point in time, so that the
-/// request itself reads no clock. The deadline is late by a beat at most, and never early.
-enum Due {
-    After(Duration),
-    At(Instant),
-}
-
-impl Deadlines {
-    const fn new() -> Self {
-        Deadlines { waiting: Vec::new(), free: Vec::new(), next: 0 }
-    }
-
-    /// Takes out what is due, and what nobody else holds any more.
-    fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Cancel>> {
-        let mut due = Vec::new();
-        for (at, place) in self.waiting.iter_mut().enumerate() {
-            let Some(waiting) = place else { continue };
-            if let Due::After(span) = waiting.due {
-                waiting.due = Due::At(now + span);
-            }
-            let over = matches!(waiting.due, Due::At(at) if at <= now);
-            if over || Arc::strong_count(&waiting.slot) == 1 {
-                due.extend(place.take().map(|waiting| waiting.slot));
-                self.free.push(at);
-            }
-        }
-        due
-    }
-}
-
-/// One request's place among the deadlines of the arbiter on which it was made.
-pub(crate) struct Deadline {
-    place: usize,
-    number: u64,
-    thread: ThreadId,
-}
-
-impl Deadline {
-    /// To be set on an arbiter that [beats](Pulse::beats_here).
-    #[inline]
-    pub(crate) fn set(span: Duration, slot: Arc<dyn Cancel>) -> Self {
-        DEADLINES.with_borrow_mut(|deadlines| {
-            let number = deadlines.next;
-            deadlines.next += 1;
-            let entry = Some(Waiting { number, due: Due::After(span), slot });
-            let place = match deadlines.free.pop() {
-                Some(place) => {
-                    deadlines.waiting[place] = entry;
-                    place
-                }
-                None => {
-                    deadlines.waiting.push(entry);
-                    deadlines.waiting.len() - 1
-                }
-            };
-            Deadline { place, number, thread: thread_id() }
-        })
-    }
-}
-
-impl Drop for Deadline {
-    #[inline]
-    fn drop(&mut self) {
-        if self.thread != thread_id() {
-            return; // The sweep finds it.
-        }
-        let entry = DEADLINES.try_with(|deadlines| {
-            let mut deadlines = deadlines.borrow_mut();
-            let place = deadlines.waiting.get_mut(self.place)?;
-            let entry = place.take_if(|waiting| waiting.number == self.number)?;
-            deadlines.free.push(self.place);
-            Some(entry)
-        });
-        drop(entry); // Its slot may hold what is the user's.
-    }
-}
-
-#[inline]
-fn thread_id() -> ThreadId {
-    thread_local! {
-        static ID: ThreadId = std::thread::current().id();
-    }
-    ID.try_with(|id| *id).unwrap_or_else(|_| std::thread::current().id())
 }
 
 #[cfg(test)]

@@ -4,13 +4,33 @@
 //! ones are counted: too many, and the process itself has to be begun anew.
 
 use super::heartbeat::ArbiterHeartbeat;
-use crate::liveness::threads::ThreadKind;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::ObjectName;
 use std::fmt;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Who may live on a thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ThreadKind {
+    /// Any component.
+    Shared,
+    /// One component, which asked for it.
+    Own,
+    /// Components and the rest of the application: it is the one that started the node.
+    Starter,
+}
+
+impl fmt::Display for ThreadKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            ThreadKind::Shared => "shared",
+            ThreadKind::Own => "own",
+            ThreadKind::Starter => "starter",
+        })
+    }
+}
 
 /// Threads that may be given up before that is told: each holds its stack, and whatever its handler
 /// had taken, for ever.

@@ -4,24 +4,25 @@
 //! they outlive panics and hung threads.
 
 use super::environment::ComponentEnvironment;
-use super::injection::Injected;
-use super::life::IncarnationToken;
+use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
+use crate::component::control::HostCommand;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
+use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
-use crate::host::Host;
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::limits::ComponentLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
+use crate::messaging::incarnation::IncarnationToken;
+use crate::messaging::injection::Injected;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
-use crate::messaging::reply::{Cancel, ReplyFuture, Responder};
+use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sender::{MessageSink, Receiver, RequestError, SendError};
 use crate::platform;
 use crate::platform::panics;
-use crate::topic::Subscriptions;
-use actix::Addr;
+use actix::Recipient;
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::quarantine::Quarantine;
@@ -47,7 +48,7 @@ pub(crate) struct ComponentCell<C: Component> {
     pub(crate) lane: BoundedQueue<BoxedEnvelope<C>>,
     pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
-    control: Mutex<Option<Addr<Host<C>>>>,
+    control: Mutex<Option<Recipient<HostCommand>>>,
     subscriptions: Mutex<Subscriptions<C>>,
 }
 
@@ -301,11 +302,11 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    pub(crate) fn control(&self) -> Option<Addr<Host<C>>> {
+    pub(crate) fn control(&self) -> Option<Recipient<HostCommand>> {
         lock(&self.control).clone()
     }
 
-    pub(crate) fn set_control(&self, host: Option<Addr<Host<C>>>) {
+    pub(crate) fn set_control(&self, host: Option<Recipient<HostCommand>>) {
         *lock(&self.control) = host;
     }
 

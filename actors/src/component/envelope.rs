@@ -6,10 +6,11 @@
 //! the component's home and borrows the component for as long as it runs. The guard owns the other
 //! share, so that an unwinding handler never drops the component.
 
+use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
+use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Handle};
-use crate::host::executor::{ComponentExecutor, ComponentSlot};
-use crate::messaging::reply::{Cancel, Responder};
+use crate::messaging::reply::Responder;
 use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
 use pin_project_lite::pin_project;
@@ -212,40 +213,34 @@ pub(crate) fn arrived_posting_time<M: Contract>(age: Duration) -> Instant {
     }
 }
 
-/// Packs a message for a component.
+/// Packs a message for the queue of a component.
 #[inline]
-#[expect(
-    clippy::await_holding_refcell_ref,
-    reason = "messages wait while one is served; the control lane does not borrow"
-)]
 pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
     message: M,
     answer: Option<Responder<M>>,
     id: Option<MessageId>,
     times: impl Into<Times>,
 ) -> BoxedEnvelope<C> {
-    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
-        let mut seat = home.seat.borrow_mut();
-        let (component, cx) = seat.both();
-        if let Some(injected) = cx.before() {
-            injected.await;
-        }
-        component.handle(message, cx).await
-    };
-    Box::new(seal(make, message, answer, id, times.into()))
+    Box::new(sealed(message, answer, id, times.into()))
 }
 
-/// Hands an event to an idle component at once; the pump must be free.
+/// Packs an event for a component that serves it at once.
+#[inline]
+pub(crate) fn seal_event<C: Handle<M>, M: Contract>(message: M, times: Times) -> impl Envelope<C> {
+    sealed::<C, M>(message, None, None, times)
+}
+
 #[inline]
 #[expect(
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control lane does not borrow"
 )]
-pub(crate) fn pass<C: Handle<M>, M: Contract>(
-    pump: &mut ComponentExecutor<C>,
+fn sealed<C: Handle<M>, M: Contract>(
     message: M,
+    answer: Option<Responder<M>>,
+    id: Option<MessageId>,
     times: Times,
-) {
+) -> impl Envelope<C> + Send {
     let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
         let mut seat = home.seat.borrow_mut();
         let (component, cx) = seat.both();
@@ -254,7 +249,7 @@ pub(crate) fn pass<C: Handle<M>, M: Contract>(
         }
         component.handle(message, cx).await
     };
-    pump.serve_at_once(&mut seal(make, message, None, None, times));
+    seal(make, message, answer, id, times)
 }
 
 /// Names the closure's type by inference; neither it nor its future's can be written down.

@@ -7,25 +7,14 @@ use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::parameters::Configured;
 use crate::registry::Registry;
+use crate::runtime::reports::FaultReports;
 use crate::service::Roster;
 use crate::topic::Topics;
 use crate::variable::VariableStore;
-use actix::Recipient;
-use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared, StateReported};
 use blastema_core::suggestion::nearest;
-use blastema_core::{FaultKind, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use tracing::error;
-
-/// Who is told what guards and components report. Whoever is not named is not told.
-#[derive(Clone, Default)]
-pub(crate) struct FaultReports {
-    pub(crate) exits: Option<Recipient<Exited>>,
-    pub(crate) states: Option<Recipient<StateReported>>,
-    pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
-}
 
 /// What all components of a node share. Clones share it too.
 #[derive(Clone)]
@@ -43,27 +32,6 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) names: GlobalNameTable,
     /// The codes of the application's own list of faults.
     pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
-}
-
-impl FaultReports {
-    /// A fault of one of the middleware's own objects.
-    pub(crate) fn declare(&self, object: &str, detail: String) {
-        if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
-            let (incarnation, kind) =
-                (crate::runtime::guardian::alive().incarnation, FaultKind::CheckFailed);
-            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
-        }
-    }
-
-    /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
-    #[cfg(feature = "unix")]
-    pub(crate) fn mend(&self, object: &str) {
-        if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
-            let (incarnation, kind) =
-                (crate::runtime::guardian::alive().incarnation, FaultKind::CheckFailed);
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
-    }
 }
 
 /// Under this name stands what is wrong with the variables' file.

@@ -3,50 +3,13 @@
 use crate::component::context::Context;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
-use crate::sync::atomic::AtomicBool;
-use crate::sync::atomic::Ordering::Relaxed;
-use blastema_core::{DeliveryError, Incarnation, Instant};
+use crate::messaging::incarnation::IncarnationToken;
+use blastema_core::{Incarnation, Instant};
 use std::cell::{Cell, RefCell};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Says to every thread whether a life still lasts and may speak.
-#[derive(Debug, Default)]
-pub(crate) struct IncarnationToken {
-    ended: AtomicBool,
-    muted: AtomicBool,
-}
-
-impl IncarnationToken {
-    pub(crate) fn end(&self) {
-        self.ended.store(true, Relaxed);
-    }
-
-    #[inline]
-    pub(crate) fn has_ended(&self) -> bool {
-        self.ended.load(Relaxed)
-    }
-
-    pub(crate) fn mute(&self, muted: bool) {
-        self.muted.store(muted, Relaxed);
-    }
-
-    #[inline]
-    pub(crate) fn is_muted(&self) -> bool {
-        self.muted.load(Relaxed)
-    }
-
-    /// Why this life may send nothing, if that is so.
-    pub(crate) fn forbidden(&self) -> Option<DeliveryError> {
-        match (self.has_ended(), self.is_muted()) {
-            (true, _) => Some(DeliveryError::Fenced),
-            (false, true) => Some(DeliveryError::Isolated),
-            (false, false) => None,
-        }
-    }
-}
 
 /// Names one timer of one life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,11 +3,12 @@
 use crate::actuator;
 use crate::actuator::ActuatorSpec;
 use crate::component::cell::ComponentCell;
+use crate::component::spec_error::SpecError;
+use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
-use crate::host::spec::SpecError;
 use crate::parameters::{self, DeclareParameters};
 use crate::registry::{ContractPort, Skeleton};
-use crate::topic::{EventFilter, Subscription, Subscriptions, TopicSubscription, Topics};
+use crate::topic::{EventFilter, TopicSubscription, Topics};
 use crate::variable::{DeclaredVariable, VariableSpec};
 use blastema_core::parameters::{ParameterError, Parameters};
 use blastema_core::{Contract, DeliveryError, Event, ObjectName, Request, Variable};

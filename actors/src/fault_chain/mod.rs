@@ -12,7 +12,6 @@
 //! own](outside) looks
 //! whether the chain answers.
 
-pub(crate) mod callbacks;
 pub(crate) mod detector;
 pub(crate) mod directory;
 pub(crate) mod log;

@@ -14,8 +14,8 @@
 //! the watchdogs of
 //! the process are stroked no more. There is no such thread in a node that runs on one thread.
 
-use super::callbacks::Callbacks;
 use crate::platform::{self, ProcessWatchdog};
+use crate::runtime::callbacks::Callbacks;
 use actix::Recipient;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::ObjectName;

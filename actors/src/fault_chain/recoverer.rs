@@ -1,8 +1,8 @@
 //! The recoverer's body: it has its machine's orders carried out by strategies.
 
-use super::callbacks::Callbacks;
 use super::strategy::{EngagedStrategy, StrategyContext, StrategyTable};
 use crate::platform;
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::fut::wrap_future;

@@ -1,14 +1,15 @@
 //! What a supervisor does with a hosted component.
 
+use super::Host;
 use super::executor::{ComponentExecutor, SharedExecutor};
 use super::lifecycle::Hook;
-use super::{Host, HostCommand};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
-use crate::component::injection::Injection;
+use crate::component::control::HostCommand;
 use crate::liveness::label;
 use crate::messaging::death_watch::{Down, Ending, Watchable, Watcher};
+use crate::messaging::injection::Injection;
 use actix::dev::channel;
 use actix::{Addr, Recipient};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
@@ -80,7 +81,7 @@ impl<C: Component> Child for ComponentChild<C> {
         let incarnation = self.anchor.lane.begin(incarnation);
         record.set_incarnation(incarnation);
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
-        self.anchor.set_control(Some(Addr::new(sender)));
+        self.anchor.set_control(Some(Addr::new(sender).recipient()));
         let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, seat, report };
         let handle = boarding.seat.handle.clone();
         self.seat = Some(boarding.seat.clone());

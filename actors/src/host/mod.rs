@@ -31,8 +31,9 @@ pub(crate) mod spec;
 mod tests;
 
 use crate::component::Component;
+use crate::component::control::HostCommand;
 use actix::fut::{ActorFutureExt, wrap_future};
-use actix::{Actor, ActorContext, AsyncContext, Context, Handler, Message};
+use actix::{Actor, ActorContext, AsyncContext, Context, Handler};
 use executor::{ComponentExecutor, SharedExecutor};
 use lifecycle::EndReason;
 use std::cell::RefCell;
@@ -42,24 +43,6 @@ use std::rc::Rc;
 pub(crate) struct Host<C: Component> {
     pump: Rc<RefCell<ComponentExecutor<C>>>,
     entering: Option<SharedExecutor<C>>,
-}
-
-/// What the framework tells a host, on the control lane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
-pub(crate) enum HostCommand {
-    /// End in order.
-    Stop,
-    /// End in order, because another life follows.
-    MakeWay,
-    /// Recover from an error.
-    Reset,
-    /// Return to work, or leave it.
-    Activate(bool),
-    /// Look again: something was decided elsewhere.
-    Wake,
-    /// A test has it panic.
-    Panic,
 }
 
 impl<C: Component> Host<C> {

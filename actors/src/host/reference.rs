@@ -1,8 +1,8 @@
 //! A reference to one component, of which the sender knows the type.
 
 use crate::component::cell::ComponentCell;
+use crate::component::control::HostCommand;
 use crate::component::{Component, Handle};
-use crate::host::HostCommand;
 use crate::messaging::retry;
 use crate::messaging::sender::{
     DEFAULT_DEADLINE, MessageSink, RequestError, SendError, Sender, deliver,

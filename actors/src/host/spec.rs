@@ -5,123 +5,21 @@ use crate::component::Component;
 use crate::component::cell::{CellCore, ComponentCell};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::ports::{PortConstructor, Ports};
+use crate::component::spec_error::SpecError;
 use crate::global_name::ClaimPolicy;
 use crate::host::reference::ActorRef;
 use crate::liveness::limits::ComponentLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
-use crate::registry::NameTaken;
 use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
 use blastema_core::detection::Liveness;
-use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::global_name::ClaimRequest;
-use blastema_core::parameters::ParameterError;
-use blastema_core::{DeliveryError, NameError, ObjectName};
+use blastema_core::{NameError, ObjectName};
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Why a component cannot be added to a node.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SpecError {
-    /// Its name does not parse.
-    #[error("the name of a component, or one that it claims: {0}")]
-    Name(#[from] NameError),
-    /// The name of a supervisor does not parse.
-    #[error("the name of a supervisor: {0}")]
-    Supervisor(NameError),
-    /// Another object has its name: a component, a supervisor (`root` is one), or one of the
-    /// middleware's own.
-    #[error(transparent)]
-    Taken(#[from] NameTaken),
-    /// It listens to a topic that carries another contract of the same name.
-    #[error("{name} cannot listen to a topic: {why}")]
-    Topic {
-        /// The component.
-        name: ObjectName,
-        /// What differs.
-        why: DeliveryError,
-    },
-    /// One of its variables cannot be: its default is larger than its contract allows, or refused
-    /// by its own check.
-    #[error("a variable of {name} cannot be: {why}")]
-    Variable {
-        /// The component.
-        name: ObjectName,
-        /// What is wrong.
-        why: DeliveryError,
-    },
-    /// Its parameters are given a value that they do not take.
-    #[error("parameters of {name}: {error}")]
-    Parameters {
-        /// The component.
-        name: ObjectName,
-        /// What is wrong.
-        error: ParameterError,
-    },
-    /// One of its actuators cannot be: its safe command is larger than its contract allows.
-    #[error("an actuator of {name} cannot be: {why}")]
-    Actuator {
-        /// The component.
-        name: ObjectName,
-        /// What is wrong.
-        why: DeliveryError,
-    },
-    /// It was added to a node that runs, and depends on what does not exist there, or on itself,
-    /// perhaps by way of others.
-    #[error(transparent)]
-    Dependency(#[from] DependencyError),
-    /// The root supervisor did not take it: it is ending, or has ended.
-    #[error("the root supervisor does not take {name} now: it is ending, or has ended")]
-    Refused {
-        /// The component.
-        name: ObjectName,
-    },
-    /// Its [`Component::ports`], or what that calls, panicked.
-    #[error("{name} cannot say what its ports are: {panicked}")]
-    Ports {
-        /// The component.
-        name: ObjectName,
-        /// Where, and the panic's text.
-        panicked: String,
-    },
-    /// A setting makes no sense.
-    #[error("{setting} of {name} is {value}: {cure}")]
-    Setting {
-        /// The component.
-        name: String,
-        /// The setting.
-        setting: &'static str,
-        /// Its value.
-        value: String,
-        /// What to write instead.
-        cure: &'static str,
-    },
-    /// Two of its ports are for contracts of one name, so that only one of them could be reached.
-    #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
-    PortTwice {
-        /// The component.
-        name: ObjectName,
-        /// The contract's name.
-        contract: &'static str,
-        /// Which ports they are.
-        ports: &'static str,
-    },
-}
-
-impl SpecError {
-    pub(crate) fn setting(
-        name: &str,
-        setting: &'static str,
-        value: impl Into<String>,
-        cure: &'static str,
-    ) -> Self {
-        SpecError::Setting { name: name.to_owned(), setting, value: value.into(), cure }
-    }
-}
 
 /// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More
 /// would be a leak with a name.
@@ -299,7 +197,7 @@ impl<C: Component> ChildSpec<C> {
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
         limits.interval = self.interval()?;
-        limits.check(&self.name)?;
+        limits.check().map_err(|error| SpecError::limit(&self.name, error))?;
         self.check_claims()?;
         if self.queue.0 == 0 {
             return Err(self.setting("the queue", "0", "a queue holds at least one message"));

@@ -24,12 +24,11 @@ mod reader;
 mod store;
 #[cfg(test)]
 mod tests;
-mod wall_time;
 mod writer;
 
 pub use self::reader::{JournalEntry, JournalStatus, ReadError, read};
 pub use self::store::FAULTS_MAX;
-pub use self::wall_time::WallTime;
+pub use crate::platform::wall_time::WallTime;
 
 pub(crate) use self::lock::{JournalLock, LockError};
 pub(crate) use self::writer::{JOURNAL, JournalActor, JournalGuard, JournalSetup};

@@ -2,7 +2,7 @@
 
 use super::lock;
 use super::store::{APPLICATION, ENDED_WITH_PROCESS, VERSION, version_of};
-use super::wall_time::WallTime;
+use crate::platform::wall_time::WallTime;
 use rusqlite::{Connection, OpenFlags, Row};
 use std::fmt;
 use std::path::{Path, PathBuf};

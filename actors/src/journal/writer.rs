@@ -3,9 +3,9 @@
 use super::WallTime;
 use super::lock::{JournalLock, beside};
 use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
-use crate::component::environment::FaultReports;
 use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, ReadRecord};
 use blastema_core::detection::{FaultEntry, FaultTransition};

@@ -1,6 +1,5 @@
 //! The limits of one component's life, and which of them make sense.
 
-use crate::host::spec::SpecError;
 use crate::messaging::sender::DEFAULT_DEADLINE;
 use blastema_core::detection::{Liveness, Pull, Push};
 use std::ops::RangeInclusive;
@@ -55,10 +54,25 @@ const TOLERANCE: RangeInclusive<u32> = 1..=1000;
 /// No round need be missed: one may be under way whenever it is counted.
 const PERCENT: RangeInclusive<u8> = 1..=100;
 
+/// A limit that makes no sense.
+#[derive(Debug)]
+pub(crate) struct LimitError {
+    pub(crate) setting: &'static str,
+    pub(crate) value: String,
+    /// What to write instead.
+    pub(crate) cure: &'static str,
+}
+
+impl LimitError {
+    fn new(setting: &'static str, value: String, cure: &'static str) -> Self {
+        LimitError { setting, value, cure }
+    }
+}
+
 impl ComponentLimits {
     /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes
     /// sense.
-    pub(crate) fn check(&self, name: &str) -> Result<(), SpecError> {
+    pub(crate) fn check(&self) -> Result<(), LimitError> {
         let spans = [
             (
                 "max_block",
@@ -77,60 +91,50 @@ impl ComponentLimits {
         ];
         for (setting, value, least, cure) in spans {
             if value < least {
-                return Err(SpecError::setting(name, setting, format!("{value:?}"), cure));
+                return Err(LimitError::new(setting, format!("{value:?}"), cure));
             }
         }
         if !PERCENT.contains(&self.max_missed_percent) {
             let value = format!("{} %", self.max_missed_percent);
             let cure = "write 1 to 99 %, or 100 for any number";
-            return Err(SpecError::setting(name, "max_missed_rounds", value, cure));
+            return Err(LimitError::new("max_missed_rounds", value, cure));
         }
         match self.watch {
-            Liveness::Push(push) => check_push(name, push),
-            Liveness::Pull(pull) => check_pull(name, pull),
+            Liveness::Push(push) => check_push(push),
+            Liveness::Pull(pull) => check_pull(pull),
             _ => Ok(()),
         }
     }
 }
 
-fn check_push(name: &str, push: Push) -> Result<(), SpecError> {
+fn check_push(push: Push) -> Result<(), LimitError> {
     let Push { interval, tolerance, start_up } = push;
-    check_signs(name, interval, tolerance)?;
+    check_signs(interval, tolerance)?;
     if start_up < LEAST {
         let cure = "no life gives a sign at once: 1 ms at least";
-        return Err(SpecError::setting(
-            name,
-            "the watch's start_up",
-            format!("{start_up:?}"),
-            cure,
-        ));
+        return Err(LimitError::new("the watch's start_up", format!("{start_up:?}"), cure));
     }
     Ok(())
 }
 
-fn check_pull(name: &str, pull: Pull) -> Result<(), SpecError> {
+fn check_pull(pull: Pull) -> Result<(), LimitError> {
     let Pull { interval, within, tolerance } = pull;
-    check_signs(name, interval, tolerance)?;
+    check_signs(interval, tolerance)?;
     if within < LEAST {
         let (value, cure) = (format!("{within:?}"), "an answer takes 1 ms at least");
-        return Err(SpecError::setting(name, "the watch's within", value, cure));
+        return Err(LimitError::new("the watch's within", value, cure));
     }
     Ok(())
 }
 
-fn check_signs(name: &str, interval: Duration, tolerance: u32) -> Result<(), SpecError> {
+fn check_signs(interval: Duration, tolerance: u32) -> Result<(), LimitError> {
     if !SIGNS.contains(&interval) {
         let cure = "write 1 ms to 24 h, or Liveness::Guard";
-        return Err(SpecError::setting(
-            name,
-            "the watch's interval",
-            format!("{interval:?}"),
-            cure,
-        ));
+        return Err(LimitError::new("the watch's interval", format!("{interval:?}"), cure));
     }
     if !TOLERANCE.contains(&tolerance) {
         let cure = "write 1 to 1000 signs of life";
-        return Err(SpecError::setting(name, "the watch's tolerance", tolerance.to_string(), cure));
+        return Err(LimitError::new("the watch's tolerance", tolerance.to_string(), cure));
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! The threads that components live on, for people.
 
 use super::sampler::{ArbiterResidents, SampledComponents};
-use crate::arbiter::pool::{ArbiterPool, ArbiterThread};
+use crate::arbiter::pool::{ArbiterPool, ArbiterThread, ThreadKind};
 use crate::platform;
 use blastema_core::ObjectName;
 use std::fmt;
@@ -29,27 +29,6 @@ pub struct ThreadRow {
     pub queued: usize,
     /// Who lives on it, in alphabetical order.
     pub components: Vec<ObjectName>,
-}
-
-/// Who may live on a thread.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ThreadKind {
-    /// Any component.
-    Shared,
-    /// One component, which asked for it.
-    Own,
-    /// Components and the rest of the application: it is the one that started the node.
-    Starter,
-}
-
-impl fmt::Display for ThreadKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            ThreadKind::Shared => "shared",
-            ThreadKind::Own => "own",
-            ThreadKind::Starter => "starter",
-        })
-    }
 }
 
 /// How a thread is.

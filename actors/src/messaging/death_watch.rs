@@ -1,7 +1,7 @@
 //! Death watch: anyone may ask to be told when a life of an object ends.
 
-use crate::component::injection::Injection;
-use crate::component::life::IncarnationToken;
+use crate::messaging::incarnation::IncarnationToken;
+use crate::messaging::injection::Injection;
 use blastema_contract::reports::ExitReason;
 use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};

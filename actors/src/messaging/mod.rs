@@ -3,6 +3,8 @@
 
 pub(crate) mod dead_letters;
 pub(crate) mod death_watch;
+pub(crate) mod incarnation;
+pub(crate) mod injection;
 pub(crate) mod queue;
 pub(crate) mod reply;
 pub(crate) mod retry;

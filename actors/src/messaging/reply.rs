@@ -4,7 +4,8 @@
 //! the callee holds a way to revoke it, so that a callee which hangs cannot keep its askers
 //! waiting, and what it says after it was given up is refused. A slot takes one result, the first.
 
-use crate::arbiter::heartbeat::{ArbiterHeartbeat, Deadline};
+use crate::arbiter::deadline::{Cancel, Deadline};
+use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::messaging::sender::RequestError;
 use crate::platform;
 use crate::sync::atomic::AtomicBool;
@@ -20,12 +21,6 @@ use std::time::Duration;
 /// Gets a reply that leaves this process, or the reason why there is none.
 pub(crate) type ReplyCallback<M> =
     Box<dyn FnOnce(Result<<M as Contract>::Reply, DeliveryError>) + Send>;
-
-/// What whoever watches over the callee may do with a slot.
-pub(crate) trait Cancel: Send + Sync {
-    /// Resolves the request with this reason, unless it is resolved already.
-    fn cancel(&self, why: DeliveryError);
-}
 
 pub(crate) struct ReplySlot<M: Contract> {
     state: Mutex<State<M>>,

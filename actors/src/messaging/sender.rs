@@ -1,6 +1,6 @@
 //! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
 
-use crate::component::life::IncarnationToken;
+use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::retry;
 use blastema_core::{

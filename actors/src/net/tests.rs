@@ -15,9 +15,10 @@ mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
 use crate::arbiter::pool::ArbiterPool;
-use crate::component::environment::{ComponentEnvironment, FaultReports};
+use crate::component::environment::ComponentEnvironment;
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
+use crate::runtime::reports::FaultReports;
 use crate::{
     Component, Context, Contract, Event, Handle, Ports, Publisher, Request, Sender, platform,
 };

@@ -8,8 +8,8 @@ pub(crate) mod server;
 
 use self::server::InspectionServer;
 use super::{Node, NodeState, Shared};
-use crate::component::environment::FaultReports;
 use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_transports::unix::{PathListener, explain};
 use std::path::{Path, PathBuf};

@@ -2,11 +2,12 @@
 
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
+use crate::component::spec_error::SpecError;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::monitor::MonitorActor;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::host::reference::ActorRef;
-use crate::host::spec::{ChildSpec, SpecError};
+use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
 use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;

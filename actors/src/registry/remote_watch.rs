@@ -11,8 +11,8 @@
 //! ends of what is watched, so that none between two questions is missed. That the object's node is
 //! lost is seen by the session, which resolves the request.
 
-use crate::component::life::IncarnationToken;
 use crate::messaging::death_watch::{Down, Ending, Watcher};
+use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;

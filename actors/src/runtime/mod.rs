@@ -1,4 +1,6 @@
 //! What drives a machine of `core` and restarts the middleware's own actors.
 
+pub(crate) mod callbacks;
 pub(crate) mod driver;
 pub(crate) mod guardian;
+pub(crate) mod reports;

@@ -7,9 +7,9 @@ use super::words::{
     Answered, AskService, CompareTerms, LoadState, ReplicaSays, RoleChanged, SaveState, Serving,
     Task, WhoServes,
 };
-use crate::component::environment::{ComponentEnvironment, FaultReports};
-use crate::component::life::IncarnationToken;
+use crate::component::environment::ComponentEnvironment;
 use crate::messaging::death_watch::{Down, Ending, Watcher};
+use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::platform;
@@ -17,6 +17,7 @@ use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, NameTaken, Registry, ReplyTo};
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
+use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_contract::reports::{AreYouAlive, FaultDeclared};
 use blastema_core::contract::codec;

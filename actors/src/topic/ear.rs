@@ -94,7 +94,7 @@ impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
             if pump.is_free()
                 && let Some(event) = event.take()
             {
-                envelope::pass(pump, event, at);
+                pump.serve_at_once(&mut envelope::seal_event(event, at));
             }
             place
         });

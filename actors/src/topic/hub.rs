@@ -5,12 +5,13 @@
 //! the hub ends its turn and goes on from there in the next.
 
 use super::ear::{Ear, Resident};
-use super::{EventFilter, Hubs, Latch, Latched, Subscription, Topic, lock};
+use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Handle;
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::Times;
+use crate::component::subscription::Subscription;
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::label;
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};

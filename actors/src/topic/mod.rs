@@ -26,16 +26,14 @@ pub use publisher::Publisher;
 pub use traffic::TopicRow;
 
 use crate::arbiter::heartbeat;
-use crate::component::Component;
-use crate::component::cell::ComponentCell;
 use crate::component::envelope::{Times, enqueue_time};
-use crate::component::environment::FaultReports;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::queue::Pushed;
 use crate::platform;
 use crate::platform::panics;
 use crate::platform::panics::PanicGuard;
 use crate::registry::difference;
+use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::{
     ContractIdentity, DeliveryError, Event, GatherBuffer, Instant, ObjectName, PreviousVersion,
@@ -62,20 +60,6 @@ pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
 /// Hears which topics this node listens to.
 pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
-
-/// A component's subscription to one topic, for all its lives.
-pub(crate) trait Subscription<C: Component>: Send + Sync {
-    /// From now on events are delivered by the hub of the present arbiter.
-    fn attach(&self, anchor: &Arc<ComponentCell<C>>);
-    /// Another incarnation of the component has begun where the one before it ended: it is given
-    /// what the topic keeps for those who join.
-    fn catch_up(&self, anchor: &Arc<ComponentCell<C>>);
-    /// From now on none are.
-    fn end(&self, anchor: &ComponentCell<C>);
-}
-
-/// A component's subscriptions.
-pub(crate) type Subscriptions<C> = Arc<[Arc<dyn Subscription<C>>]>;
 
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -2,7 +2,7 @@
 
 use super::Topic;
 use crate::arbiter::heartbeat;
-use crate::component::life::IncarnationToken;
+use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::sender::SendError;
 use blastema_core::{Event, Instant};
 use std::fmt;

@@ -2,8 +2,8 @@
 
 use super::access::{Accessed, VariableRequest, Wanted, Written};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
-use crate::component::life::IncarnationToken;
 use crate::messaging::death_watch::{Ending, Watcher};
+use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform;
 use crate::platform::panics;

@@ -1,9 +1,9 @@
 use super::*;
-use crate::component::environment::FaultReports;
 use crate::fault_chain::scripted::{Bench, ScriptedReply, fault};
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::registry::Registry;
+use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
 use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};

@@ -1,8 +1,8 @@
 //! The actor around a strategy.
 
 use super::{RecoveryStrategy, StrategyContext};
-use crate::fault_chain::callbacks::{Callbacks, RunningCall};
 use crate::platform::panics;
+use crate::runtime::callbacks::{Callbacks, RunningCall};
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;

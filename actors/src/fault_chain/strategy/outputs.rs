@@ -1,7 +1,7 @@
 //! The application's declared safe outputs.
 
-use crate::component::environment::FaultReports;
-use crate::fault_chain::callbacks::{CallOutcome, Callbacks};
+use crate::runtime::callbacks::{CallOutcome, Callbacks};
+use crate::runtime::reports::FaultReports;
 use blastema_core::Fault;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;

@@ -8,7 +8,7 @@ use super::reset::ResetStrategy;
 use super::restart::RestartStrategy;
 use super::safe_stop::SafeStopStrategy;
 use super::{RecoveryStrategy, StrategyContext};
-use crate::fault_chain::callbacks::Callbacks;
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::guardian::{Guardian, own_arbiter};
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;

@@ -24,6 +24,7 @@ use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
 use crate::component::context::Context;
 use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
 use crate::component::life::IncarnationState;
+use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
 use crate::liveness::label::label;
@@ -35,7 +36,6 @@ use actix::Recipient;
 use blastema_contract::child::ChildReport;
 use blastema_core::{DeliveryError, Incarnation, Instant};
 use std::any::TypeId;
-use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -48,25 +48,6 @@ use std::task::{self, Poll, Waker};
 const BUDGET: usize = 64;
 /// Nests kept at most; a component that takes more contracts than this pays a box for the others.
 const NESTS: usize = 4;
-
-/// Where the component lives. A running handler borrows it for as long as it runs; since the guard
-/// holds the other `Rc`, a handler that unwinds never drops the component.
-pub(crate) struct ComponentSlot<C: Component> {
-    pub(crate) seat: RefCell<ComponentAndContext<C>>,
-}
-
-/// The component and its context, which a handler borrows together.
-pub(crate) struct ComponentAndContext<C: Component> {
-    component: C,
-    cx: Context<C>,
-}
-
-impl<C: Component> ComponentAndContext<C> {
-    #[inline]
-    pub(crate) fn both(&mut self) -> (&mut C, &mut Context<C>) {
-        (&mut self.component, &mut self.cx)
-    }
-}
 
 /// What is in service.
 enum Service {
@@ -452,9 +433,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.slot.stamp.begin(label("its factory"));
         let cx = Context::new(self.anchor.clone(), self.life.clone());
         let component = (self.anchor.factory)();
-        self.home = Some(Rc::new(ComponentSlot {
-            seat: RefCell::new(ComponentAndContext { component, cx }),
-        }));
+        self.home = Some(Rc::new(ComponentSlot::new(component, cx)));
         self.slot.stamp.step();
         self.tell_news();
     }

@@ -313,7 +313,7 @@ fn control_is_served_while_a_hook_awaits() {
         settle().await;
 
         let host = reference.0.control().unwrap();
-        host.send(crate::host::HostCommand::Wake).await.unwrap();
+        host.send(crate::component::control::HostCommand::Wake).await.unwrap();
 
         assert_eq!(reference.state(), Lifecycle::Created);
     });

@@ -18,7 +18,8 @@ mod watching;
 
 use super::spec::ChildSpec;
 use crate::arbiter::pool::ArbiterPool;
-use crate::component::environment::{ComponentEnvironment, FaultReports};
+use crate::component::environment::ComponentEnvironment;
+use crate::runtime::reports::FaultReports;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};

@@ -1,7 +1,7 @@
 //! Messages, replies, deadlines.
 
 use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
-use crate::host::HostCommand;
+use crate::component::control::HostCommand;
 use crate::liveness::sampler::AliveSource;
 use crate::{DeliveryError, Sender, WhenFull};
 use blastema_core::Lifecycle;

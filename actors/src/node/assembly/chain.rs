@@ -3,8 +3,6 @@
 use super::{enrolment, middleware, named};
 use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
-use crate::component::environment::FaultReports;
-use crate::fault_chain::callbacks::Callbacks;
 use crate::fault_chain::detector::DetectorActor;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::monitor::MonitorActor;
@@ -20,7 +18,9 @@ use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, Su
 use crate::node::tree::PreparedComponent;
 use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::guardian::{Guardian, own_arbiter};
+use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::{ReadTable, Register, Unregister};

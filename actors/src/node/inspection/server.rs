@@ -2,9 +2,9 @@
 //! again.
 
 use super::open;
-use crate::component::environment::FaultReports;
 use crate::node::{Node, Shared};
 use crate::platform;
+use crate::runtime::reports::FaultReports;
 use blastema_core::Machine;
 use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
 use blastema_transports::unix::PathListener;

@@ -4,7 +4,7 @@
 //! are called one
 //! after the other on a thread that is started for them. Each call is entered here while it runs,
 //! and the thread that
-//! [watches the chain](super::outside) finds those that take longer than the limit: the call is
+//! [watches the chain](crate::fault_chain::outside) finds those that take longer than the limit: the call is
 //! reported under its
 //! name, its thread is abandoned, and what waits behind it goes on on a fresh one.
 //!
@@ -12,9 +12,9 @@
 //! are asked for.
 
 use crate::arbiter::pool::{ABANDONED_LIMIT, ArbiterPool};
-use crate::component::environment::FaultReports;
 use crate::platform;
 use crate::platform::panics;
+use crate::runtime::reports::FaultReports;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};

@@ -1,0 +1,34 @@
+//! Where a component, and whatever else may fail, reports it.
+
+use crate::runtime::guardian;
+use actix::Recipient;
+use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared, StateReported};
+use blastema_core::{FaultKind, ObjectName};
+
+/// Who is told what guards and components report. Whoever is not named is not told.
+#[derive(Clone, Default)]
+pub(crate) struct FaultReports {
+    pub(crate) exits: Option<Recipient<Exited>>,
+    pub(crate) states: Option<Recipient<StateReported>>,
+    pub(crate) faults: Option<Recipient<FaultDeclared>>,
+    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+}
+
+impl FaultReports {
+    /// A fault of one of the middleware's own objects.
+    pub(crate) fn declare(&self, object: &str, detail: String) {
+        if let (Some(faults), Ok(object)) = (&self.faults, ObjectName::new(object)) {
+            let (incarnation, kind) = (guardian::alive().incarnation, FaultKind::CheckFailed);
+            faults.do_send(FaultDeclared { object, incarnation, kind, detail });
+        }
+    }
+
+    /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
+    #[cfg(feature = "unix")]
+    pub(crate) fn mend(&self, object: &str) {
+        if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
+            let (incarnation, kind) = (guardian::alive().incarnation, FaultKind::CheckFailed);
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+        }
+    }
+}
