@@ -3,10 +3,13 @@
 pub(crate) mod cell;
 pub(crate) mod context;
 pub(crate) mod control;
+pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
+pub(crate) mod extension;
 pub(crate) mod life;
 pub(crate) mod ports;
+pub(crate) mod skeleton;
 pub(crate) mod slot;
 pub(crate) mod spec_error;
 pub(crate) mod subscription;

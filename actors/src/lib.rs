@@ -123,7 +123,7 @@ pub use serde;
 pub use crate::arbiter::pool::ThreadKind;
 pub use crate::component::context::{Context, LongOperation};
 pub use crate::component::life::TimerId;
-pub use crate::component::ports::{ListenPort, Ports};
+pub use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 pub use crate::liveness::threads::{ThreadRow, ThreadState};
 pub use crate::messaging::injection::Injection;
@@ -148,6 +148,7 @@ pub use blastema_core::{
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
+pub use topic::ports::ListenPort;
 pub use topic::{Publisher, TopicRow};
 pub use variable::{
     Reading, RestoreDecision, RestorePolicy, Transaction, ValueState, VariableRef, VariableSpec,

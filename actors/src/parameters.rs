@@ -6,7 +6,13 @@
 
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
+use crate::component::environment::ComponentEnvironment;
+use crate::component::extension::Extension;
+use crate::component::ports::Ports;
+use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
+use crate::variable::ports::VariablePorts;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
@@ -89,12 +95,8 @@ fn read(value: Value) -> Result<ParameterValue, &'static str> {
     }
 }
 
-/// Makes the variable that holds a component's parameters.
-pub(crate) type DeclareParameters<C> =
-    fn(&Arc<ComponentCell<C>>, &Configured) -> Result<DeclaredVariable, ParameterError>;
-
 /// The parameters `P` of a component.
-pub(crate) fn declare<C: Handle<P>, P: Parameters>(
+fn declare<C: Handle<P>, P: Parameters>(
     anchor: &Arc<ComponentCell<C>>,
     configured: &Configured,
 ) -> Result<DeclaredVariable, ParameterError> {
@@ -112,7 +114,7 @@ pub(crate) fn declare<C: Handle<P>, P: Parameters>(
 impl<C: Component> ComponentCell<C> {
     /// The component's own parameters as they are now.
     pub(crate) fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        let value = self.record.environment.variables.value(&self.record.name, P::NAME)?;
+        let value = self.record.environment.variables().value(&self.record.name, P::NAME)?;
         codec::decode::<P>(&value)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })
     }
@@ -137,5 +139,44 @@ impl<P: Parameters> VariableRef<P> {
                 written => return written,
             }
         }
+    }
+}
+
+impl Extension for Configured {}
+
+impl ComponentEnvironment {
+    /// The values that the robot's configuration gives to components.
+    pub(crate) fn configured(&self) -> &Configured {
+        self.extensions.get()
+    }
+}
+
+impl<C: Component> Ports<C> {
+    /// Has parameters, with the values that the
+    /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
+    /// component reads them by [`Context::parameters`](crate::Context::parameters) in
+    /// `on_initialize`, and is handed them anew by its handler whenever one is set. A component has
+    /// one set of parameters.
+    pub fn parameters<P: Parameters>(&mut self) -> &mut Self
+    where
+        C: Handle<P>,
+    {
+        let declare = |cell: &Arc<ComponentCell<C>>| {
+            let declared = declare::<C, P>(cell, cell.record.environment.configured());
+            let name = cell.record.name.clone();
+            declared.map_err(|error| SpecError::Parameters { name, error })
+        };
+        self.feature::<VariablePorts<C>>().declare_parameters(P::NAME, Box::new(declare));
+        self
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// The component's own parameters as they are now.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
+    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
+        self.anchor.parameters()
     }
 }

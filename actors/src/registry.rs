@@ -3,30 +3,26 @@
 //! Local parties bind by type; the network binds through a [`Skeleton`], which knows the contract
 //! but not the type behind it. Both compare the contract's identity first.
 
+pub(crate) mod encoding;
 pub(crate) mod lookup;
 pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
-mod skeleton;
 
-pub(crate) use self::skeleton::encoded_reply;
-
-use self::skeleton::{LocalSkeleton, encoding};
-use crate::component::Handle;
-use crate::component::cell::ComponentCell;
-use crate::global_name::{GlobalNameSender, GlobalNameTable};
 use crate::messaging::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
 use crate::platform::panics;
 use blastema_core::contract::codec;
+use blastema_core::global_name::Holder;
 use blastema_core::net::NodeId;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
-use service_fn::ServiceFn;
+use encoding::encoding;
+use lookup::GlobalNameSender;
 use std::any::{Any, type_name};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
@@ -34,6 +30,7 @@ use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
+use tokio::sync::watch;
 use tracing::error;
 
 /// Before a name that is claimed, in the place of a node: whichever holds it.
@@ -138,20 +135,14 @@ pub(crate) struct ContractPort {
 }
 
 impl ContractPort {
-    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<ComponentCell<C>>) -> Self {
+    /// A contract that is sent to here by `sender`, and from other nodes by way of `doorway`.
+    pub(crate) fn new<M: Contract>(sender: Sender<M>, doorway: Arc<dyn Skeleton>) -> Self {
         ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
-            sender: Box::new(Sender::<M>(anchor.clone())),
-            doorway: Arc::new(LocalSkeleton::<C, M> { anchor: anchor.clone(), former: None }),
+            sender: Box::new(sender),
+            doorway,
         }
-    }
-}
-
-impl ContractPort {
-    /// The way from outside.
-    pub(crate) fn into_doorway(self) -> Arc<dyn Skeleton> {
-        self.doorway
     }
 
     /// A contract that only other nodes use.
@@ -164,20 +155,18 @@ impl ContractPort {
         }
     }
 
-    /// A contract that the node itself serves at the object's name.
-    pub(crate) fn of_desk<M: Contract>(desk: ServiceFn<M>) -> Self {
-        ContractPort {
-            identity: ContractIdentity::of::<M>(),
-            named: type_name::<M>(),
-            sender: Box::new(Sender::<M>(Arc::new(desk.clone()))),
-            doorway: Arc::new(desk),
-        }
+    /// The way from outside.
+    pub(crate) fn into_doorway(self) -> Arc<dyn Skeleton> {
+        self.doorway
     }
+}
 
-    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
-    pub(crate) fn of_peers<M: Contract>(desk: ServiceFn<M>, doorway: Arc<dyn Skeleton>) -> Self {
-        ContractPort { doorway, ..ContractPort::of_desk(desk) }
-    }
+/// Finds who holds a name of the whole robot.
+pub(crate) trait NameResolver: Send + Sync {
+    /// Who holds the name now.
+    fn holder(&self, name: &ObjectName) -> Option<Holder>;
+    /// Changes whenever another object holds some name.
+    fn revision(&self) -> watch::Receiver<u64>;
 }
 
 /// Messages of one contract to an object of another node.
@@ -293,7 +282,7 @@ struct Inner {
     node: Option<NodeName>,
     remote: Option<Arc<dyn StubFactory>>,
     /// The names of the whole robot.
-    names: Option<GlobalNameTable>,
+    names: Option<Arc<dyn NameResolver>>,
     /// Where objects that are not components can be watched.
     deaths: Deaths,
 }
@@ -330,7 +319,7 @@ impl Registry {
     }
 
     /// Names of the whole robot, such as `*:map`, are looked up there.
-    pub(crate) fn set_name_resolver(&self, names: GlobalNameTable) {
+    pub(crate) fn set_name_resolver(&self, names: Arc<dyn NameResolver>) {
         self.lock().names = Some(names);
     }
 

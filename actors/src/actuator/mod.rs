@@ -7,6 +7,7 @@
 //! ```
 
 pub(crate) mod command;
+mod ports;
 pub(crate) mod table;
 
 pub use table::ActuatorRow;

@@ -8,6 +8,7 @@ use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::control::HostCommand;
+use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
@@ -27,7 +28,6 @@ use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
-use blastema_core::global_name::ClaimRequest;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName,
 };
@@ -35,7 +35,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tracing::warn;
 
@@ -66,9 +66,7 @@ pub(crate) struct CellCore {
     service: Mutex<MessageInService>,
     quarantine: Mutex<Quarantine>,
     order: Mutex<Option<RestartGrant>>,
-    /// The names of the whole robot that it claims while it is at work, each with the claim's
-    /// number.
-    claims: OnceLock<Box<[(ClaimRequest, u64)]>>,
+    listeners: Mutex<Vec<Arc<dyn CellListener>>>,
 }
 
 /// Where a component stands, and where it lives.
@@ -124,29 +122,19 @@ impl CellCore {
             service: Mutex::default(),
             quarantine: Mutex::default(),
             order: Mutex::default(),
-            claims: OnceLock::new(),
+            listeners: Mutex::default(),
         }
     }
 
-    /// It claims these names of the whole robot.
-    pub(crate) fn set_claims(&self, wanted: impl Iterator<Item = ClaimRequest>) {
-        let numbered = wanted.map(|wanted| (wanted, self.environment.names.number()));
-        // A component is described once.
-        let _ = self.claims.set(numbered.collect());
+    /// Tells a feature what becomes of the component.
+    pub(crate) fn listen(&self, listener: impl CellListener + 'static) {
+        lock(&self.listeners).push(Arc::new(listener));
     }
 
-    /// A life is at work.
-    pub(crate) fn claim_names(&self) {
-        for (wanted, number) in self.claims.get().into_iter().flatten() {
-            self.environment.names.claim_unattended(wanted.clone(), *number);
-        }
-    }
-
-    /// No life is there, and none follows at once.
-    pub(crate) fn withdraw_names(&self) {
-        for (wanted, number) in self.claims.get().into_iter().flatten() {
-            self.environment.names.withdraw(&wanted.name, *number);
-        }
+    /// Tells the features.
+    pub(crate) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
+        let listeners = lock(&self.listeners).clone();
+        listeners.iter().for_each(|listener| what(&**listener));
     }
 
     pub(crate) fn incarnation(&self) -> Incarnation {

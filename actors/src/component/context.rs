@@ -1,25 +1,18 @@
 //! What a component may ask of its host while it serves something.
 
-use crate::actuator::Commander;
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
-use crate::component::environment::ComponentEnvironment;
 use crate::component::life::{IncarnationState, TimerId, TimerMode};
 use crate::component::{Component, Failure, Handle};
-use crate::host::reference::ActorRef;
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::death_watch::{Down, Watcher};
-use crate::messaging::sender::{DetachedSender, Sender};
+use crate::messaging::sender::{DetachedSender, MessageSink, Sender};
+use crate::platform;
 use crate::registry::remote_watch;
-use crate::service::ServiceRef;
-use crate::topic::Publisher;
-use crate::variable::{self, VariableRef};
-use crate::{actuator, platform};
 use blastema_contract::reports::FaultDeclared;
-use blastema_core::parameters::Parameters;
 use blastema_core::{
-    Contract, DeliveryError, Event, FaultKind, Incarnation, Instant, Lifecycle, NameError,
-    ObjectAddress, ObjectName, Request, Variable,
+    Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectAddress,
+    ObjectName,
 };
 use std::any::{Any, TypeId};
 use std::cell::{Cell, RefCell};
@@ -36,10 +29,10 @@ use std::time::Duration;
 /// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
 /// panics, the component has panicked.
 pub struct Context<C: Component> {
-    anchor: Arc<ComponentCell<C>>,
-    life: Rc<IncarnationState<C>>,
+    pub(crate) anchor: Arc<ComponentCell<C>>,
+    pub(crate) life: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
-    publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
+    pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
     /// Objects of other nodes that are watched, and whether they still are.
     far_watches: Vec<(ObjectAddress, Rc<Cell<bool>>)>,
 }
@@ -47,11 +40,6 @@ pub struct Context<C: Component> {
 impl<C: Component> Context<C> {
     pub(crate) fn new(anchor: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
         Context { anchor, life, publishers: RefCell::default(), far_watches: Vec::new() }
-    }
-
-    /// A reference to this component, which outlives its restarts.
-    pub fn me(&self) -> ActorRef<C> {
-        ActorRef(self.anchor.clone())
     }
 
     /// The component's name.
@@ -80,51 +68,6 @@ impl<C: Component> Context<C> {
         self.anchor.record.environment.registry.sender(name)
     }
 
-    /// The variable `V` of the object of this name, the component's own or another's, here or on
-    /// another node.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it owns no variables.
-    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
-        variable::find(&self.anchor.record.environment.registry, object)
-    }
-
-    /// The component's own parameters as they are now.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
-    pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        self.anchor.parameters()
-    }
-
-    /// Asks the service of this name, whichever node serves it.
-    ///
-    /// # Errors
-    /// The name does not parse. Whether there is such a service is found out when it is asked.
-    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let ComponentEnvironment { registry, services, .. } = &self.anchor.record.environment;
-        ServiceRef::new(registry, services, name)
-    }
-
-    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
-    /// of this life: it ends with the life, and when the component hangs.
-    ///
-    /// # Errors
-    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it is no actuator.
-    pub fn commander<M: Contract>(
-        &mut self,
-        actuator: &str,
-    ) -> Result<Commander<M>, DeliveryError> {
-        let environment = &self.anchor.record.environment;
-        let own = environment.registry.full_name(self.name());
-        let who = (own, self.incarnation());
-        let (commander, renewing) = actuator::commander(&environment.registry, actuator, who)?;
-        self.spawn(renewing);
-        Ok(commander)
-    }
-
     /// A sender for threads and blocking tasks that this life starts: what they still send after
     /// the life has ended is refused as [`DeliveryError::Fenced`].
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
@@ -146,53 +89,6 @@ impl<C: Component> Context<C> {
     /// nor the queue of a message counts as a change of what it tells.
     pub fn captured_at(&self) -> Option<Instant> {
         self.life.captured_at.get()
-    }
-
-    /// Publishes an event on the topic that has its contract's name. Never waits. While the
-    /// component is fenced off or isolated, events are not published but counted among the dead
-    /// letters under the topic's name.
-    #[track_caller]
-    pub fn publish<E: Event>(&self, event: E) {
-        self.publish_stamped(event, None);
-    }
-
-    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an
-    /// image: `max_age` counts from there, and listeners read it by
-    /// [`captured_at`](Self::captured_at). A time that is still to come counts as now.
-    #[track_caller]
-    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
-        self.publish_stamped(event, Some(captured_at));
-    }
-
-    #[track_caller]
-    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
-        let mut publishers = self.publishers.borrow_mut();
-        let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
-        if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
-            publisher.publish_or_count(event, captured_at);
-            return;
-        }
-        match self.publisher::<E>(E::NAME) {
-            Ok(publisher) => {
-                publisher.publish_or_count(event, captured_at);
-                publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
-            }
-            Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
-        }
-    }
-
-    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
-    /// publishes after that has ended, on whichever thread, is refused as
-    /// [`DeliveryError::Fenced`].
-    ///
-    /// # Errors
-    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
-    /// name; the text names both, where each was said, and what differs.
-    #[track_caller]
-    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        let topics = &self.anchor.record.environment.topics;
-        let publisher = topics.publisher_of(topic, self.name().as_str())?;
-        Ok(publisher.of(self.life.token.clone()))
     }
 
     /// Starts a task of this component's own, which runs beside its handlers.
@@ -248,7 +144,7 @@ impl<C: Component> Context<C> {
         C: Handle<M>,
     {
         // A refusal is the queue's decision and counted there.
-        if let Err(refused) = self.me().tell(message) {
+        if let Err(refused) = MessageSink::tell(&*self.anchor, message) {
             self.anchor.record.record_dead_letter(M::NAME, &refused.kind);
         }
     }

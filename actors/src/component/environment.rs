@@ -1,16 +1,11 @@
 //! What a node gives every component: whom its guard tells, where it lives, whom it finds.
 
-use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
-use crate::global_name::GlobalNameTable;
+use crate::component::extension::Extensions;
 use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
-use crate::parameters::Configured;
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
-use crate::service::Roster;
-use crate::topic::Topics;
-use crate::variable::VariableStore;
 use blastema_core::suggestion::nearest;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -22,20 +17,13 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) reports: FaultReports,
     pub(crate) arbiters: ArbiterPool,
     pub(crate) registry: Registry,
-    pub(crate) topics: Topics,
     pub(crate) dead_letters: DeadLetterLog,
     pub(crate) watch_list: SampledComponents,
-    pub(crate) variables: VariableStore,
-    pub(crate) parameters: Configured,
-    pub(crate) actuators: ActuatorTable,
-    pub(crate) services: Roster,
-    pub(crate) names: GlobalNameTable,
     /// The codes of the application's own list of faults.
     pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
+    /// What the features of the node add.
+    pub(crate) extensions: Extensions,
 }
-
-/// Under this name stands what is wrong with the variables' file.
-pub(crate) const KEPT_VARIABLES: &str = "variables";
 
 impl ComponentEnvironment {
     /// What is told of a fault of the application's own, and that nobody declared its code.
@@ -58,29 +46,16 @@ impl ComponentEnvironment {
         }
     }
 
-    /// What was wrong with values that were to be restored.
-    pub(crate) fn declare_complaints(&self) {
-        let complaints = self.variables.complaints();
-        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
-    }
-
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: ArbiterPool, reports: FaultReports) -> Self {
-        let dead_letters = DeadLetterLog::default();
-        let topics = Topics::new(dead_letters.clone(), reports.clone());
         ComponentEnvironment {
             reports,
             arbiters,
             registry: Registry::default(),
-            topics,
-            dead_letters,
+            dead_letters: DeadLetterLog::default(),
             watch_list: SampledComponents::default(),
-            variables: VariableStore::default(),
-            parameters: Configured::default(),
-            actuators: ActuatorTable::default(),
-            services: Roster::default(),
-            names: GlobalNameTable::default(),
             fault_codes: Arc::default(),
+            extensions: Extensions::default(),
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
 use crate::net::fault_reporter::FaultReporter;
 use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::platform;
-use crate::registry::Registry;
+use crate::registry::{NameResolver, Registry};
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
@@ -20,6 +20,7 @@ use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::{NodeId, Refusals};
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{error, info, warn};
@@ -88,7 +89,7 @@ impl GlobalNamesActor {
         arbiter: Option<&ArbiterHandle>,
     ) -> GlobalNamesRecipients {
         let names = setup.names.clone();
-        setup.registry.set_name_resolver(names.clone());
+        setup.registry.set_name_resolver(Arc::new(names.clone()));
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
             GlobalNamesActor {

@@ -8,13 +8,14 @@
 //! ```
 
 pub(crate) mod actor;
+mod spec;
 pub(crate) mod table;
 
 pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
 
-pub(crate) use crate::registry::lookup::GlobalNameSender;
 pub(crate) use table::{ClaimCommand, GlobalNameTable};
 
+use crate::registry::NameResolver;
 use blastema_core::global_name::{ClaimRefused, ClaimRequest};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
 use std::fmt;

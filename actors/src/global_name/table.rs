@@ -2,6 +2,7 @@
 
 use super::{ClaimRow, ClaimState};
 use crate::platform;
+use crate::registry::NameResolver;
 use actix::{Message, Recipient};
 use blastema_core::global_name::{ClaimRequest, Holder};
 use blastema_core::{Incarnation, Instant, ObjectName};
@@ -57,6 +58,16 @@ impl Default for GlobalNameTable {
     }
 }
 
+impl NameResolver for GlobalNameTable {
+    fn holder(&self, name: &ObjectName) -> Option<Holder> {
+        self.lock().get(name).map(|known| known.holder.clone())
+    }
+
+    fn revision(&self) -> watch::Receiver<u64> {
+        self.0.revision.subscribe()
+    }
+}
+
 impl GlobalNameTable {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Known>> {
         self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
@@ -83,16 +94,6 @@ impl GlobalNameTable {
     /// The body begins anew.
     pub(crate) fn forget_all(&self) {
         self.lock().clear();
-    }
-
-    /// Who holds the name now.
-    pub(crate) fn holder(&self, name: &ObjectName) -> Option<Holder> {
-        self.lock().get(name).map(|known| known.holder.clone())
-    }
-
-    /// Changes whenever somebody else holds some name.
-    pub(crate) fn revision(&self) -> watch::Receiver<u64> {
-        self.0.revision.subscribe()
     }
 
     /// All of them.

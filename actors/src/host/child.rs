@@ -134,7 +134,7 @@ impl<C: Component> Child for ComponentChild<C> {
         // A handler that awaits is dropped by its own pump, which sees that it has been given up.
         self.order(HostCommand::Wake);
         self.anchor.set_control(None);
-        record.withdraw_names();
+        record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), Ending::Abandoned);
         record.mourners.tell(&Down { object, node: None, incarnation, ending });
     }
@@ -177,8 +177,7 @@ impl<C: Component> Drop for ComponentChild<C> {
         self.anchor.end();
         let record = &self.anchor.record;
         record.environment.registry.unregister(&record.name);
-        record.environment.variables.withdraw(&record.name);
-        record.environment.actuators.withdraw(&record.name);
+        record.announce(|listener| listener.removed());
     }
 }
 

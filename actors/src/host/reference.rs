@@ -1,6 +1,7 @@
 //! A reference to one component, of which the sender knows the type.
 
 use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
 use crate::component::control::HostCommand;
 use crate::component::{Component, Handle};
 use crate::messaging::retry;
@@ -131,5 +132,12 @@ impl<C: Component> ActorRef<C> {
     /// How many messages wait.
     pub fn queued(&self) -> usize {
         self.0.lane.depth()
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// A reference to this component, which outlives its restarts.
+    pub fn me(&self) -> ActorRef<C> {
+        ActorRef(self.anchor.clone())
     }
 }

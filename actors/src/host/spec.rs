@@ -4,19 +4,15 @@ use super::child::ComponentChild;
 use crate::component::Component;
 use crate::component::cell::{CellCore, ComponentCell};
 use crate::component::environment::ComponentEnvironment;
-use crate::component::ports::{PortConstructor, Ports};
+use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
-use crate::global_name::ClaimPolicy;
 use crate::host::reference::ActorRef;
 use crate::liveness::limits::ComponentLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
-use crate::service::{Stateful, stateful_ports};
 use blastema_contract::child::Child;
+use blastema_core::ObjectName;
 use blastema_core::detection::Liveness;
-use blastema_core::global_name::ClaimRequest;
-use blastema_core::{NameError, ObjectName};
-use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,10 +30,7 @@ pub struct ChildSpec<C: Component> {
     rate_hz: Option<f64>,
     limits: ComponentLimits,
     depends_on: Vec<String>,
-    claims: Vec<(String, ClaimPolicy)>,
     essential: bool,
-    /// Contracts of the middleware's own that it takes beside its ports.
-    beside: Vec<PortConstructor<C>>,
     more_ports: Vec<MorePorts<C>>,
 }
 
@@ -63,20 +56,9 @@ impl<C: Component> ChildSpec<C> {
             rate_hz: None,
             limits: ComponentLimits::default(),
             depends_on: Vec::new(),
-            claims: Vec::new(),
             essential: false,
-            beside: Vec::new(),
             more_ports: Vec::new(),
         }
-    }
-
-    /// Lets its state be saved and loaded.
-    pub(crate) fn stateful(mut self) -> Self
-    where
-        C: Stateful,
-    {
-        self.beside = stateful_ports();
-        self
     }
 
     /// Declares more ports than `Component::ports` does: those that depend on what only the program
@@ -160,14 +142,6 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Claims a [name of the whole robot](crate::manual::names) whenever a life is at work, and
-    /// gives it back when that ends and none follows on the spot. Where another holds it, the
-    /// component goes without, which is a fault, or stands by.
-    pub fn claim(mut self, name: &str, policy: ClaimPolicy) -> Self {
-        self.claims.push((name.to_owned(), policy));
-        self
-    }
-
     /// Its supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor ends its children and itself and leaves
     /// the decision to its parent. Directly under the root that is the node's safe state.
@@ -198,7 +172,6 @@ impl<C: Component> ChildSpec<C> {
         let mut limits = self.limits.clone();
         limits.interval = self.interval()?;
         limits.check().map_err(|error| SpecError::limit(&self.name, error))?;
-        self.check_claims()?;
         if self.queue.0 == 0 {
             return Err(self.setting("the queue", "0", "a queue holds at least one message"));
         }
@@ -215,43 +188,12 @@ impl<C: Component> ChildSpec<C> {
             .map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         self.more_ports.into_iter().for_each(|declare| declare(&mut ports));
         ports.check(&name)?;
-        ports.add_ports(self.beside);
-        let wanted = |(claimed, policy): &(String, ClaimPolicy)| {
-            let claimed = ObjectName::new(claimed)?;
-            Ok(ClaimRequest { name: claimed, object: name.clone(), policy: *policy })
-        };
-        let claims: Result<Vec<_>, NameError> = self.claims.iter().map(wanted).collect();
         let record = CellCore::new(name.clone(), limits, environment.clone());
-        record.set_claims(claims?.into_iter());
         let anchor = Arc::new(ComponentCell::new(record, self.queue, self.factory));
-        let variables = ports
-            .take_variables(&anchor)
-            .map_err(|error| SpecError::Parameters { name: name.clone(), error })?;
-        let actuators = ports.take_actuators(&anchor);
         environment.registry.register(&name, ports.doors(&anchor), anchor.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(anchor.clone());
-        if !variables.is_empty() {
-            let owner = anchor.clone();
-            let isolated = move || owner.record.is_isolated();
-            let port = environment
-                .variables
-                .declare(&name, variables, isolated)
-                .map_err(|why| SpecError::Variable { name: name.clone(), why })?;
-            environment.registry.open(&name, port);
-            environment.variables.watch_owner(&name, &environment.registry);
-        }
-        if !actuators.is_empty() {
-            let port = environment
-                .actuators
-                .declare(&name, actuators)
-                .map_err(|why| SpecError::Actuator { name: name.clone(), why })?;
-            environment.registry.open(&name, port);
-        }
-        let subscriptions = ports
-            .subscriptions(&environment.topics)
-            .map_err(|why| SpecError::Topic { name, why })?;
-        anchor.set_subscriptions(subscriptions);
+        ports.bind(&anchor)?;
         Ok((Box::new(child), ActorRef(anchor)))
     }
 
@@ -266,17 +208,6 @@ impl<C: Component> ChildSpec<C> {
         interval.map(Some).map_err(|_| {
             self.setting("rate_hz", &rate_hz.to_string(), "an interval that long cannot be kept")
         })
-    }
-
-    /// The second claim of one name would be refused for the first one, for ever.
-    fn check_claims(&self) -> Result<(), SpecError> {
-        let mut names = BTreeSet::new();
-        match self.claims.iter().find(|(name, _)| !names.insert(name)) {
-            None => Ok(()),
-            Some((name, _)) => {
-                Err(self.setting("a claim", &format!("{name} twice"), "claim each name once"))
-            }
-        }
     }
 
     fn setting(&self, setting: &'static str, value: &str, cure: &'static str) -> SpecError {

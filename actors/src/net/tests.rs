@@ -14,9 +14,11 @@ mod pressure;
 mod versions;
 
 use super::{LinkSpec, NetEnvironment, NetHandle, NetworkSpec, start};
+use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
 use crate::host::spec::ChildSpec;
+use crate::node::assembly::with_features;
 use crate::runtime::guardian::Guardian;
 use crate::runtime::reports::FaultReports;
 use crate::{
@@ -161,7 +163,10 @@ impl Robot {
         let (declared, mended) = (Probe::start(), Probe::start());
         let reports =
             FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
-        let host = ComponentEnvironment::new(ArbiterPool::here(), reports);
+        let host = with_features(
+            ComponentEnvironment::new(ArbiterPool::here(), reports),
+            ActuatorTable::default(),
+        );
         let exits = Probe::start();
         let (links, nodes) = (Probe::start(), Probe::start());
         let faults = Probe::replying(|_: &Recover| Confirmed);
@@ -191,7 +196,7 @@ impl Robot {
             guardian: Guardian::reporting_to(exits.recipient()),
             arbiter: None,
             registry: host.registry.clone(),
-            topics: host.topics.clone(),
+            topics: host.topics().clone(),
             dead_letters: host.dead_letters.clone(),
             recoverer: Some(faults.recipient()),
             links: Some(links.recipient()),
@@ -244,7 +249,7 @@ impl Module {
     }
 
     fn publisher(&self) -> Publisher<Note> {
-        self.host.topics.publisher(Note::NAME).unwrap()
+        self.host.topics().publisher(Note::NAME).unwrap()
     }
 }
 

@@ -23,17 +23,24 @@ use super::network::Network;
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
+use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::{ABANDONED_LIMIT, ArbiterPool};
-use crate::component::environment::{ComponentEnvironment, KEPT_VARIABLES};
+use crate::component::environment::ComponentEnvironment;
+use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
 use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
+use crate::global_name::GlobalNameTable;
 use crate::global_name::actor::GlobalNamesActor;
 use crate::liveness::sampler as lookout;
+use crate::parameters::Configured;
 use crate::platform;
 use crate::platform::panics;
 use crate::platform::systemd::Systemd;
-use crate::service::{Carried, ReplicaBody};
+use crate::service::{Carried, ReplicaBody, Roster};
+use crate::topic::Topics;
+use crate::variable::VariableStore;
+use crate::variable::ports::KEPT_VARIABLES;
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
@@ -67,7 +74,7 @@ pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> 
     assembly.read_parameters(builder.parameters)?;
     assembly.lay_networks(builder.networks)?;
     let planting = assembly.plant(builder.root, &builder.own_kinds, &builder.strategies)?;
-    let unused = assembly.environment.parameters.check();
+    let unused = assembly.environment.configured().check();
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
@@ -148,7 +155,7 @@ impl NodeAssembly {
         let Some(file) = file else { return Ok(()) };
         let told = self.environment.reports.clone();
         let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
-        let kept = self.environment.variables.keep_in(file.clone(), failed);
+        let kept = self.environment.variables().keep_in(file.clone(), failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
@@ -163,7 +170,7 @@ impl NodeAssembly {
                     (Some(file), text)
                 }
             };
-            let taken = text.and_then(|text| self.environment.parameters.take(&text));
+            let taken = text.and_then(|text| self.environment.configured().take(&text));
             taken.map_err(|reason| StartError::Parameters { file, reason })?;
         }
         Ok(())
@@ -183,7 +190,7 @@ impl NodeAssembly {
         let (networks, enrolments) =
             make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
         self.undone.own.extend(networks.arbiter.clone());
-        self.environment.services.find_by(networks.handle.finder());
+        self.environment.services().find_by(networks.handle.finder());
         self.enrolments.extend(enrolments);
         self.networks = Some(networks);
         Ok(())
@@ -222,7 +229,7 @@ impl NodeAssembly {
         check_service_order(&services)?;
         for carried in services {
             let name = carried.body.clone();
-            let roster = &self.environment.services;
+            let roster = self.environment.services();
             if let Some(networks) = &mut self.networks {
                 networks.described.extend(carried.config.members.iter().cloned());
             }
@@ -238,7 +245,7 @@ impl NodeAssembly {
 
     fn keep_leases(&mut self) {
         let (name, FaultChainParts { guardian, chain, .. }) = (named("leases"), &self.parts);
-        let actuators = &self.environment.actuators;
+        let actuators = self.environment.actuators();
         let leases = actuators.start(name.clone(), guardian, chain.arbiter.as_ref());
         self.enrolments.push(middleware(name, Some(leases)));
     }
@@ -365,6 +372,22 @@ impl StartingNode {
     }
 }
 
+/// Registers what the features of a node add to the environment of its components.
+pub(crate) fn with_features(
+    environment: ComponentEnvironment,
+    actuators: ActuatorTable,
+) -> ComponentEnvironment {
+    let topics = Topics::new(environment.dead_letters.clone(), environment.reports.clone());
+    let extensions = Extensions::default()
+        .with(topics)
+        .with(actuators)
+        .with(VariableStore::default())
+        .with(Configured::default())
+        .with(Roster::default())
+        .with(GlobalNameTable::default());
+    ComponentEnvironment { extensions, ..environment }
+}
+
 /// What every component of the node is given.
 fn environment(
     parts: &FaultChainParts,
@@ -377,8 +400,8 @@ fn environment(
     // Its own objects may be named in full, with or without a network.
     registry.connect(node.clone(), None);
     let fault_codes = Arc::new(plan.codes());
-    let general = ComponentEnvironment::new(arbiters, reports);
-    ComponentEnvironment { registry, fault_codes, actuators, ..general }
+    let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
+    ComponentEnvironment { registry, fault_codes, ..general }
 }
 
 fn enrolment(

@@ -12,7 +12,7 @@
 //! one each; components share as many arbiters as the computer has cores, or have threads of their
 //! own.
 
-mod assembly;
+pub(crate) mod assembly;
 mod builder;
 mod checks;
 pub(crate) mod controller;
@@ -54,6 +54,7 @@ use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use crate::platform::systemd::Systemd;
+use crate::registry::NameResolver;
 use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
@@ -228,12 +229,12 @@ impl Node {
         policy: ClaimPolicy,
     ) -> Result<Claim, ClaimError> {
         let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
-        Claim::make(&self.0.environment.names, ClaimRequest { name, object, policy }).await
+        Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
     }
 
     /// Who holds a name of the whole robot, as far as this node knows.
     pub fn holder(&self, name: &str) -> Option<Holder> {
-        self.0.environment.names.holder(&ObjectName::new(name).ok()?)
+        self.0.environment.names().holder(&ObjectName::new(name).ok()?)
     }
 
     /// Tells who holds a name of the whole robot, now and whenever that changes.
@@ -241,12 +242,12 @@ impl Node {
     /// # Errors
     /// The name does not parse.
     pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
-        Ok(NameWatch::new(&self.0.environment.names, ObjectName::new(name)?))
+        Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
     }
 
     /// All names of the whole robot that are held, and by whom.
     pub fn claims(&self) -> Vec<ClaimRow> {
-        self.0.environment.names.rows()
+        self.0.environment.names().rows()
     }
 
     /// Asks the service of this name, whichever node serves it. Found are services that this node
@@ -255,29 +256,30 @@ impl Node {
     /// # Errors
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let ComponentEnvironment { registry, services, .. } = &self.0.environment;
+        let ComponentEnvironment { registry, .. } = &self.0.environment;
+        let services = self.0.environment.services();
         ServiceRef::new(registry, services, name)
     }
 
     /// Whether this node serves, or stands by for, a service that it carries.
     pub fn service_role(&self, name: &str) -> Option<Role> {
-        self.0.environment.services.role(&ObjectName::new(name).ok()?)
+        self.0.environment.services().role(&ObjectName::new(name).ok()?)
     }
 
     /// The services that this node carries, as it sees them: what it is to each, who serves, who is
     /// not there.
     pub fn services(&self) -> Vec<ServiceRow> {
-        self.0.environment.services.rows()
+        self.0.environment.services().rows()
     }
 
     /// The actuators of this node, and who commands each.
     pub fn actuators(&self) -> Vec<ActuatorRow> {
-        self.0.environment.actuators.rows()
+        self.0.environment.actuators().rows()
     }
 
     /// The topics that objects of this node have named: who publishes, who listens, and how much.
     pub fn topics(&self) -> Vec<TopicRow> {
-        self.0.environment.topics.rows()
+        self.0.environment.topics().rows()
     }
 
     /// Commands the actuator of this name, here or on another node, under the name `own`. The lease
@@ -318,7 +320,7 @@ impl Node {
     /// was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        self.0.environment.topics.publisher_of(topic, self.0.name.as_str())
+        self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
     }
 
     /// Everything that is watched, each row with its age and incarnation. It can be read at any

@@ -39,7 +39,7 @@ impl Shared {
     /// is done for a node that has none, has stopped, or is at rest.
     pub(super) fn become_safe(&self, cause: &str) {
         let outputs = &self.chain.safe_outputs;
-        let actuators = &self.environment.actuators;
+        let actuators = self.environment.actuators();
         let works = matches!(*self.state.borrow(), NodeState::Starting | NodeState::Running);
         let has_none = !outputs.are_declared() && actuators.is_empty();
         if !works || has_none {
@@ -112,7 +112,7 @@ impl Node {
     /// Has SIGTERM and SIGINT apply the safe outputs, if this node has any.
     pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
         let outputs = self.0.chain.safe_outputs.are_declared();
-        if !outputs && self.0.environment.actuators.is_empty() {
+        if !outputs && self.0.environment.actuators().is_empty() {
             return Ok(());
         }
         let mut nodes = nodes();

@@ -1,27 +1,26 @@
 //! What stands behind a `Sender` of a claimed name: whoever holds it when something is sent.
 
-use crate::global_name::GlobalNameTable;
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
-use crate::registry::Registry;
+use crate::registry::{NameResolver, Registry};
 use blastema_core::global_name::Holder;
 use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Messages of one contract to the holder of a name.
 pub(crate) struct GlobalNameSender<M: Contract> {
     name: ObjectName,
     registry: Registry,
-    names: GlobalNameTable,
+    names: Arc<dyn NameResolver>,
     /// Who was sent to last, and how.
     last: Mutex<Option<(Holder, Sender<M>)>>,
 }
 
 impl<M: Contract> GlobalNameSender<M> {
-    pub(crate) fn new(name: ObjectName, registry: Registry, names: GlobalNameTable) -> Self {
+    pub(crate) fn new(name: ObjectName, registry: Registry, names: Arc<dyn NameResolver>) -> Self {
         GlobalNameSender { name, registry, names, last: Mutex::default() }
     }
 

@@ -6,9 +6,10 @@
 
 use crate::arbiter::heartbeat;
 use crate::messaging::reply::{ReplyFuture, Responder};
-use crate::messaging::sender::{MessageSink, RequestError, SendError};
+use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
 use crate::platform;
-use crate::registry::{MessageMetadata, ReplyTo, Skeleton, encoded_reply};
+use crate::registry::encoding::encoded_reply;
+use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_core::contract::codec;
 use blastema_core::{Contract, DeliveryError, FaultKind, MessageId};
 use bytes::Bytes;
@@ -94,5 +95,17 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
     fn declare(&self, _: FaultKind, _: String) {
         // The node's own contracts differ only between nodes of different versions, which sessions
         // tell.
+    }
+}
+
+impl ContractPort {
+    /// A contract that the node itself serves at the object's name.
+    pub(crate) fn of_desk<M: Contract>(desk: ServiceFn<M>) -> Self {
+        ContractPort::of_peers(desk.clone(), Arc::new(desk))
+    }
+
+    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
+    pub(crate) fn of_peers<M: Contract>(desk: ServiceFn<M>, doorway: Arc<dyn Skeleton>) -> Self {
+        ContractPort::new::<M>(Sender(Arc::new(desk)), doorway)
     }
 }

@@ -12,6 +12,7 @@
 
 mod accord;
 mod caller;
+mod context;
 mod finder;
 mod peers;
 mod replica;
@@ -207,7 +208,8 @@ impl<C: Stateful> ServiceSpec<C> {
         };
         let carried = parsed();
         let factory = self.factory;
-        (ChildSpec::new(&component, move || factory()).stateful(), carried)
+        let child = ChildSpec::new(&component, move || factory());
+        (child.with_ports(|ports| ports.add_ports(stateful_ports())), carried)
     }
 }
 

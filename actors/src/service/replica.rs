@@ -93,7 +93,8 @@ impl ReplicaBody {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<Recipient<AreYouAlive>, NameTaken> {
-        let ComponentEnvironment { registry, services: roster, .. } = environment;
+        let ComponentEnvironment { registry, .. } = environment;
+        let roster = environment.services();
         let (kept, known, names) = (carried.clone(), roster.clone(), registry.clone());
         let reports = environment.reports.clone();
         let make = move |_: &mut Context<Self>| {

@@ -18,10 +18,11 @@
 mod ear;
 mod erased;
 mod hub;
+pub(crate) mod ports;
 mod publisher;
 mod traffic;
 
-pub(crate) use hub::TopicSubscription;
+use hub::TopicSubscription;
 pub use publisher::Publisher;
 pub use traffic::TopicRow;
 

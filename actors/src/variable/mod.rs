@@ -10,6 +10,7 @@
 
 mod access;
 mod kept_file;
+pub(crate) mod ports;
 mod store;
 
 pub use blastema_core::variables::{RestorePolicy, ValueState};

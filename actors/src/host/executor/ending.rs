@@ -104,7 +104,7 @@ impl<C: Component> ComponentExecutor<C> {
     ) {
         let record = &self.anchor.record;
         if restarted_as.is_none() {
-            record.withdraw_names();
+            record.announce(|listener| listener.deactivated());
         }
         let object = record.name.clone();
         let ending = Ending::from(&exit);

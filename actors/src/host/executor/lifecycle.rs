@@ -45,7 +45,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.slot.stamp.expect_signs(state == Lifecycle::Active);
         self.chores.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active {
-            self.anchor.record.claim_names();
+            self.anchor.record.announce(|listener| listener.activated());
         }
         let incarnation = self.life.incarnation;
         // States that were passed through within one poll are not told one by one.

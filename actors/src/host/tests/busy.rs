@@ -157,7 +157,7 @@ fn between_two_rounds_of_their_neighbour_the_listeners_of_a_topic_serve_one_even
         let (_safety, _) = stage.start(safety(&steps)).await;
         let (_one, _) = stage.start(busy("one", &steps)).await;
         let (_two, _) = stage.start(busy("two", &steps)).await;
-        let publisher = stage.environment.topics.publisher::<Load>(Load::NAME).unwrap();
+        let publisher = stage.environment.topics().publisher::<Load>(Load::NAME).unwrap();
         (0..16).for_each(|_| publisher.publish(Load).unwrap());
 
         worked(&steps, 32).await;

@@ -205,7 +205,7 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
         blocker.tell(Block(1)).unwrap();
         site.hangs().await;
         neighbour.tell(Said(7)).unwrap();
-        let topics = &site.stage.environment.topics;
+        let topics = &site.stage.environment.topics();
         topics.publisher("news").unwrap().publish(Said(8)).unwrap();
 
         child.abandon();
@@ -288,7 +288,7 @@ fn a_listener_that_hangs_in_an_event_is_the_culprit_and_the_next_listener_may_sp
         let ear = site.ear.clone();
         let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
         let (_witness, witness) = site.stage.start(spec).await;
-        let topics = &site.stage.environment.topics;
+        let topics = &site.stage.environment.topics();
         let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
 
         publisher.publish(Hold).unwrap();
@@ -316,7 +316,7 @@ fn events_that_a_lost_arbiter_was_handing_out_come_along() {
         let ear = site.ear.clone();
         let spec = ChildSpec::new("witness", move || Witness(ear.clone()));
         let (mut victim, witness) = site.stage.start(spec).await;
-        let topics = &site.stage.environment.topics;
+        let topics = &site.stage.environment.topics();
         let publisher = topics.publisher::<Hold>(<Hold as blastema_core::Contract>::NAME).unwrap();
 
         publisher.publish(Hold).unwrap();

@@ -17,8 +17,10 @@ mod topics;
 mod watching;
 
 use super::spec::ChildSpec;
+use crate::actuator::ActuatorTable;
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::environment::ComponentEnvironment;
+use crate::node::assembly::with_features;
 use crate::runtime::reports::FaultReports;
 use crate::{ActorRef, Component, Context, Event, Handle, Ports, Request};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
@@ -50,7 +52,8 @@ impl Stage {
             faults: Some(faults.recipient()),
             mended: None,
         };
-        let environment = ComponentEnvironment::new(arbiters, reports);
+        let environment =
+            with_features(ComponentEnvironment::new(arbiters, reports), ActuatorTable::default());
         Stage { environment, exits, states, faults, reports: Probe::start() }
     }
 

@@ -38,7 +38,7 @@ fn picky(name: &str) -> (ChildSpec<Picky>, Log) {
 }
 
 fn publish(stage: &Stage, topic: &str, n: u64) {
-    stage.environment.topics.publisher(topic).unwrap().publish(Sample(n)).unwrap();
+    stage.environment.topics().publisher(topic).unwrap().publish(Sample(n)).unwrap();
 }
 
 #[test]

@@ -94,11 +94,11 @@ fn watched(stage: &Stage, grace: Duration) -> (Probe<LivenessReported>, SamplerG
 }
 
 fn publish(stage: &Stage, n: u64) {
-    stage.environment.topics.publisher(Sample::NAME).unwrap().publish(Sample(n)).unwrap();
+    stage.environment.topics().publisher(Sample::NAME).unwrap().publish(Sample(n)).unwrap();
 }
 
 fn hubs(stage: &Stage) -> usize {
-    stage.environment.topics.hubs::<Sample>(Sample::NAME)
+    stage.environment.topics().hubs::<Sample>(Sample::NAME)
 }
 
 async fn until(what: &str, mut holds: impl FnMut() -> bool) {
@@ -252,7 +252,7 @@ fn events_that_panic_where_they_are_copied_or_dropped_harm_nobody_and_are_a_faul
         };
         let (_one, _): (Box<dyn Child>, _) = stage.start(start("one")).await;
         let (_two, _) = stage.start(start("two")).await;
-        let bombs = stage.environment.topics.publisher::<Bomb>(Bomb::NAME).unwrap();
+        let bombs = stage.environment.topics().publisher::<Bomb>(Bomb::NAME).unwrap();
 
         (0..20).for_each(|_| bombs.publish(Bomb { drops: true }).unwrap());
         settle().await;

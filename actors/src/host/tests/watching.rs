@@ -182,7 +182,7 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
         let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
         let interest = Arc::<Mutex<Vec<_>>>::default();
         let kept = interest.clone();
-        stage.environment.topics.on_interest(Arc::new(move |key, more| {
+        stage.environment.topics().on_interest(Arc::new(move |key, more| {
             kept.lock().unwrap().push((key.topic.to_string(), more));
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "nobody"]);
@@ -192,7 +192,7 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.
         assert_eq!((before.0, before.1), (1, 2));
-        assert_eq!(stage.environment.variables.watchers(), 1);
+        assert_eq!(stage.environment.variables().watchers(), 1);
 
         for life in 1..=300 {
             widow.tell(boom("again")).unwrap();
@@ -202,10 +202,10 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
 
         let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         assert_eq!(after, before, "watches, and what holds the component");
-        assert_eq!(stage.environment.variables.watchers(), 1);
+        assert_eq!(stage.environment.variables().watchers(), 1);
         let told = interest.lock().unwrap().clone();
         assert_eq!(told, [("Born".to_owned(), true)], "one interest for all lives");
-        assert_eq!(stage.environment.topics.listened().len(), 1);
+        assert_eq!(stage.environment.topics().listened().len(), 1);
     });
 }
 

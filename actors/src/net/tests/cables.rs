@@ -121,7 +121,10 @@ fn a_medium_that_cannot_be_opened_is_told_as_its_links_being_down() {
 fn two_links_of_one_name_are_refused_before_anything_starts() {
     paused(async {
         let robot = Robot::default();
-        let host = ComponentEnvironment::new(ArbiterPool::here(), FaultReports::default());
+        let host = with_features(
+            ComponentEnvironment::new(ArbiterPool::here(), FaultReports::default()),
+            ActuatorTable::default(),
+        );
         let exits = Probe::start();
         let memory = Memory::new(MemoryConfig::new(&robot.medium, "x")).start();
         let link = |to: &str| LinkSpec::new("same", MediumAddress::Memory(to.into()));
@@ -138,7 +141,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             guardian: Guardian::reporting_to(exits.recipient()),
             arbiter: None,
             registry: host.registry.clone(),
-            topics: host.topics.clone(),
+            topics: host.topics().clone(),
             dead_letters: host.dead_letters.clone(),
             recoverer: None,
             links: None,

@@ -68,7 +68,7 @@ async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
 }
 
 fn publisher<E: Event>(module: &Module) -> Publisher<E> {
-    module.host.topics.publisher(E::NAME).unwrap()
+    module.host.topics().publisher(E::NAME).unwrap()
 }
 
 #[test]

@@ -114,7 +114,7 @@ pub(super) fn make_networks(
         guardian: guardian.clone(),
         arbiter: arbiter.clone(),
         registry: environment.registry.clone(),
-        topics: environment.topics.clone(),
+        topics: environment.topics().clone(),
         dead_letters: environment.dead_letters.clone(),
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
@@ -175,7 +175,7 @@ pub(super) fn claims_setup(
         settle: Duration::ZERO,
         expected: Vec::new(),
         registry: environment.registry.clone(),
-        names: environment.names.clone(),
+        names: environment.names().clone(),
         faults: Some(parts.monitor.clone().recipient()),
         mended: Some(parts.monitor.clone().recipient()),
     }

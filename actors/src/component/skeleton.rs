@@ -1,24 +1,31 @@
 //! What takes encoded messages for a component of this node, and encodes its replies.
 
-use super::{CapacityFuture, MessageMetadata, ReplyTo, Skeleton};
 use crate::component::Handle;
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::arrived_posting_time;
 use crate::messaging::reply::Responder;
-use crate::messaging::sender::SendError;
+use crate::messaging::sender::{SendError, Sender};
+use crate::registry::encoding::encoded_reply;
+use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::contract::codec;
-use blastema_core::{
-    Contract, DeliveryError, FaultKind, GatherBuffer, Lifecycle, PeerIdentity, PreviousVersion,
-};
+use blastema_core::{Contract, DeliveryError, FaultKind, Lifecycle, PeerIdentity, PreviousVersion};
 use bytes::Bytes;
 use std::sync::Arc;
 
+impl ContractPort {
+    /// The port of a component for one contract.
+    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<ComponentCell<C>>) -> Self {
+        let skeleton = LocalSkeleton::<C, M> { anchor: anchor.clone(), former: None };
+        ContractPort::new::<M>(Sender(anchor.clone()), Arc::new(skeleton))
+    }
+}
+
 /// The skeleton of one contract of a component of this node.
-pub(super) struct LocalSkeleton<C: Handle<M>, M: Contract> {
-    pub(super) anchor: Arc<ComponentCell<C>>,
+struct LocalSkeleton<C: Handle<M>, M: Contract> {
+    anchor: Arc<ComponentCell<C>>,
     /// The version that the sender holds, where it is an earlier one.
-    pub(super) former: Option<Arc<PreviousVersion<M>>>,
+    former: Option<Arc<PreviousVersion<M>>>,
 }
 
 impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
@@ -58,27 +65,6 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
                 self.anchor.post(message, answer, id).map_err(|error| error.kind)
             }
         }
-    }
-}
-
-pub(crate) fn encoded_reply<M: Contract>(
-    reply: M::Reply,
-    former: Option<&PreviousVersion<M>>,
-) -> Result<GatherBuffer, DeliveryError> {
-    let encoded = match former {
-        None => codec::encode_parcel_reply::<M>(reply),
-        Some(former) => former.answer(reply),
-    };
-    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
-        DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
-        other => other,
-    })
-}
-
-pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
-    match error {
-        codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
-        other => DeliveryError::Undecodable { reason: other.to_string() },
     }
 }
 

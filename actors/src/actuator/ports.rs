@@ -1,0 +1,118 @@
+//! How components are commanded, and command.
+
+use super::table::{ActuatorTable, DeclaredActuator};
+use super::{ActuatorSpec, Commander, SPANS};
+use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
+use crate::component::declaration::{CellListener, Declarations};
+use crate::component::environment::ComponentEnvironment;
+use crate::component::extension::Extension;
+use crate::component::ports::{PortConstructor, Ports};
+use crate::component::spec_error::SpecError;
+use crate::component::{Component, Handle};
+use crate::registry::ContractPort;
+use blastema_core::{Contract, DeliveryError, ObjectName};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+impl Extension for ActuatorTable {}
+
+impl ComponentEnvironment {
+    /// The actuators of the node.
+    pub(crate) fn actuators(&self) -> &ActuatorTable {
+        self.extensions.get()
+    }
+}
+
+/// The actuators that a component declares.
+struct ActuatorPorts<C: Component>(Vec<(DeclaredActuator, PortConstructor<C>)>);
+
+impl<C: Component> Default for ActuatorPorts<C> {
+    fn default() -> Self {
+        ActuatorPorts(Vec::new())
+    }
+}
+
+/// Withdraws the actuators of a component with it.
+struct Withdrawal {
+    table: ActuatorTable,
+    owner: ObjectName,
+}
+
+impl CellListener for Withdrawal {
+    fn removed(&self) {
+        self.table.withdraw(&self.owner);
+    }
+}
+
+impl<C: Component> Declarations<C> for ActuatorPorts<C> {
+    fn check(
+        &self,
+        component: &ObjectName,
+        served: &BTreeSet<&'static str>,
+    ) -> Result<(), SpecError> {
+        let twice = |contract, ports| {
+            Err(SpecError::PortTwice { name: component.clone(), contract, ports })
+        };
+        let mut commanded = BTreeSet::new();
+        for (actuator, _) in &self.0 {
+            let contract = actuator.identity.name;
+            if !SPANS.contains(&actuator.span) {
+                let (value, cure) = (format!("{:?}", actuator.span), "write 20 ms to 60 s");
+                return Err(SpecError::setting(component.as_str(), "a lease", value, cure));
+            }
+            // A message that needs no lease would move the actuator.
+            if served.contains(contract) {
+                return twice(contract, "one for everybody and one for whoever holds the lease");
+            }
+            if !commanded.insert(contract) {
+                return twice(contract, "both by actuator");
+            }
+        }
+        Ok(())
+    }
+
+    fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
+        let (name, environment) = (&cell.record.name, &cell.record.environment);
+        let table = environment.actuators();
+        cell.record.listen(Withdrawal { table: table.clone(), owner: name.clone() });
+        let declared = self.0.into_iter();
+        let declared = declared.map(|(declared, open)| (declared, open(cell).into_doorway()));
+        let refused = |why| SpecError::Actuator { name: name.clone(), why };
+        let port = table.declare(name, declared.collect()).map_err(refused)?;
+        environment.registry.open(name, port);
+        Ok(())
+    }
+}
+
+impl<C: Component> Ports<C> {
+    /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes,
+    /// the component gets the safe command.
+    pub fn actuator<M: Contract>(&mut self, spec: ActuatorSpec<M>) -> &mut Self
+    where
+        C: Handle<M>,
+    {
+        self.feature::<ActuatorPorts<C>>().0.push((spec.declared(), ContractPort::open::<C, M>));
+        self
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
+    /// of this life: it ends with the life, and when the component hangs.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it is no actuator.
+    pub fn commander<M: Contract>(
+        &mut self,
+        actuator: &str,
+    ) -> Result<Commander<M>, DeliveryError> {
+        let environment = &self.anchor.record.environment;
+        let own = environment.registry.full_name(self.name());
+        let who = (own, self.incarnation());
+        let (commander, renewing) = super::commander(&environment.registry, actuator, who)?;
+        self.spawn(renewing);
+        Ok(commander)
+    }
+}

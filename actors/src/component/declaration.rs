@@ -1,0 +1,33 @@
+//! What a feature adds to a component while it is declared, and what it is told of the component
+//! afterwards.
+
+use crate::component::Component;
+use crate::component::cell::ComponentCell;
+use crate::component::spec_error::SpecError;
+use blastema_core::ObjectName;
+use std::any::Any;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// What one component declares of one feature.
+pub(crate) trait Declarations<C: Component>: Any {
+    /// Finds what contradicts itself, or a contract that the component serves.
+    fn check(
+        &self,
+        component: &ObjectName,
+        served: &BTreeSet<&'static str>,
+    ) -> Result<(), SpecError>;
+
+    /// Makes it so. The component is registered already.
+    fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError>;
+}
+
+/// Is told by the cell of a component what becomes of the component.
+pub(crate) trait CellListener: Send + Sync {
+    /// An incarnation is active.
+    fn activated(&self) {}
+    /// An incarnation has ended, and none follows at once.
+    fn deactivated(&self) {}
+    /// The component leaves the node.
+    fn removed(&self) {}
+}

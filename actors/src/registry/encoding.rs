@@ -1,0 +1,25 @@
+//! Messages and replies as bytes, and why one cannot be.
+
+use blastema_core::contract::codec;
+use blastema_core::{Contract, DeliveryError, GatherBuffer, PreviousVersion};
+
+pub(crate) fn encoded_reply<M: Contract>(
+    reply: M::Reply,
+    former: Option<&PreviousVersion<M>>,
+) -> Result<GatherBuffer, DeliveryError> {
+    let encoded = match former {
+        None => codec::encode_parcel_reply::<M>(reply),
+        Some(former) => former.answer(reply),
+    };
+    encoded.map_err(|error| match encoding(error, M::MAX_SIZE) {
+        DeliveryError::TooLarge { limit } => DeliveryError::ReplyTooLarge { limit },
+        other => other,
+    })
+}
+
+pub(super) fn encoding(error: codec::EncodeError, limit: usize) -> DeliveryError {
+    match error {
+        codec::EncodeError::TooLarge { .. } => DeliveryError::TooLarge { limit },
+        other => DeliveryError::Undecodable { reason: other.to_string() },
+    }
+}

@@ -1,0 +1,148 @@
+//! How components listen and publish.
+
+use super::{EventFilter, Publisher, TopicSubscription, Topics};
+use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
+use crate::component::declaration::Declarations;
+use crate::component::environment::ComponentEnvironment;
+use crate::component::extension::Extension;
+use crate::component::ports::Ports;
+use crate::component::spec_error::SpecError;
+use crate::component::subscription::{Subscription, Subscriptions};
+use crate::component::{Component, Handle};
+use blastema_core::{DeliveryError, Event, FaultKind, Instant, ObjectName};
+use std::any::TypeId;
+use std::collections::BTreeSet;
+use std::panic::Location;
+use std::rc::Rc;
+use std::sync::Arc;
+
+impl Extension for Topics {}
+
+impl ComponentEnvironment {
+    /// The topics of the node.
+    pub(crate) fn topics(&self) -> &Topics {
+        self.extensions.get()
+    }
+}
+
+type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, DeliveryError>>;
+
+/// The subscriptions that a component declares.
+struct ListenPorts<C: Component>(Vec<Bind<C>>);
+
+impl<C: Component> Default for ListenPorts<C> {
+    fn default() -> Self {
+        ListenPorts(Vec::new())
+    }
+}
+
+impl<C: Component> Declarations<C> for ListenPorts<C> {
+    fn check(&self, _: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+        Ok(())
+    }
+
+    fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
+        let topics = cell.record.environment.topics();
+        let bound: Result<Subscriptions<C>, _> =
+            self.0.into_iter().map(|bind| bind(topics)).collect();
+        let refused = |why| SpecError::Topic { name: cell.record.name.clone(), why };
+        cell.set_subscriptions(bound.map_err(refused)?);
+        Ok(())
+    }
+}
+
+impl<C: Component> Ports<C> {
+    /// Listens to the topic that has this event's contract name. The port that is returned takes a
+    /// condition and another topic.
+    #[track_caller]
+    pub fn listen<E: Event>(&mut self) -> ListenPort<'_, C, E>
+    where
+        C: Handle<E>,
+    {
+        ListenPort { ports: self, topic: E::NAME.to_owned(), only_if: None, at: Location::caller() }
+    }
+}
+
+/// One subscription that is being declared.
+pub struct ListenPort<'a, C: Handle<E>, E: Event> {
+    ports: &'a mut Ports<C>,
+    topic: String,
+    only_if: Option<EventFilter<E>>,
+    at: &'static Location<'static>,
+}
+
+impl<C: Handle<E>, E: Event> ListenPort<'_, C, E> {
+    /// Only events for which the condition holds are delivered, or even queued. The condition is
+    /// called on the component's arbiter for every event; if it panics, the component has panicked.
+    pub fn only_if(mut self, condition: impl Fn(&E) -> bool + Send + Sync + 'static) -> Self {
+        self.only_if = Some(Arc::new(condition));
+        self
+    }
+
+    /// Listens to a topic with a name of its own.
+    pub fn on(mut self, topic: &str) -> Self {
+        topic.clone_into(&mut self.topic);
+        self
+    }
+}
+
+impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
+    fn drop(&mut self) {
+        let (topic, only_if) = (std::mem::take(&mut self.topic), self.only_if.take());
+        let at = self.at;
+        self.ports.feature::<ListenPorts<C>>().0.push(Box::new(move |topics| {
+            let topic = topics.topic::<E>(&topic, at)?;
+            Ok(Arc::new(TopicSubscription::new(topic, only_if)))
+        }));
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// Publishes an event on the topic that has its contract's name. Never waits. While the
+    /// component is fenced off or isolated, events are not published but counted among the dead
+    /// letters under the topic's name.
+    #[track_caller]
+    pub fn publish<E: Event>(&self, event: E) {
+        self.publish_stamped(event, None);
+    }
+
+    /// Publishes an event whose data was captured at `captured_at`, such as the exposure of an
+    /// image: `max_age` counts from there, and listeners read it by
+    /// [`captured_at`](Self::captured_at). A time that is still to come counts as now.
+    #[track_caller]
+    pub fn publish_captured_at<E: Event>(&self, event: E, captured_at: Instant) {
+        self.publish_stamped(event, Some(captured_at));
+    }
+
+    #[track_caller]
+    fn publish_stamped<E: Event>(&self, event: E, captured_at: Option<Instant>) {
+        let mut publishers = self.publishers.borrow_mut();
+        let known = publishers.iter().find(|(of, _)| *of == TypeId::of::<E>());
+        if let Some(publisher) = known.and_then(|(_, any)| any.downcast_ref::<Publisher<E>>()) {
+            publisher.publish_or_count(event, captured_at);
+            return;
+        }
+        match self.publisher::<E>(E::NAME) {
+            Ok(publisher) => {
+                publisher.publish_or_count(event, captured_at);
+                publishers.push((TypeId::of::<E>(), Rc::new(publisher)));
+            }
+            Err(why) => self.declare_fault(FaultKind::ContractMismatch, why.to_string()),
+        }
+    }
+
+    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
+    /// publishes after that has ended, on whichever thread, is refused as
+    /// [`DeliveryError::Fenced`].
+    ///
+    /// # Errors
+    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
+    /// name; the text names both, where each was said, and what differs.
+    #[track_caller]
+    pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
+        let topics = self.anchor.record.environment.topics();
+        let publisher = topics.publisher_of(topic, self.name().as_str())?;
+        Ok(publisher.of(self.life.token.clone()))
+    }
+}

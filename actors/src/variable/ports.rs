@@ -1,0 +1,123 @@
+//! How components own and reach variables.
+
+use super::store::{DeclaredVariable, VariableStore};
+use super::{VariableRef, VariableSpec, find};
+use crate::component::Component;
+use crate::component::cell::ComponentCell;
+use crate::component::context::Context;
+use crate::component::declaration::{CellListener, Declarations};
+use crate::component::environment::ComponentEnvironment;
+use crate::component::extension::Extension;
+use crate::component::ports::Ports;
+use crate::component::spec_error::SpecError;
+use blastema_core::{DeliveryError, ObjectName, Variable};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+impl Extension for VariableStore {}
+
+impl ComponentEnvironment {
+    /// The variables of the node.
+    pub(crate) fn variables(&self) -> &VariableStore {
+        self.extensions.get()
+    }
+
+    /// Reports what the variables' file complains of.
+    pub(crate) fn declare_complaints(&self) {
+        let complaints = self.variables().complaints();
+        complaints.into_iter().for_each(|detail| self.reports.declare(KEPT_VARIABLES, detail));
+    }
+}
+
+/// Under which name the file of the variables is an object of its node.
+pub(crate) const KEPT_VARIABLES: &str = "variables";
+
+/// Makes a variable once its component is registered.
+type DeclareLater<C> =
+    Box<dyn FnOnce(&Arc<ComponentCell<C>>) -> Result<DeclaredVariable, SpecError>>;
+
+/// The variables that a component declares.
+pub(crate) struct VariablePorts<C: Component> {
+    declared: Vec<DeclaredVariable>,
+    /// The parameters: their contract, and what makes the variable that holds them.
+    parameters: Vec<(&'static str, DeclareLater<C>)>,
+}
+
+impl<C: Component> Default for VariablePorts<C> {
+    fn default() -> Self {
+        VariablePorts { declared: Vec::new(), parameters: Vec::new() }
+    }
+}
+
+impl<C: Component> VariablePorts<C> {
+    pub(crate) fn declare_parameters(&mut self, contract: &'static str, declare: DeclareLater<C>) {
+        self.parameters.push((contract, declare));
+    }
+}
+
+/// Withdraws the variables of a component with it.
+struct Withdrawal {
+    store: VariableStore,
+    owner: ObjectName,
+}
+
+impl CellListener for Withdrawal {
+    fn removed(&self) {
+        self.store.withdraw(&self.owner);
+    }
+}
+
+impl<C: Component> Declarations<C> for VariablePorts<C> {
+    fn check(&self, component: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+        let twice = |contract, ports| {
+            Err(SpecError::PortTwice { name: component.clone(), contract, ports })
+        };
+        if let [_, (contract, _), ..] = self.parameters[..] {
+            return twice(contract, "a component has one set of parameters");
+        }
+        let mut known: BTreeSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
+        let mut names = self.declared.iter().map(DeclaredVariable::name);
+        match names.find(|name| !known.insert(*name)) {
+            Some(contract) => twice(contract, "both by variable"),
+            None => Ok(()),
+        }
+    }
+
+    fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
+        let VariablePorts { mut declared, parameters } = *self;
+        for (_, declare) in parameters {
+            declared.push(declare(cell)?);
+        }
+        let (name, environment) = (&cell.record.name, &cell.record.environment);
+        let store = environment.variables();
+        cell.record.listen(Withdrawal { store: store.clone(), owner: name.clone() });
+        let owner = cell.clone();
+        let isolated = move || owner.record.is_isolated();
+        let refused = |why| SpecError::Variable { name: name.clone(), why };
+        let port = store.declare(name, declared, isolated).map_err(refused)?;
+        environment.registry.open(name, port);
+        store.watch_owner(name, &environment.registry);
+        Ok(())
+    }
+}
+
+impl<C: Component> Ports<C> {
+    /// Owns a variable: a value that any node may read, write and watch at the component's name. It
+    /// outlives the component's lives.
+    pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
+        self.feature::<VariablePorts<C>>().declared.push(spec.declared());
+        self
+    }
+}
+
+impl<C: Component> Context<C> {
+    /// The variable `V` of the object of this name, the component's own or another's, here or on
+    /// another node.
+    ///
+    /// # Errors
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
+    /// [`DeliveryError::NotServed`] where it owns no variables.
+    pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
+        find(&self.anchor.record.environment.registry, object)
+    }
+}
