@@ -37,7 +37,7 @@ use crate::parameters::Configured;
 use crate::platform;
 use crate::platform::panics;
 use crate::platform::systemd::Systemd;
-use crate::service::{Carried, ReplicaBody, Roster};
+use crate::service::{Carried, ReplicaBody, Roster, ServiceSpecError};
 use crate::topic::Topics;
 use crate::variable::VariableStore;
 use crate::variable::ports::KEPT_VARIABLES;
@@ -222,7 +222,7 @@ impl NodeAssembly {
 
     fn carry_services(
         &mut self,
-        services: Vec<Result<Carried, StartError>>,
+        services: Vec<Result<Carried, ServiceSpecError>>,
     ) -> Result<(), StartError> {
         let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
         services.iter().try_for_each(check_service)?;

@@ -11,7 +11,7 @@ use crate::component::spec_error::SpecError;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::ChildSpec;
 use crate::runtime::callbacks::CALLBACK_LIMIT;
-use crate::service::{Carried, ServiceSpec, Stateful};
+use crate::service::{Carried, ServiceSpec, ServiceSpecError, Stateful};
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::{Plan, PlanError, Restart, Strategy, WhenExceeded};
@@ -163,7 +163,7 @@ pub struct NodeBuilder {
     pub(super) process_watchdogs: ProcessWatchdogs,
     pub(super) handles_signals: bool,
     pub(super) networks: Vec<Network>,
-    pub(super) services: Vec<Result<Carried, StartError>>,
+    pub(super) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(super) wardens: Vec<String>,
     pub(super) listeners: Vec<FaultListener>,
     pub(super) state: watch::Sender<NodeState>,
@@ -182,6 +182,15 @@ impl StartError {
     pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
         let of = of.to_string();
         move |error| StartError::Name { of, error }
+    }
+}
+
+impl From<ServiceSpecError> for StartError {
+    fn from(error: ServiceSpecError) -> Self {
+        match error {
+            ServiceSpecError::Name { of, error } => StartError::Name { of, error },
+            ServiceSpecError::Refused { name, reason } => StartError::Service { name, reason },
+        }
     }
 }
 

@@ -30,7 +30,6 @@ use crate::component::context::Context;
 use crate::component::ports::PortConstructor;
 use crate::component::{Component, Failure, Handle};
 use crate::host::spec::ChildSpec;
-use crate::node::StartError;
 use crate::platform::panics;
 use crate::registry::ContractPort;
 use blastema_core::contract::codec;
@@ -172,21 +171,27 @@ impl<C: Stateful> ServiceSpec<C> {
     }
 
     /// What the node `own` needs to carry it, and the component.
-    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, StartError>) {
+    pub(crate) fn carried(self, own: &str) -> (ChildSpec<C>, Result<Carried, ServiceSpecError>) {
         let component = format!("{}/replica", self.name);
         let initial = first_state(&*self.factory);
         let (kind, on_partition) = (self.kind, self.on_partition);
         let (hello_interval, name) = (self.hello_interval, self.name);
         let (members, depends_on) = (self.members, self.depends_on);
         let parsed = || {
-            let of = |what: &str| StartError::name_of(format!("{what} service {name}"));
+            let of = |what: &str| {
+                let of = format!("{what} service {name}");
+                move |error| ServiceSpecError::Name { of, error }
+            };
             let parse = |names: Vec<String>| -> Result<Vec<_>, NameError> {
                 names.iter().map(|n| ObjectName::new(n)).collect()
             };
             let members: Result<Vec<_>, _> = members.iter().map(|n| NodeName::new(n)).collect();
             let members = members.map_err(of("the name of a node of"));
             let config = ReplicaConfig {
-                own: NodeName::new(own).map_err(StartError::name_of("the name of the node"))?,
+                own: NodeName::new(own).map_err(|error| ServiceSpecError::Name {
+                    of: "the name of the node".into(),
+                    error,
+                })?,
                 members: members?,
                 kind,
                 on_partition,
@@ -195,7 +200,7 @@ impl<C: Stateful> ServiceSpec<C> {
             };
             let object = |text: &str| ObjectName::new(text).map_err(of("the name of"));
             let name = object(&name)?;
-            let refused = |reason| StartError::Service { name: name.clone(), reason };
+            let refused = |reason| ServiceSpecError::Refused { name: name.clone(), reason };
             let initial = initial.map_err(refused)?;
             Ok(Carried {
                 name,
@@ -211,6 +216,15 @@ impl<C: Stateful> ServiceSpec<C> {
         let child = ChildSpec::new(&component, move || factory());
         (child.with_ports(|ports| ports.add_ports(stateful_ports())), carried)
     }
+}
+
+/// Why a service cannot be described as it is.
+#[derive(Debug)]
+pub(crate) enum ServiceSpecError {
+    /// A name does not parse.
+    Name { of: String, error: NameError },
+    /// Its component cannot be built.
+    Refused { name: ObjectName, reason: String },
 }
 
 /// With which state a component begins: it is built once more to see that, before there is a node
