@@ -34,8 +34,10 @@
 //! ```
 
 use crate::arbiter::heartbeat;
+use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::{ReplyFuture, Responder};
-use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
+use crate::messaging::sender::Sender;
+use crate::messaging::sink::MessageSink;
 use actix::fut::wrap_future;
 use actix::prelude::{
     Actor, Addr, AsyncContext, Context, Handler, Message, Recipient, ResponseFuture,

@@ -9,9 +9,11 @@ pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
+use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::injection::Injection;
 use crate::messaging::reply::{ReplyFuture, Responder};
-use crate::messaging::sender::{MessageSink, Receiver, RequestError, SendError, Sender};
+use crate::messaging::sender::Sender;
+use crate::messaging::sink::MessageSink;
 use crate::platform::panics;
 use blastema_core::contract::codec;
 use blastema_core::global_name::Holder;
@@ -221,7 +223,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
         // Only what may come twice needs to be known again.
-        let id = id.or_else(|| M::IDEMPOTENT.then(crate::messaging::sender::next_id));
+        let id = id.or_else(|| M::IDEMPOTENT.then(crate::messaging::message_id::next_id));
         let reply_to = move |result: Result<GatherBuffer, DeliveryError>| {
             let decode = |reply: GatherBuffer| codec::decode_shared_reply::<M>(&reply.into_bytes());
             let decoded = result.and_then(|reply| {

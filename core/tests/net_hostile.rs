@@ -8,7 +8,8 @@ use blastema_core::net::session::VERSION;
 use blastema_core::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, RoutingMessage,
 };
-use blastema_core::net::wire::frame::{Echo, Frame, Hello, HelloState};
+use blastema_core::net::wire::frame::{Echo, Frame, Hello};
+use blastema_core::net::wire::hello_state::HelloState;
 use blastema_core::net::wire::message::PeerMessage;
 use blastema_core::net::wire::packet::{Packet, Payload};
 use blastema_core::net::wire::segment::{

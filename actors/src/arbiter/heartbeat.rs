@@ -4,7 +4,6 @@
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.
 
 use super::deadline;
-use super::pool::LoopGuard;
 use crate::platform;
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
@@ -97,18 +96,17 @@ impl ArbiterHeartbeat {
         pulse
     }
 
-    /// Gives this fresh thread a pulse that somebody already holds.
-    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<LoopGuard>) {
+    /// Gives this fresh thread a heartbeat that another one reads already. The guard is dropped
+    /// with the thread's event loop.
+    pub(crate) fn adopt(self: &Arc<Self>, guard: impl Sized + 'static) {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
         self.clone().start_beating();
-        if let Some(loan) = loan {
-            actix_rt::spawn(async move {
-                let _loan = loan;
-                std::future::pending::<()>().await;
-            });
-        }
+        actix_rt::spawn(async move {
+            let _guard = guard;
+            std::future::pending::<()>().await;
+        });
     }
 
     fn start_beating(self: Arc<Self>) {

@@ -210,7 +210,7 @@ impl ArbiterPool {
         let pulse = Arc::new(ArbiterHeartbeat::default());
         let loan = LoopGuard { pulse: pulse.clone(), abandoned: self.0.abandoned.clone() };
         let adopted = pulse.clone();
-        handle.spawn_fn(move || adopted.adopt(Some(loan)));
+        handle.spawn_fn(move || adopted.adopt(loan));
         Ok(ArbiterSlot { handle, pulse, own_thread })
     }
 

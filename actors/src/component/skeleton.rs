@@ -3,8 +3,9 @@
 use crate::component::Handle;
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::arrived_posting_time;
+use crate::messaging::error::SendError;
 use crate::messaging::reply::Responder;
-use crate::messaging::sender::{SendError, Sender};
+use crate::messaging::sender::Sender;
 use crate::registry::encoding::encoded_reply;
 use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
 use blastema_contract::reports::DeclaredFaultCleared;

@@ -4,10 +4,10 @@ use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::control::HostCommand;
 use crate::component::{Component, Handle};
+use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::retry;
-use crate::messaging::sender::{
-    DEFAULT_DEADLINE, MessageSink, RequestError, SendError, Sender, deliver,
-};
+use crate::messaging::sender::{DEFAULT_DEADLINE, Sender, deliver};
+use crate::messaging::sink::MessageSink;
 use blastema_core::{Contract, Incarnation, Lifecycle, ObjectName};
 use std::fmt;
 use std::sync::Arc;

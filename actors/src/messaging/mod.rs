@@ -3,9 +3,12 @@
 
 pub(crate) mod dead_letters;
 pub(crate) mod death_watch;
+pub(crate) mod error;
 pub(crate) mod incarnation;
 pub(crate) mod injection;
+pub(crate) mod message_id;
 pub(crate) mod queue;
 pub(crate) mod reply;
 pub(crate) mod retry;
 pub(crate) mod sender;
+pub(crate) mod sink;

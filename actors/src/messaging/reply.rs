@@ -6,7 +6,7 @@
 
 use crate::arbiter::deadline::{Cancel, Deadline};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
-use crate::messaging::sender::RequestError;
+use crate::messaging::error::RequestError;
 use crate::platform;
 use crate::sync::atomic::AtomicBool;
 use crate::sync::atomic::Ordering::Relaxed;

@@ -1,6 +1,8 @@
 //! Asking more than once, where that can do no harm.
 
-use crate::messaging::sender::{MessageSink, RequestError, next_id};
+use crate::messaging::error::RequestError;
+use crate::messaging::message_id::next_id;
+use crate::messaging::sink::MessageSink;
 use crate::platform;
 use blastema_core::contract::codec;
 use blastema_core::delivery::retry::FailedAttempt;

@@ -1,70 +1,20 @@
 //! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
 
+use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::incarnation::IncarnationToken;
+use crate::messaging::message_id::next_id;
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::retry;
-use blastema_core::{
-    Contract, DeliveryError, MessageId, NodeName, ObjectName, Outcome, RetryPolicy,
-};
+use crate::messaging::sink::MessageSink;
+use blastema_core::{Contract, DeliveryError, MessageId, RetryPolicy};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// How long [`Sender::ask`] waits for a reply.
 pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(1);
-
-/// What stands behind a [`Sender`]: a component here, or one on another node.
-pub(crate) trait MessageSink<M: Contract>: Send + Sync {
-    /// Hands the message over, or lets the receiver's policy decide. Never waits.
-    fn tell(&self, message: M) -> Result<(), SendError<M>>;
-
-    /// Hands the message over, or gives it back where there is no room.
-    fn offer(&self, message: M) -> Result<(), SendError<M>>;
-
-    /// Completes when there may be room for what was refused so.
-    fn room<'a>(&'a self, refused: &DeliveryError)
-    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
-
-    /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
-    fn ask(
-        &self,
-        message: M,
-        id: Option<MessageId>,
-        within: Option<Duration>,
-    ) -> Result<ReplyFuture<M>, RequestError<M>>;
-
-    /// Whom its errors name.
-    fn receiver(&self) -> Option<Receiver> {
-        None
-    }
-}
-
-/// The receiver that a failed message was for.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Receiver {
-    /// Its node, where that is known.
-    pub node: Option<NodeName>,
-    /// Its name there.
-    pub object: ObjectName,
-    /// The contract of the message.
-    pub contract: &'static str,
-    /// How many messages its queue holds; `None` for a receiver on another node.
-    pub queue: Option<usize>,
-}
-
-impl fmt::Display for Receiver {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.node {
-            Some(node) => write!(f, "{node}:{}", self.object),
-            None => write!(f, "{}", self.object),
-        }
-    }
-}
 
 /// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and
 /// remote receivers are alike.
@@ -209,14 +159,6 @@ impl<M: Contract + Clone> Repeatable<M> {
     }
 }
 
-/// A fresh identity for a message of this process.
-pub(crate) fn next_id() -> MessageId {
-    static NEXT: AtomicU64 = AtomicU64::new(1);
-    static SENDER: std::sync::OnceLock<u64> = std::sync::OnceLock::new();
-    let sender = *SENDER.get_or_init(crate::platform::random_seed);
-    MessageId { sender, sequence: NEXT.fetch_add(1, Relaxed) }
-}
-
 pub(crate) async fn deliver<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
@@ -287,124 +229,4 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
     }
 }
 
-/// A message that was not handed over.
-#[derive(PartialEq, Eq)]
-pub struct SendError<M> {
-    /// Why.
-    pub kind: DeliveryError,
-    /// The message as it was.
-    pub message: M,
-    // An error that is passed on through every call is better small.
-    receiver: Option<Box<Receiver>>,
-}
-
-impl<M> SendError<M> {
-    pub(crate) fn new(kind: DeliveryError, message: M) -> Self {
-        SendError { kind, message, receiver: None }
-    }
-
-    /// Names the receiver.
-    #[cold]
-    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
-        self.receiver = receiver().map(Box::new);
-        self
-    }
-
-    /// Whom the message was for, where that is known.
-    pub fn receiver(&self) -> Option<&Receiver> {
-        self.receiver.as_deref()
-    }
-}
-
-/// A request without a reply.
-#[derive(PartialEq, Eq)]
-pub struct RequestError<M> {
-    /// Why.
-    pub kind: DeliveryError,
-    /// The message as it was, where the receiver did not take it up.
-    pub message: Option<M>,
-    receiver: Option<Box<Receiver>>,
-}
-
-impl<M> RequestError<M> {
-    pub(crate) fn new(kind: DeliveryError, message: Option<M>) -> Self {
-        RequestError { kind, message, receiver: None }
-    }
-
-    /// Names the receiver.
-    #[cold]
-    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
-        self.receiver = receiver().map(Box::new);
-        self
-    }
-
-    /// Whom the request was for, where that is known.
-    pub fn receiver(&self) -> Option<&Receiver> {
-        self.receiver.as_deref()
-    }
-
-    /// What is known of the request: whether it took effect, did not, or may have.
-    pub fn outcome(&self) -> Outcome {
-        match self.message {
-            Some(_) => Outcome::NotTaken,
-            None => self.kind.outcome(),
-        }
-    }
-}
-
 // By hand, so that nobody asks the user's message for `Debug`.
-impl<M> fmt::Debug for SendError<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SendError").field("why", &self.kind).finish_non_exhaustive()
-    }
-}
-
-impl<M> fmt::Debug for RequestError<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let returned = self.message.is_some();
-        f.debug_struct("RequestError")
-            .field("why", &self.kind)
-            .field("message_returned", &returned)
-            .finish()
-    }
-}
-
-impl<M> fmt::Display for SendError<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        describe(f, self.receiver(), "was not sent", &self.kind)
-    }
-}
-
-impl<M> fmt::Display for RequestError<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        describe(f, self.receiver(), "failed", &self.kind)
-    }
-}
-
-/// Says which message to whom met with what, with the limit that the receiver alone does not know.
-fn describe(
-    f: &mut fmt::Formatter<'_>,
-    receiver: Option<&Receiver>,
-    what: &str,
-    why: &DeliveryError,
-) -> fmt::Result {
-    match receiver {
-        None => write!(f, "the message {what}: {why}"),
-        Some(to) => {
-            write!(f, "`{}` to {to} {what}: ", to.contract)?;
-            match (why, to.queue) {
-                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
-                _ => write!(f, "{why}"),
-            }
-        }
-    }
-}
-
-impl<M> std::error::Error for SendError<M> {}
-impl<M> std::error::Error for RequestError<M> {}
-
-impl<M> From<SendError<M>> for RequestError<M> {
-    fn from(error: SendError<M>) -> Self {
-        RequestError::new(error.kind, Some(error.message))
-    }
-}

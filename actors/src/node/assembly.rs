@@ -10,11 +10,12 @@ pub(super) use self::networks::Networks;
 
 use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
 use self::networks::{claims_setup, make_networks};
-use super::builder::{ActorPlacement, Configuration, NodeBuilder, StartError};
+use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::checks::{
     check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
 };
 use super::controller::{NodeController, StartRoot};
+use super::error::StartError;
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
@@ -61,8 +62,21 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+impl NodeBuilder {
+    /// Starts the node: its fault chain, and then all components, each after those before it.
+    ///
+    /// # Errors
+    /// A description that cannot work is refused before any component is started. A component that
+    /// cannot be started is a fault, which the plan answers: by default it is restarted and at last
+    /// put to rest, and the node starts without it. Where supervisors give up first, up to the
+    /// root, that is [`StartError::GaveUp`].
+    pub async fn start(self) -> Result<Node, StartError> {
+        start(self).await
+    }
+}
+
 /// Puts a node together, and starts it.
-pub(super) async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
+async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     if actix_rt::System::try_current().is_none() {
         return Err(StartError::Runtime);
     }

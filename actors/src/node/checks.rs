@@ -1,6 +1,7 @@
 //! What can be known to be wrong with a description before anything is started.
 
-use super::builder::{ActorPlacement, NodeBuilder, StartError};
+use super::builder::{ActorPlacement, NodeBuilder};
+use super::error::StartError;
 use super::network::Network;
 use super::tree::PreparedTree;
 use crate::registry::NameTaken;

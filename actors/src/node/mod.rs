@@ -16,6 +16,7 @@ pub(crate) mod assembly;
 mod builder;
 mod checks;
 pub(crate) mod controller;
+mod error;
 mod faults;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
@@ -28,8 +29,9 @@ pub(crate) mod snapshot;
 mod tree;
 mod watchdogs;
 
-pub use builder::{NodeBuilder, StartError};
+pub use builder::NodeBuilder;
 pub use controller::NodeState;
+pub use error::StartError;
 pub use faults::FaultEvents;
 pub use isolation::IsolateError;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};

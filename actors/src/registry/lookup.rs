@@ -1,7 +1,9 @@
 //! What stands behind a `Sender` of a claimed name: whoever holds it when something is sent.
 
+use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
-use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
+use crate::messaging::sender::Sender;
+use crate::messaging::sink::MessageSink;
 use crate::registry::{NameResolver, Registry};
 use blastema_core::global_name::Holder;
 use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};

@@ -5,8 +5,10 @@
 //! asks.
 
 use crate::arbiter::heartbeat;
+use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::{ReplyFuture, Responder};
-use crate::messaging::sender::{MessageSink, RequestError, SendError, Sender};
+use crate::messaging::sender::Sender;
+use crate::messaging::sink::MessageSink;
 use crate::platform;
 use crate::registry::encoding::encoded_reply;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};

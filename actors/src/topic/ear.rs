@@ -1,7 +1,6 @@
 //! One listener of a hub, and the component behind it.
 
 use super::EventFilter;
-use super::hub::CONDITION;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::Times;
@@ -17,6 +16,9 @@ use std::rc::Weak;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
+
+/// What the activity record and the fault say while a condition runs.
+pub(super) const CONDITION: &str = "a condition of a subscription";
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the
 /// others.

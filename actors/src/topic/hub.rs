@@ -4,7 +4,7 @@
 //! condition runs under its name, guard and stamp as its handler does, and where either takes long,
 //! the hub ends its turn and goes on from there in the next.
 
-use super::ear::{Ear, Resident};
+use super::ear::{CONDITION, Ear, Resident};
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
@@ -38,8 +38,6 @@ const CAPACITY: usize = 1024;
 const BUDGET: usize = 8;
 /// A hub's lane has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
-/// What the stamp and the fault say while a condition runs.
-pub(super) const CONDITION: &str = "a condition of a subscription";
 
 /// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubQueue<E> {

@@ -2,8 +2,8 @@
 
 use super::Topic;
 use crate::arbiter::heartbeat;
+use crate::messaging::error::SendError;
 use crate::messaging::incarnation::IncarnationToken;
-use crate::messaging::sender::SendError;
 use blastema_core::{Event, Instant};
 use std::fmt;
 use std::sync::Arc;

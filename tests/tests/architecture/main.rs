@@ -4,6 +4,7 @@
 //! to this project; the second half shows each of them a small tree that breaks it, since a rule
 //! that cannot fail proves nothing.
 
+mod imports;
 mod packages;
 mod pages;
 mod sources;
@@ -32,6 +33,26 @@ fn arrows_between_packages_point_down_only() {
         "move what is needed further down, or turn the call into a message of core/contract; a new \
          package gets its place in the README's map and in PLACES of packages.rs",
     );
+}
+
+#[test]
+fn imports_within_actors_point_down_only() {
+    holds(
+        imports::layers,
+        "move what is needed to the lowest layer that needs it, or turn the import: a trait below, \
+         an `impl` block above, an extension of the environment; a new folder gets its place in \
+         LAYERS of imports.rs",
+    );
+}
+
+#[test]
+fn files_of_a_folder_import_each_other_in_one_direction() {
+    holds(imports::circles, "move what both need to a file of its own");
+}
+
+#[test]
+fn files_name_what_they_take_from_their_parent() {
+    holds(imports::globs_of_parents, "write out the names");
 }
 
 #[test]
@@ -197,6 +218,38 @@ mod a_rule_can_fail {
     fn when_a_line_of_a_page_is_too_wide() {
         let wide = format!("| {0} |\n{0}\n{0}ä\n", "ä".repeat(120));
         check(pages::width, &[("docs/page.md", &wide)], &[("docs/page.md", 3)]);
+    }
+
+    #[test]
+    fn when_a_layer_imports_one_above_it_also_by_another_name() {
+        let texts = [
+            ("actors/src/lib.rs", "mod arbiter; mod host; mod odd;"),
+            ("actors/src/arbiter.rs", "use crate::{host::A, sync::B};\nfn a() { crate::odd::b() }"),
+            ("actors/src/host.rs", "mod spec;\npub(crate) use spec::A;\nuse crate::arbiter::C;"),
+            ("actors/src/host/spec.rs", "pub(crate) struct A;"),
+            ("actors/src/odd.rs", "use crate::arbiter::C;\n#[cfg(test)]\nuse crate::host::A;"),
+        ];
+        let arbiter = "actors/src/arbiter.rs";
+        let expected = [(arbiter, 1), (arbiter, 2), ("actors/src/odd.rs", 1)];
+        check(imports::layers, &texts, &expected);
+    }
+
+    #[test]
+    fn when_files_of_a_folder_import_each_other() {
+        let texts = [
+            ("core/src/lib.rs", "mod a; mod b; mod c;\npub use b::B;"),
+            ("core/src/a.rs", "use crate::B;\nuse super::c::C;"),
+            ("core/src/b.rs", "use crate::a::A;"),
+            ("core/src/c.rs", "struct C;"),
+        ];
+        check(imports::circles, &texts, &[("core/src/a.rs", 1), ("core/src/b.rs", 1)]);
+    }
+
+    #[test]
+    fn when_a_file_takes_all_of_its_parent() {
+        let text = "use super::*;\n#[cfg(test)]\nmod tests {\n use super::*;\n}";
+        let texts = [("core/src/lib.rs", "mod a;"), ("core/src/a.rs", text)];
+        check(imports::globs_of_parents, &texts, &[("core/src/a.rs", 1)]);
     }
 
     #[test]

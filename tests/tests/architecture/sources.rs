@@ -316,7 +316,7 @@ fn exposed(items: &[syn::Item], foreign: &BTreeSet<String>, path: &str, out: &mu
 pub(crate) fn acquaintance(tree: &Tree) -> Vec<Breach> {
     let mut breaches = Vec::new();
     for source in &tree.sources {
-        let objects = ["actors/src/chain/", "actors/src/net/", "transports/src/"];
+        let objects = ["actors/src/fault_chain/", "actors/src/net/", "transports/src/"];
         // The one file that starts the network's actors, and connects them, knows them all.
         let connects = source.path == "actors/src/net/mod.rs";
         if connects || !objects.iter().any(|folder| source.path.starts_with(folder)) {

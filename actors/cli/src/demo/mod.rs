@@ -30,6 +30,7 @@ mod robot_state;
 mod scenario;
 mod table;
 pub(crate) mod timings;
+mod tone;
 mod trial;
 mod view;
 pub(crate) mod wiring;

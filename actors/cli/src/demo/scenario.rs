@@ -10,6 +10,7 @@ use super::protocol::{FaultNote, ModuleEvent, ObjectFault};
 use super::report::{FaultRow, NOTES, Report, counted};
 use super::robot::{CABLES, Module};
 use super::robot_state::RobotState;
+use super::tone::LineTone;
 use super::trial::{FaultTrial, TrialOutput, TrialTimeouts};
 use blastema::core::Place;
 use std::collections::{BTreeMap, VecDeque};
@@ -91,21 +92,6 @@ pub(crate) struct ProgressLine {
     pub(crate) tone: LineTone,
     /// The text.
     pub(crate) text: String,
-}
-
-/// The meaning of a progress line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum LineTone {
-    /// A fault was injected.
-    Injection,
-    /// A fault was found.
-    Finding,
-    /// The fault is recovered.
-    Relief,
-    /// A promise is broken.
-    Alarm,
-    /// Anything else.
-    Remark,
 }
 
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use super::protocol::{DirectorCommand, FaultNote, ModuleEvent, OrderId};
 use super::report::{FaultRow, ReportedFault, counted, paper_figure};
 use super::robot::{DemoCable, Flow, Module};
 use super::robot_state::RobotState;
-use super::scenario::LineTone;
+use super::tone::LineTone;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 

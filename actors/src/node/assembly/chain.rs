@@ -13,8 +13,9 @@ use crate::fault_chain::strategy::{
     SAFE_OUTPUTS, SafeOutputs, StrategyContext, StrategyTargets, object_of,
 };
 use crate::liveness::sampler::SamplerGuard;
-use crate::node::builder::{ActorPlacement, NodeBuilder, StartError};
+use crate::node::builder::{ActorPlacement, NodeBuilder};
 use crate::node::controller::{NodeController, NodeControllerSetup, NodeState, SubscribeSafeState};
+use crate::node::error::StartError;
 use crate::node::tree::PreparedComponent;
 use crate::platform::{self, ProcessWatchdog};
 use crate::registry::Registry;

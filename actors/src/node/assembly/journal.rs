@@ -2,7 +2,7 @@
 
 use super::{NodeAssembly, middleware, named};
 use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup, LockError};
-use crate::node::builder::StartError;
+use crate::node::error::StartError;
 use crate::platform;
 use actix::prelude::*;
 use blastema_contract::detector::Subscribe;

@@ -1,6 +1,6 @@
 //! The multicast group at which a node makes itself known.
 
-use crate::node::builder::StartError;
+use crate::node::error::StartError;
 use blastema_transports::{Endpoint, UdpConfig};
 use std::net::{IpAddr, SocketAddr};
 

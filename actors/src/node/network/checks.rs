@@ -3,7 +3,7 @@
 use super::start::HELLO_INTERVAL;
 use super::{Link, Medium, Network, Remote};
 use crate::net::Interface;
-use crate::node::builder::StartError;
+use crate::node::error::StartError;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
 use blastema_transports::endpoint::is_interface;

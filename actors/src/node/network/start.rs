@@ -2,7 +2,7 @@
 
 use super::{Admitted, Cable, Link, Medium, Network, Remote};
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
-use crate::node::builder::StartError;
+use crate::node::error::StartError;
 use crate::platform;
 use crate::runtime::guardian::Guardian;
 use actix::prelude::*;

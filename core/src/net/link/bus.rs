@@ -3,7 +3,8 @@
 use super::{Link, LinkConfig, percent};
 use crate::Instant;
 use crate::net::wire::bus_hello::{BusHello, CompactEcho, NeighbourEntry};
-use crate::net::wire::frame::{Echo, Hello, HelloState};
+use crate::net::wire::frame::{Echo, Hello};
+use crate::net::wire::hello_state::HelloState;
 use crate::net::wire::node_id::NodeId;
 use std::time::Duration;
 

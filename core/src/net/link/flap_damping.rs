@@ -2,7 +2,7 @@
 
 use super::{Link, LinkState};
 use crate::Instant;
-use crate::net::wire::frame::HelloState;
+use crate::net::wire::hello_state::HelloState;
 
 impl Link {
     /// Whether a link that is suspect is heard again, and only for how often it was not is not

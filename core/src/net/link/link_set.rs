@@ -12,9 +12,10 @@
 
 use super::{Link, LinkOutput};
 use crate::machine_set::MachineSet;
-use crate::net::routing::LinkId;
 use crate::net::wire::bus_hello::{CompactEcho, NeighbourEntry};
-use crate::net::wire::frame::{Frame, HelloState};
+use crate::net::wire::frame::Frame;
+use crate::net::wire::hello_state::HelloState;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::{GatherBuffer, Instant, Machine};
 use std::collections::{BTreeMap, VecDeque};

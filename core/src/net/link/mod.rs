@@ -38,7 +38,8 @@ use self::quality::{QualityEstimator, QualityLimits};
 use self::reassembly::RoutingReassembly;
 use self::remote_down::RemoteDownNotice;
 
-use super::wire::frame::{Echo, Frame, Hello, HelloState};
+use super::wire::frame::{Echo, Frame, Hello};
+use super::wire::hello_state::HelloState;
 use super::wire::{Refusals, WireError};
 use crate::{GatherBuffer, Incarnation, Instant, Machine};
 use arrival::{ArrivalEstimator, HelloArrival};

@@ -6,7 +6,7 @@
 
 use super::{Link, LinkState};
 use crate::Instant;
-use crate::net::wire::frame::HelloState;
+use crate::net::wire::hello_state::HelloState;
 
 /// So many hellos: one may have been on its way.
 const CONTRADICTIONS: u32 = 2;

@@ -11,10 +11,11 @@
 //! and had it ended without anybody's knowing, it does not defend itself. Where two halves of a
 //! network meet that have each a node of this name, the older life stays, everywhere.
 
-use super::{LinkHealth, LinkId, LinkStatus, Router, RouterAlarm, RouterOutput};
+use super::{LinkHealth, LinkStatus, Router, RouterAlarm, RouterOutput};
 use crate::net::link::Neighbour;
 use crate::net::routing::topology::Adjacency;
 use crate::net::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant, NodeName};
 use std::time::Duration;

@@ -1,10 +1,11 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
-use super::{DatabaseEntry, LinkId, Router, RouterAlarm, RouterOutput};
+use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::net::wire::advertisement::{
     Advertisement, AdvertisementId, Edge, HAVE_HEADER, NEIGHBOURS_MAX, RoutingMessage, STAMP,
 };
 use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};

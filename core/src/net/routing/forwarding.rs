@@ -1,8 +1,9 @@
 //! Passing packets on: the look-up, and what becomes of what cannot be delivered.
 
-use super::{LinkHealth, LinkId, Router, RouterOutput};
+use super::{LinkHealth, Router, RouterOutput};
 use crate::net::routing::topology::DisjointPath;
 use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{HOPS_MAX, Packet, PacketPriority, Payload, UndeliveredReason};
 use crate::{GatherBuffer, Instant};

@@ -23,16 +23,13 @@ use self::contest::Dispute;
 use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
+use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 use topology::{Adjacency, DisjointPath, Route, Topology};
-
-/// A link of this node, by its place in the node's configuration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct LinkId(pub u16);
 
 /// The machine of a node's router.
 #[derive(Debug)]

@@ -12,9 +12,10 @@
 //! another way; it goes on as soon as the neighbour's hellos say the contrary, and then such words
 //! do not count for a while.
 
-use super::{LinkId, Router, RouterOutput};
+use super::{Router, RouterOutput};
 use crate::net::routing::topology::Adjacency;
 use crate::net::wire::advertisement::{Advertisement, Edge, NEIGHBOURS_MAX, RoutingMessage};
+use crate::net::wire::link_id::LinkId;
 
 impl Router {
     /// A link is down: its neighbour learns which by every other one.

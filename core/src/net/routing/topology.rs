@@ -4,11 +4,12 @@ mod disjoint;
 
 pub(crate) use self::disjoint::DisjointPath;
 
-use super::{LinkHealth, LinkId, MTU_MIN};
+use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
 use crate::net::wire::advertisement::{Advertisement, Edge};
 use crate::net::wire::frame::FRAME_HEADER;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{HOPS_MAX, PACKET_HEADER, passed_length};
 use crate::{Incarnation, Instant, NodeName};

@@ -1,7 +1,7 @@
 //! What a router is configured with, is told, and wants done.
 
-use super::LinkId;
 use crate::net::link::Neighbour;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::UndeliveredReason;
 use crate::{GatherBuffer, Incarnation, NodeName};

@@ -22,7 +22,7 @@
 
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};
-use crate::net::routing::LinkId;
+use crate::net::wire::link_id::LinkId;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 

@@ -20,7 +20,7 @@
 //! That a greeting came is a sign of life to all. Of the echoed incarnation and sequence the lower
 //! 16 bits are enough: the one who is spoken to knows the rest.
 
-use super::frame::HelloState;
+use super::hello_state::HelloState;
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};
 use crate::{Incarnation, NodeName};

@@ -26,6 +26,7 @@
 //! A frame ends where the transport says that it ends; integrity is the transport's business.
 
 use super::bus_hello::BusHello;
+use super::hello_state::HelloState;
 use super::{Reader, WireError, Write, packet};
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -86,19 +87,6 @@ pub struct Hello {
     pub loss_permille: u16,
     /// What it last heard of the one that it speaks to; `None` if nothing yet.
     pub echo: Option<Echo>,
-}
-
-/// What one end of a link thinks of it. Both ends must be ready before either uses it, and one that
-/// gives it up takes the other along: no end sends what the other would not take (as in BFD, RFC
-/// 5880).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HelloState {
-    /// It knows nothing yet: it has just begun, or begun anew.
-    Unproved,
-    /// It has given the link up, which has not proved itself since.
-    Down,
-    /// It uses the link, or would if the other did.
-    Ready,
 }
 
 /// What a node last heard of its neighbour.

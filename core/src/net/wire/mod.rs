@@ -3,6 +3,8 @@
 pub mod advertisement;
 pub mod bus_hello;
 pub mod frame;
+pub mod hello_state;
+pub mod link_id;
 pub mod message;
 pub mod node_id;
 pub mod packet;

@@ -9,7 +9,7 @@
 //! Ways after the second share nothing with any other, or are left out.
 
 use super::Topology;
-use crate::net::routing::LinkId;
+use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{COPIES_MAX, RELAYS_MAX};
 use std::cmp::Reverse;

@@ -1,0 +1,150 @@
+//! Why a message was not taken, or a request not answered, and the message itself where it is given
+//! back.
+
+use blastema_core::{DeliveryError, NodeName, ObjectName, Outcome};
+use std::fmt;
+
+/// The receiver that a failed message was for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Receiver {
+    /// Its node, where that is known.
+    pub node: Option<NodeName>,
+    /// Its name there.
+    pub object: ObjectName,
+    /// The contract of the message.
+    pub contract: &'static str,
+    /// How many messages its queue holds; `None` for a receiver on another node.
+    pub queue: Option<usize>,
+}
+
+impl fmt::Display for Receiver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.node {
+            Some(node) => write!(f, "{node}:{}", self.object),
+            None => write!(f, "{}", self.object),
+        }
+    }
+}
+
+/// A message that was not handed over.
+#[derive(PartialEq, Eq)]
+pub struct SendError<M> {
+    /// Why.
+    pub kind: DeliveryError,
+    /// The message as it was.
+    pub message: M,
+    // An error that is passed on through every call is better small.
+    receiver: Option<Box<Receiver>>,
+}
+
+impl<M> SendError<M> {
+    pub(crate) fn new(kind: DeliveryError, message: M) -> Self {
+        SendError { kind, message, receiver: None }
+    }
+
+    /// Names the receiver.
+    #[cold]
+    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
+        self.receiver = receiver().map(Box::new);
+        self
+    }
+
+    /// Whom the message was for, where that is known.
+    pub fn receiver(&self) -> Option<&Receiver> {
+        self.receiver.as_deref()
+    }
+}
+
+/// A request without a reply.
+#[derive(PartialEq, Eq)]
+pub struct RequestError<M> {
+    /// Why.
+    pub kind: DeliveryError,
+    /// The message as it was, where the receiver did not take it up.
+    pub message: Option<M>,
+    receiver: Option<Box<Receiver>>,
+}
+
+impl<M> RequestError<M> {
+    pub(crate) fn new(kind: DeliveryError, message: Option<M>) -> Self {
+        RequestError { kind, message, receiver: None }
+    }
+
+    /// Names the receiver.
+    #[cold]
+    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
+        self.receiver = receiver().map(Box::new);
+        self
+    }
+
+    /// Whom the request was for, where that is known.
+    pub fn receiver(&self) -> Option<&Receiver> {
+        self.receiver.as_deref()
+    }
+
+    /// What is known of the request: whether it took effect, did not, or may have.
+    pub fn outcome(&self) -> Outcome {
+        match self.message {
+            Some(_) => Outcome::NotTaken,
+            None => self.kind.outcome(),
+        }
+    }
+}
+
+impl<M> fmt::Debug for SendError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SendError").field("why", &self.kind).finish_non_exhaustive()
+    }
+}
+
+impl<M> fmt::Debug for RequestError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let returned = self.message.is_some();
+        f.debug_struct("RequestError")
+            .field("why", &self.kind)
+            .field("message_returned", &returned)
+            .finish()
+    }
+}
+
+impl<M> fmt::Display for SendError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        describe(f, self.receiver(), "was not sent", &self.kind)
+    }
+}
+
+impl<M> fmt::Display for RequestError<M> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        describe(f, self.receiver(), "failed", &self.kind)
+    }
+}
+
+/// Says which message to whom met with what, with the limit that the receiver alone does not know.
+fn describe(
+    f: &mut fmt::Formatter<'_>,
+    receiver: Option<&Receiver>,
+    what: &str,
+    why: &DeliveryError,
+) -> fmt::Result {
+    match receiver {
+        None => write!(f, "the message {what}: {why}"),
+        Some(to) => {
+            write!(f, "`{}` to {to} {what}: ", to.contract)?;
+            match (why, to.queue) {
+                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
+                _ => write!(f, "{why}"),
+            }
+        }
+    }
+}
+
+impl<M> std::error::Error for SendError<M> {}
+
+impl<M> std::error::Error for RequestError<M> {}
+
+impl<M> From<SendError<M>> for RequestError<M> {
+    fn from(error: SendError<M>) -> Self {
+        RequestError::new(error.kind, Some(error.message))
+    }
+}

@@ -1,0 +1,136 @@
+//! Why a node does not start.
+
+use crate::component::spec_error::SpecError;
+use crate::service::ServiceSpecError;
+use blastema_core::detection::RegistrationError;
+use blastema_core::detection::dependencies::DependencyError;
+use blastema_core::recovery::PlanError;
+use blastema_core::{NameError, ObjectName};
+use blastema_transports::EndpointError;
+use std::path::PathBuf;
+use std::{fmt, io};
+
+/// Why a node did not start. What had been started is stopped again.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// A name that the description holds does not parse.
+    #[error("{of}: {error}")]
+    Name {
+        /// Whose name: the node's, a neighbour's, a service's.
+        of: String,
+        /// What is wrong with it.
+        error: NameError,
+    },
+    /// A component's or supervisor's spec is wrong.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// The plan does not answer every fault, or answers one by what does not exist.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// An object cannot be watched as its spec says.
+    #[error(transparent)]
+    Watch(#[from] RegistrationError),
+    /// A component depends on what does not exist, or on itself, perhaps by way of others.
+    #[error(transparent)]
+    Dependency(#[from] DependencyError),
+    /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
+    #[error("network {network}: {error}")]
+    Endpoint {
+        /// The network.
+        network: String,
+        /// What is wrong, and where.
+        error: EndpointError,
+    },
+    /// The networks cannot be used together.
+    #[error("{0}")]
+    Network(String),
+    /// A service has a mistake in its nodes, or its component cannot be built.
+    #[error("service {name}: {reason}")]
+    Service {
+        /// The service.
+        name: ObjectName,
+        /// What is wrong, and what to write.
+        reason: String,
+    },
+    /// A setting of the node makes no sense.
+    #[error("{setting} of the node is {value}: {cure}")]
+    Setting {
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What to write instead.
+        cure: &'static str,
+    },
+    /// The file in which variables are kept cannot be read, set aside where it is damaged, or be
+    /// there at all.
+    #[error("variables cannot be kept in {}: {reason}", file.display())]
+    Variables {
+        /// The file.
+        file: PathBuf,
+        /// What stands in the way.
+        reason: String,
+    },
+    /// The journal of faults cannot be where it was to be: another node writes it, or its path is
+    /// no file's.
+    #[cfg(feature = "journal")]
+    #[error("the journal of faults {}: {reason}", file.display())]
+    Journal {
+        /// The file.
+        file: PathBuf,
+        /// What stands in the way, and what to do.
+        reason: String,
+    },
+    /// The configuration of parameters cannot be read, or gives them to a component that takes
+    /// none.
+    #[error("parameters{}: {reason}", of_file(.file.as_ref()))]
+    Parameters {
+        /// The file, where it is one.
+        file: Option<PathBuf>,
+        /// What is wrong, and where.
+        reason: String,
+    },
+    /// Nobody can look at the node where it was to be shown.
+    #[error("the node cannot be shown: {0}")]
+    Shown(String),
+    /// A watchdog of the process cannot be used.
+    #[error("the process cannot be watched: {0}")]
+    ProcessWatchdog(String),
+    /// The node was started outside of Blastema's runtime, as by `#[tokio::main]`.
+    #[error(
+        "a node starts only in Blastema's runtime: write `#[blastema::main]` in place of \
+         `#[tokio::main]`, or run the program by `blastema::run(async {{ .. }})`"
+    )]
+    Runtime,
+    /// The operating system has no thread left.
+    #[error("a thread could not be started: {0}")]
+    Thread(#[from] io::Error),
+    /// The root supervisor gave up while it was starting its children.
+    #[error("the node did not come up: {reason}")]
+    GaveUp {
+        /// Which component, and what it said.
+        reason: String,
+    },
+}
+
+impl StartError {
+    /// What to make of a name that does not parse.
+    pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
+        let of = of.to_string();
+        move |error| StartError::Name { of, error }
+    }
+}
+
+impl From<ServiceSpecError> for StartError {
+    fn from(error: ServiceSpecError) -> Self {
+        match error {
+            ServiceSpecError::Name { of, error } => StartError::Name { of, error },
+            ServiceSpecError::Refused { name, reason } => StartError::Service { name, reason },
+        }
+    }
+}
+
+fn of_file(file: Option<&PathBuf>) -> String {
+    file.map(|file| format!(" in {}", file.display())).unwrap_or_default()
+}
