@@ -124,7 +124,7 @@ pub use crate::arbiter::pool::ThreadKind;
 pub use crate::component::context::{Context, LongOperation};
 pub use crate::component::life::TimerId;
 pub use crate::component::ports::Ports;
-use crate::component::spec_error::SpecError;
+pub use crate::component::spec_error::SpecError;
 pub use crate::liveness::threads::{ThreadRow, ThreadState};
 pub use crate::messaging::injection::Injection;
 pub use crate::messaging::queue::WhenFull;

@@ -65,8 +65,9 @@ impl<C: Component> Ports<C> {
 
     /// What the component declares of one feature.
     pub(crate) fn feature<T: Declarations<C> + Default>(&mut self) -> &mut T {
-        let is_one = |known: &Box<dyn Declarations<C>>| (&**known as &dyn Any).is::<T>();
-        let at = self.features.iter().position(is_one).unwrap_or_else(|| {
+        let is_wanted = |known: &dyn Declarations<C>| (known as &dyn Any).is::<T>();
+        let known = self.features.iter().position(|known| is_wanted(&**known));
+        let at = known.unwrap_or_else(|| {
             self.features.push(Box::new(T::default()));
             self.features.len() - 1
         });

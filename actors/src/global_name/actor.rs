@@ -4,7 +4,7 @@ use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
 use crate::net::fault_reporter::FaultReporter;
 use crate::net::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::platform;
-use crate::registry::{NameResolver, Registry};
+use crate::registry::Registry;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
@@ -393,6 +393,7 @@ impl Handler<InjectPanic> for GlobalNamesActor {
 mod tests {
     use super::*;
     use crate::global_name::Claim;
+    use crate::registry::NameResolver;
     use blastema_core::global_name::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 

@@ -1,6 +1,6 @@
 //! The data lane: nothing is lost, served twice, or served to a life that does not own it.
 
-use crate::lane::{BoundedQueue, Popped, WhenFull};
+use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::{Bell, Model, bell};
 use blastema_core::{DeliveryError, Incarnation};
 use loom::thread;

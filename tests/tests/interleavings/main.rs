@@ -11,20 +11,11 @@
 //! LOOM_MAX_PREEMPTIONS=4 LOOM_LOG=1 cargo test ..               # deeper; and what a failing one did
 //! ```
 
-mod host;
-#[path = "../../../actors/src/messaging/queue.rs"]
-#[expect(
-    dead_code,
-    unused_imports,
-    unreachable_pub,
-    reason = "the models use a part, its unit tests do not run, and nothing is exported from here"
-)]
-mod lane;
+mod arbiter;
 mod lanes;
+mod liveness;
+mod messaging;
 mod replies;
-#[path = "../../../actors/src/messaging/reply.rs"]
-#[expect(dead_code, reason = "the models use a part of it")]
-mod reply;
 mod stamps;
 mod tokens;
 
@@ -42,32 +33,6 @@ mod platform {
     pub(crate) fn now() -> blastema_core::Instant {
         blastema_core::Instant::ORIGIN
     }
-}
-
-/// Stands for what a request without a reply ends in.
-mod sender {
-    #[derive(Debug, PartialEq, Eq)]
-    pub(crate) struct RequestError<M> {
-        pub(crate) kind: blastema_core::DeliveryError,
-        pub(crate) message: Option<M>,
-    }
-
-    impl<M> RequestError<M> {
-        pub(crate) fn new(kind: blastema_core::DeliveryError, message: Option<M>) -> Self {
-            RequestError { kind, message }
-        }
-    }
-}
-
-/// Stands for what a life is the life of.
-mod component {
-    pub(crate) trait Component: Sized {}
-    pub(crate) struct Failure;
-}
-
-/// Stands for what a life lends to its component.
-mod context {
-    pub(crate) struct Context<C>(std::marker::PhantomData<C>);
 }
 
 /// Switches from a thread that could go on, in one run. Two find nearly every fault that is known

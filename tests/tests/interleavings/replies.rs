@@ -1,7 +1,7 @@
 //! The reply slot: a request has one result, and whoever awaits it is woken.
 
-use crate::reply::{ReplyFuture, Responder};
-use crate::sender::RequestError;
+use crate::messaging::error::RequestError;
+use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::{Model, bell};
 use blastema::Request;
 use blastema_core::{DeliveryError, Incarnation};

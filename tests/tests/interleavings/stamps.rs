@@ -1,7 +1,7 @@
 //! The stamp: one thread writes, and what others read of it belongs together.
 
 use crate::Model;
-use crate::host::stamp::ActivityRecord;
+use crate::liveness::activity::ActivityRecord;
 use loom::thread;
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! The token of an incarnation, which fences what it left behind in threads.
 
-use crate::host::life::IncarnationToken;
-use crate::lane::{BoundedQueue, Popped, WhenFull};
+use crate::messaging::incarnation::IncarnationToken;
+use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::{Model, bell};
 use blastema_core::{DeliveryError, Incarnation};
 use loom::thread;
