@@ -17,7 +17,7 @@ use crate::guardian::answers_the_monitor;
 use crate::host::office::DeadLetterLog;
 use crate::platform;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
-use crate::topic::{ForwardId, RemoteForward, TopicKey, Topics};
+use crate::topic::{ForwardId, RemoteForward, TopicKey, Topics, described};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
@@ -292,9 +292,11 @@ impl GatewayActor {
             }
             PeerProtocolOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                // What cannot be read is among the topic's dead letters; what nobody knows has no
-                // listeners.
-                if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
+                let topics = &self.wiring.topics;
+                // An event that cannot be read is among the topic's dead letters; a topic that is
+                // not known has no listeners.
+                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
+                if let Err(why) = given {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
             }
@@ -323,14 +325,18 @@ impl GatewayActor {
         theirs: Vec<PeerIdentity>,
         context: &mut Context<Self>,
     ) {
-        let key = TopicKey::new(&topic.topic, &topic.contract);
+        let key = match TopicKey::new(&topic.topic, &topic.contract) {
+            Ok(key) => key,
+            Err(why) => return self.exchange.handle_subscribe_refused(peer, subscription, why),
+        };
         // Whether it wants the newest only must be known before the first event.
         let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
-        let (by, unverified) = match self.wiring.topics.identities(&key).first() {
+        let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
             None => ((subscription, Delivery::default()), Some(theirs)),
             Some(ours) => match version_of(ours, &theirs) {
                 Ok(form) => ((subscription + form, ours.delivery), None),
                 Err(difference) => {
+                    let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
                     self.differs(peer, &difference);
                     let why = DeliveryError::ContractDiffers { difference };
                     self.exchange.handle_subscribe_refused(peer, subscription, why);
@@ -374,13 +380,39 @@ impl GatewayActor {
             return Err(DeliveryError::Unknown { name: "subscription".into() });
         };
         if let Some(theirs) = known.unverified.take()
-            && let Some(ours) = self.wiring.topics.identities(&known.key).first()
+            && let Some(ours) = self.wiring.topics.identities(&known.key.topic).first()
         {
-            let form = version_of(ours, &theirs);
-            let form = form.map_err(|difference| DeliveryError::ContractDiffers { difference })?;
-            known.by = (forward.1 + form, ours.delivery);
+            match version_of(ours, &theirs) {
+                Ok(form) => known.by = (forward.1 + form, ours.delivery),
+                Err(difference) => {
+                    let key = known.key.clone();
+                    let difference =
+                        self.topic_differs(forward.0, &key, ours, &theirs, &difference);
+                    return Err(DeliveryError::ContractDiffers { difference });
+                }
+            }
         }
         Ok(known.by)
+    }
+
+    /// Names both nodes and the contract that each means by a topic.
+    fn topic_differs(
+        &self,
+        peer: NodeId,
+        key: &TopicKey,
+        ours: &ContractIdentity,
+        theirs: &[PeerIdentity],
+        difference: &str,
+    ) -> String {
+        let here = self.wiring.registry.node().map_or("this node".into(), |node| node.to_string());
+        let there = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+        let carried = described(&ours.brief());
+        let wanted = theirs.first().map_or_else(String::new, described);
+        format!(
+            "the topic \"{}\" carries {carried} on {here}, and {there} listens to {wanted}: \
+             {difference}",
+            key.topic
+        )
     }
 
     /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does

@@ -96,7 +96,9 @@ impl From<&DeliveryError> for DeadReason {
             DeliveryError::ContractDiffers { .. } => DeadReason::ContractDiffers,
             DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
-            | DeliveryError::NotServed { .. } => DeadReason::Unknown,
+            | DeliveryError::NotServed { .. }
+            | DeliveryError::InvalidName { .. }
+            | DeliveryError::OtherType { .. } => DeadReason::Unknown,
             DeliveryError::TooLarge { .. } | DeliveryError::TooLargeForSession { .. } => {
                 DeadReason::TooLarge
             }

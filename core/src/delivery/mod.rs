@@ -145,7 +145,7 @@ pub enum DeliveryError {
         by: String,
     },
     /// The lease under which this was sent has ended. Claim anew.
-    #[error("the lease has ended: claim anew")]
+    #[error("the lease has ended: claim it again")]
     LeaseEnded,
     /// Somebody else has taken over since; what is sent under an older epoch is refused.
     #[error("superseded: epoch {epoch} holds now")]
@@ -235,6 +235,22 @@ pub enum DeliveryError {
         /// The known name that is spelt most like it.
         nearest: String,
     },
+    /// The text is no name. Names take letters, digits, `_`, `-` and `.`, in parts between slashes.
+    #[error("{reason}")]
+    InvalidName {
+        /// Which name, and what is wrong with it.
+        reason: String,
+    },
+    /// The object is a component of another type than the one that was asked for.
+    #[error("`{name}` is a `{found}`, and not a `{wanted}`")]
+    OtherType {
+        /// The object.
+        name: String,
+        /// Its type.
+        found: String,
+        /// The type that was asked for.
+        wanted: String,
+    },
 }
 
 fn listed(served: &[String]) -> String {
@@ -272,6 +288,8 @@ impl DeliveryError {
             | DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
             | DeliveryError::NotServed { .. }
+            | DeliveryError::InvalidName { .. }
+            | DeliveryError::OtherType { .. }
             | DeliveryError::Unreachable { .. }
             | DeliveryError::Undelivered { .. }
             | DeliveryError::TooLarge { .. }
