@@ -55,7 +55,7 @@ fn a_process_keeps_a_journal() {
     blastema::run(async {
         let node = robot("module1")
             .journal(folder.join("faults"))
-            .inspection_socket(folder.join("window"));
+            .inspection_socket(folder.join("socket"));
         let node = node.start().await.expect("it starts");
         node.ended().await;
     });
@@ -133,16 +133,16 @@ fn text(path: &Path) -> &str {
 #[test]
 fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (journal, window) = (folder.path().join("faults"), folder.path().join("window"));
-    let (journal, window) = (text(&journal), text(&window));
+    let (journal, socket) = (folder.path().join("faults"), folder.path().join("socket"));
+    let (journal, socket) = (text(&journal), text(&socket));
     let robot = Robot::start(folder.path());
 
     let stands = pairs(&[(WORN, "open")]);
     let both = pairs(&[("B01", "closed"), (WORN, "open")]);
     until(|| rows(&["--journal", journal]) == stands);
     assert_eq!(rows(&["--all", "--journal", journal]), both);
-    assert_eq!(rows(&[window]), stands, "the node shows the same");
-    assert_eq!(rows(&["--all", window]), both);
+    assert_eq!(rows(&[socket]), stands, "the node shows the same");
+    assert_eq!(rows(&["--all", socket]), both);
     assert_eq!(rows(&["--node", "module2", "--all", "--journal", journal]), []);
     robot.kill();
 

@@ -3,7 +3,8 @@
 //! ```text
 //! strategy ──RestartChild, ResetChild, IsolateChild, SafeStop──► Supervisor
 //!          ◄──Recovered | GaveUp (once it is decided)───────────┘
-//! parent, or the node ──Begin, End, Forsake──► Supervisor ──ChildReport──► parent, or the node
+//! parent, or the node ──StartSupervisor, StopSupervisor, AbandonChildren──► Supervisor
+//!                     ◄──ChildReport────────────────────────────────────────┘
 //! ```
 //!
 //! Requests go down the tree, events go up; a supervisor awaits nobody.

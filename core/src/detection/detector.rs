@@ -224,7 +224,7 @@ impl Detector {
                 self.told.push_back(DetectorOutput::Tell {
                     fault,
                     at,
-                    turn: FaultTransition::Decided { measure },
+                    turn: FaultTransition::Decided { action: measure },
                 });
             }
             RecoveryOutcome::Recovered => {

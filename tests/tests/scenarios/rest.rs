@@ -60,7 +60,7 @@ async fn at_rest_nothing_is_treated_any_more_and_the_outputs_are_applied_once() 
     node.shutdown().await;
     let mut measures = 0;
     while let Some(event) = events.next().await {
-        if let FaultTransition::Decided { measure } = event.turn {
+        if let FaultTransition::Decided { action: measure } = event.turn {
             assert!(event.at <= rested_at || measure == "observe", "{measure}");
             measures += 1;
         }
