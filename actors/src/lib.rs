@@ -152,7 +152,9 @@ pub use death_watch::{Down, Ending};
 pub use host::office::DeadLetterLog;
 pub use lease::{ActuatorRow, ActuatorSpec, Commander};
 pub use reference::ActorRef;
-pub use sender::{DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender};
+pub use sender::{
+    DEFAULT_DEADLINE, Receiver, Repeatable, RequestError, SendError, Sender, Unavailable,
+};
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };

@@ -1,6 +1,6 @@
 //! Whether a component that works is late, from counts over time.
 
-use super::{ComponentSample, HangLimits, QueueReading, SlotId};
+use super::{ComponentSample, HangLimits, OverloadFigures, QueueReading, SlotId};
 use crate::Instant;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -153,6 +153,29 @@ impl Lateness {
 pub(super) struct Episode {
     pub(super) latest: Instant,
     pub(super) victims: BTreeSet<SlotId>,
+    /// The worst of all its figures.
+    pub(super) worst: OverloadFigures,
+    /// The worst of them when it was told last.
+    pub(super) told: OverloadFigures,
+}
+
+impl Episode {
+    pub(super) fn new(now: Instant) -> Self {
+        let (worst, told) = Default::default();
+        Episode { latest: now, victims: BTreeSet::new(), worst, told }
+    }
+
+    /// One of its figures is twice as bad as it was told. Smaller changes are told with the next, and
+    /// so is silence, which is a fault of its own: an overload that lasts is reported a few times,
+    /// and not at every look.
+    pub(super) fn has_doubled(&self) -> bool {
+        let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
+        let told = &self.told;
+        (oldest > told.oldest && oldest >= 2 * told.oldest)
+            || (queued > told.queued && queued >= 2 * told.queued)
+            || (missed_rounds > told.missed_rounds && missed_rounds >= 2 * told.missed_rounds)
+            || (expired > told.expired && expired >= 2 * told.expired)
+    }
 }
 
 /// One component that is late.
