@@ -166,7 +166,7 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
             Some("a variable has no reply: it is read and written; remove `reply`".into())
         }
         ("max_age", Derive::Variable) => {
-            Some("a variable shows its age to whoever reads it; remove `max_age`".into())
+            Some("a variable shows its age to its readers; remove `max_age`".into())
         }
         ("max_age", Derive::Request) => {
             Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())

@@ -71,8 +71,8 @@ impl FaultNotice {
         }
     }
 
-    /// The order in which notices that wait are handed over: what is over, so that nobody acts upon
-    /// it; then critical faults, errors, warnings; of each the roots first.
+    /// The order in which notices that wait are handed over: what is over, so that no recoverer
+    /// acts upon it; then critical faults, errors, warnings; of each the roots first.
     pub fn rank(&self) -> u8 {
         let FaultNotice::Found(fault) = self else { return 0 };
         let severity = match fault.severity {

@@ -172,7 +172,7 @@ impl Default for Push {
 
 /// The pull model: an object is asked whether it is alive.
 ///
-/// A component need not be disturbed for it: whoever finishes anything, or lives on a thread that
+/// A component need not be disturbed for it: one that finishes anything, or lives on a thread that
 /// turns, could answer. So a flooded one is alive, however long its queue; that its messages wait
 /// is [an overload](crate::FaultKind::Overload), and another fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -107,7 +107,7 @@ pub struct ComponentSample {
     pub rounds: u64,
     /// How often a round is due; zero for never.
     pub interval: Duration,
-    /// Messages that nobody waited for any more when their turn came.
+    /// Messages whose sender did not wait any more when their turn came.
     pub expired: u64,
 }
 
@@ -139,7 +139,7 @@ pub struct OverloadFigures {
     pub oldest: Duration,
     /// Rounds that it, and those behind it, missed within one window.
     pub missed_rounds: u64,
-    /// Messages to them that nobody waited for any more when their turn came, within the same.
+    /// Messages to them whose sender did not wait any more when their turn came, within the same.
     pub expired: u64,
     /// For how long one of them has given no sign of life, where that is longer than it may.
     pub silent_for: Duration,
