@@ -144,11 +144,7 @@ fn a_silent_arm_is_reported_once_and_cleared_when_it_speaks_again() {
         let action = "restart".into();
         assert_eq!(
             turns,
-            [
-                FaultTransition::Found,
-                FaultTransition::Decided { action },
-                FaultTransition::Cleared
-            ]
+            [FaultTransition::Found, FaultTransition::Decided { action }, FaultTransition::Cleared]
         );
     });
 }

@@ -1,7 +1,8 @@
 //! What did not arrive at other nodes, as dead letters.
 
+use super::GatewayActor;
 use super::peer::GatewayPeer;
-use super::{Forwarded, GatewayActor};
+use super::subscriptions::Forwarded;
 use crate::host::office::DeadLetterLog;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
