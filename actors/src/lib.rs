@@ -137,7 +137,7 @@ pub use crate::actuator::{ActuatorRow, ActuatorSpec, Commander};
 pub use crate::host::reference::ActorRef;
 pub use crate::messaging::dead_letters::DeadLetterLog;
 pub use crate::messaging::death_watch::{Down, Ending};
-pub use crate::messaging::error::{Receiver, RequestError, SendError};
+pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 pub use crate::messaging::sender::{DEFAULT_DEADLINE, Repeatable, Sender};
 pub use blastema_core::delivery::dead_letters::DeadReason;
 pub use blastema_core::lease::{CommanderId, LeaseStatus};

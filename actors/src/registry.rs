@@ -205,7 +205,8 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 
     fn receiver(&self) -> Option<Receiver> {
         let ObjectAddress { node, object } = self.to.clone();
-        Some(Receiver { node: Some(node), object, contract: M::NAME, queue: None })
+        let (node, contract) = (Some(node), M::NAME);
+        Some(Receiver { node, object, contract, queue: None, unavailable: None })
     }
 
     fn room<'a>(
@@ -458,6 +459,12 @@ impl Registry {
         let inner = self.lock();
         let identities = |entry: &Entry| entry.ports.values().map(|p| p.identity.clone()).collect();
         inner.objects.iter().map(|(name, entry)| (name.clone(), identities(entry))).collect()
+    }
+
+    /// The type of the component of this name.
+    pub(crate) fn component_type(&self, object: &ObjectName) -> Option<&'static str> {
+        let inner = self.lock();
+        inner.objects.get(object).and_then(|entry| entry.mortal.component_type())
     }
 
     /// Puts a fault into the object of this name.

@@ -11,7 +11,7 @@ use std::sync::Arc;
 pub enum FaultKind {
     /// A component panicked in a handler, hook, timer or task of its own.
     Panic,
-    /// A component ended although nobody had told it to.
+    /// A component ended without having been told to.
     UnexpectedExit,
     /// A handler keeps its arbiter, or waits, longer than it may.
     Hang,
@@ -43,7 +43,7 @@ pub enum FaultKind {
     /// Two have one name: two nodes, or two claimants that were out of each other's sight; or two
     /// nodes have one address on a bus.
     NameTaken,
-    /// Whoever commanded an actuator went without giving it back, and nobody has claimed it since.
+    /// A commander is gone without giving its actuator back, and none has claimed it since.
     CommanderGone,
     /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it
     /// serves.
@@ -68,7 +68,7 @@ pub enum FaultKind {
 /// How bad a fault is for the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Severity {
-    /// Service goes on; somebody should look.
+    /// Service goes on; a user should look.
     Warning,
     /// A service is interrupted until recovery has done its work.
     Error,

@@ -1,5 +1,5 @@
 //! One hash for whatever must be the same in every build and on every platform: FNV-1a. It finds
-//! accidents, and stops nobody who means to make two things look alike.
+//! accidents, and not against an attacker who makes two things look alike.
 
 /// The hash of these bytes, by the offset basis and the prime for 64 bits, as published by its
 /// authors.

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Machines by key: the links over one transport, the sessions of one node.
 ///
-/// Whoever is spoken to is asked for its outputs, nobody else; the earliest deadline is known
-/// without looking at all.
+/// The machine that got an input is asked for its outputs, and no other; the earliest deadline is
+/// known without looking at all.
 #[derive(Debug)]
 pub struct MachineSet<K, M> {
     members: BTreeMap<K, M>,

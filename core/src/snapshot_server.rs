@@ -18,19 +18,19 @@ use std::time::Duration;
 
 /// A descriptor each, of which a process often has a thousand.
 const SEATS: usize = 64;
-/// A picture of ten thousand components has five megabytes, and lives as long as somebody is given
+/// A snapshot of ten thousand components has five megabytes, and lives as long as a client is given
 /// it.
 const PICTURES: usize = 8;
 /// A picture costs the node some milliseconds; strangers must not have it do nothing else.
 const APART: Duration = Duration::from_millis(100);
 /// Those who come together are given one picture.
 const TOGETHER: Duration = Duration::from_millis(10);
-/// Whoever reads a large picture has read it by then, also on a busy machine.
+/// A client that reads a large snapshot has read it by then, also on a busy machine.
 const ENOUGH: Duration = Duration::from_millis(200);
 /// A person may have stopped the program that reads; a stranger must not stay for ever.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Somebody who looks: the n-th who came.
+/// A client: the n-th that connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClientId(u64);
 
@@ -46,7 +46,7 @@ pub struct SnapshotServer {
     taken: u64,
     /// When a picture was begun last.
     taken_at: Option<Instant>,
-    /// Since when somebody waits.
+    /// Since when a client waits.
     waited_since: Option<Instant>,
     outputs: VecDeque<SnapshotServerOutput>,
 }
@@ -107,7 +107,7 @@ impl SnapshotServer {
         pictures.collect::<BTreeSet<_>>().len()
     }
 
-    /// When whoever was given a picture longest ago must go.
+    /// When the client that was given a snapshot longest ago is disconnected.
     fn oldest(&self) -> Option<(Instant, ClientId)> {
         let full = !self.is_open() || self.pictures() >= PICTURES && self.waited_since.is_some();
         let most = if full { ENOUGH } else { PATIENCE };

@@ -1,4 +1,4 @@
-//! Finds what somebody may have meant to write.
+//! Finds the known word that a user may have meant to write.
 
 /// The known word that is spelt most like `wrong`, unless none is like it at all.
 ///

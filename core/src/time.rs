@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// A point on a monotonic clock: nanoseconds since an origin that the clock's owner chose.
 ///
-/// Machines never read a clock: whoever drives them passes the time. Two instants compare only if
+/// Machines never read a clock: their driver passes the time. Two instants compare only if
 /// they come from the same clock; an `Instant` is never sent to another node.
 ///
 /// ```

@@ -30,7 +30,7 @@ pub enum RestorePolicy {
     Default,
     /// It stays, and is marked as held until it is written again.
     Hold,
-    /// Nobody may read or write it until somebody has decided what it is to be.
+    /// No reader or writer is answered until a user has decided what it is to be.
     AskFirst,
 }
 
@@ -104,7 +104,7 @@ pub struct PersistedValue {
     pub value: Vec<u8>,
 }
 
-/// An answer to somebody who watches.
+/// An answer to a watcher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WatchReport {
     /// The number under which it was asked.
@@ -203,7 +203,7 @@ impl Variables {
         Ok(entry.report(now))
     }
 
-    /// Somebody wants to know as soon as the variable's revision is another than `after`.
+    /// A watcher wants to know as soon as the variable's revision is another than `after`.
     pub fn handle_watch(&mut self, watcher: u64, variable: VariableKey, after: u64, now: Instant) {
         let result = match self.entries.get(&variable) {
             None => Err(unknown(&variable)),
@@ -276,7 +276,7 @@ impl Variables {
         self.set(key, value, state, now);
     }
 
-    /// Somebody has decided what a variable is to be.
+    /// A user has decided what a variable is to be.
     ///
     /// # Errors
     /// [`DeliveryError::Unknown`]; [`DeliveryError::Changed`] where no decision is awaited, or not

@@ -140,7 +140,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Four addresses of this computer that nobody uses.
+/// Four addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
     // Held together, so that they differ, and given back for the nodes to take.
     let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));

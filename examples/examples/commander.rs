@@ -70,7 +70,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Two addresses of this computer that nobody uses.
+/// Two addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[SocketAddr; 2]> {
     let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0"));
     let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 2];

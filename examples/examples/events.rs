@@ -28,7 +28,7 @@ impl Component for Display {
 impl Handle<Charge> for Display {
     async fn handle(&mut self, charge: Charge, cx: &mut Context<Self>) {
         if self.heard.try_send(charge.percent).is_err() {
-            cx.stop(); // nobody looks at the display any more
+            cx.stop(); // the display is switched off
         }
     }
 }

@@ -81,7 +81,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let patience = Duration::from_secs(5);
     println!("found again: {}", map.ask_within(Search { exists: true }, patience).await?);
-    // The counter begins anew on another thread, and what waits for it comes along.
+    // The counter is restarted on another thread, and the messages that wait for it come along.
     println!("count {}", counter.ask_within(Count, patience).await?);
     println!("threads given up: {}", node.abandoned_threads());
     Ok(())

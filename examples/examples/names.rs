@@ -34,7 +34,7 @@ impl Handle<Author> for Cartographer {
     }
 }
 
-/// Whoever is told of by a neighbour on the network gets a link.
+/// A node that a neighbour on the network tells of gets a link.
 fn node(name: &str, own: SocketAddr, peers: &[(&str, SocketAddr)]) -> NodeBuilder {
     let mut network = Network::udp("ethernet", own).discover_anybody();
     for (peer, address) in peers {
@@ -74,7 +74,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Waits for a link to a neighbour that nobody has described.
+/// Waits for a link to a neighbour that is not described.
 async fn linked(node: &Node, neighbour: &str) {
     let up = |link: &LinkRow| {
         let found = link.neighbour.as_ref().is_some_and(|found| found.node.as_str() == neighbour);
@@ -85,7 +85,7 @@ async fn linked(node: &Node, neighbour: &str) {
     }
 }
 
-/// Three addresses of this computer that nobody uses.
+/// Three addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[SocketAddr; 3]> {
     // Held together, so that they differ, and given back for the nodes to take.
     let held = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0"));

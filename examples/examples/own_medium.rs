@@ -58,7 +58,7 @@ impl FrameMedium for Fifos {
     }
 
     fn knows(&self, address: &MediumAddress) -> bool {
-        *address == MediumAddress::Line // there is nobody but the other end
+        *address == MediumAddress::Line // there is only the other end
     }
 
     fn poll_send(

@@ -1,5 +1,5 @@
 //! A recovery strategy of the application's own, handed over by name: a gripper that has lost its
-//! grip is told to grasp anew, and is restarted only if that does not help.
+//! grip is told to grasp again, and is restarted only if that does not help.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
@@ -43,7 +43,7 @@ impl Handle<Slip> for Gripper {
     }
 }
 
-/// Grasps anew. The fault chain calls it, and waits for it no longer than the plan allows.
+/// Grasps again. The fault chain calls it, and waits for it no longer than the plan allows.
 struct Regrasp;
 
 impl RecoveryStrategy for Regrasp {

@@ -1,6 +1,5 @@
 //! Code that is written for actix takes part: a plain actor is sent to by components, and sends to
-//! them. What is promised of components is not promised of it: nobody restarts it, and nobody
-//! watches it.
+//! them. The guarantees for components do not hold for it: it is neither restarted nor watched.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use actix::prelude::{Actor, Handler, Recipient};

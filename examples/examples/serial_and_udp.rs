@@ -71,7 +71,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let ethernet = body.cable("ethernet").expect("it was described with faults");
     for order in 1..=300 {
         match order {
-            100 => ethernet.cut(Direction::Both, false), // pulled behind a switch: nobody is told
+            100 => ethernet.cut(Direction::Both, false), // pulled behind a switch: no node is told
             200 => {
                 println!("{}", link_down(&mut faults).await);
                 ethernet.restore();
@@ -110,7 +110,7 @@ async fn all_links_up(node: &Node) {
     }
 }
 
-/// Two addresses of this computer that nobody uses.
+/// Two addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[String; 2]> {
     // Held together, so that they differ, and given back for the nodes to take.
     let (a, b) = (UdpSocket::bind("127.0.0.1:0")?, UdpSocket::bind("127.0.0.1:0")?);

@@ -61,7 +61,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     while sum < 100 {
         sum = counter.ask_within(Add, PATIENCE).await?;
     }
-    let primary = counter.primary().expect("somebody has answered");
+    let primary = counter.primary().expect("a replica has answered");
     println!("{sum} counted");
 
     let old = carriers.iter().find(|node| *node.name() == primary).expect("it is one of them");
@@ -73,7 +73,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         assert_eq!(next, sum + 1); // nothing is forgotten, and nothing counted twice
         sum = next;
     }
-    let follower = counter.primary().expect("somebody has answered");
+    let follower = counter.primary().expect("a replica has answered");
     println!("{sum} counted, by another node: {}", follower != primary);
 
     cable.restore();
@@ -95,7 +95,7 @@ fn ethernet(addresses: &[SocketAddr; 4], own: usize) -> Network {
     network
 }
 
-/// Four addresses of this computer that nobody uses.
+/// Four addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[SocketAddr; 4]> {
     let held = [0; 4].map(|_| UdpSocket::bind("127.0.0.1:0"));
     let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 4];

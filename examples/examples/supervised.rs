@@ -1,7 +1,7 @@
 //! A chain in which each depends on the one before: when the laser dies, the planner and the motors
-//! are stopped and started again behind it, and nobody drives on old data meanwhile. When that
-//! happens more often than the supervisor allows, and the robot cannot do without its drive, the
-//! node enters the safe state with its brakes on.
+//! are stopped and started again behind it, and the wheels are not driven on old data meanwhile.
+//! When that happens more often than the supervisor allows, and the robot cannot do without its
+//! drive, the node enters the safe state with its brakes on.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
@@ -67,7 +67,7 @@ async fn main() -> Result<(), StartError> {
     let node = Node::builder("module1")
         .supervisor(drive)
         .child(ChildSpec::new("gremlin", || Gremlin).rate_hz(2.0))
-        // A drive that has given up is not begun anew, and it is essential: the root gives up as
+        // A drive that has given up is not restarted, and it is essential: the root gives up as
         // well.
         .intensity(0, Duration::from_secs(10))
         .safe_outputs(|fault| println!("brakes on: {} of {}", fault.kind, fault.place))

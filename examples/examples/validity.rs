@@ -7,7 +7,7 @@ use blastema::prelude::*;
 use blastema::{DeadReason, FaultTransition, Range};
 use std::time::Duration;
 
-/// How fast to go. Nobody should act upon one that has waited for long.
+/// How fast to go. A component should not act upon one that has waited for long.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "drive/speed", version = 1, max_age = "200ms")]
 struct Speed {

@@ -20,7 +20,7 @@ struct SpeedLimit(#[contract(unit = "rad/s")] f32);
 #[contract(name = "arm/load")]
 struct Load(#[contract(unit = "kg")] f32);
 
-/// Where it is to go. After a restart nobody should go on to an old target unasked.
+/// Where it is to go. After a restart the robot should not go on to an old target unasked.
 #[derive(Clone, Debug, Variable)]
 #[contract(name = "arm/target")]
 struct Target(String);
@@ -93,7 +93,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Two addresses of this computer that nobody uses.
+/// Two addresses of this computer that are free.
 fn free_addresses() -> std::io::Result<[SocketAddr; 2]> {
     let held = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0"));
     let mut addresses = [SocketAddr::from(([127, 0, 0, 1], 0)); 2];

@@ -266,7 +266,7 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
         "commander",
         &["-- the cable is cut", "the wheels turn at 0 m/s", "the console commands: 0.1 m/s"],
     );
-    check("commander", &["the planner hears: the lease has ended: claim anew"]);
+    check("commander", &["the planner hears: the lease has ended: claim it again"]);
 }
 
 #[test]

@@ -64,7 +64,11 @@ fn the_limits_are_those_of_the_code() {
     let (rules, notifier) = (SupervisorRules::default(), NotifierLimits::default());
 
     check(&page, "wait for a reply", format!("{} s", DEFAULT_DEADLINE.as_secs()));
-    check(&page, "lives that one message may kill", QuarantineConfig::default().kills.to_string());
+    check(
+        &page,
+        "incarnations that one message may kill",
+        QuarantineConfig::default().kills.to_string(),
+    );
     let restarts = format!("{} in {} s", rules.intensity, rules.period.as_secs());
     check(&page, "restarts", restarts);
     let mebibytes = |bytes: usize| format!("{} MiB", bytes >> 20);

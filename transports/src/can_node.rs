@@ -8,10 +8,10 @@
 //! two messages can come to look like one. So each frame is followed by its checksum. It also gives
 //! an empty frame some bytes, without which the standard cannot send it.
 //!
-//! A frame to [`BusAddress::ALL`] goes to all nodes, once, with nobody's confirmation.
+//! A frame to [`BusAddress::ALL`] goes to all nodes, once, and is not confirmed.
 //!
 //! Before it is open, a node claims its address for a quarter of a second ([`AddressClaim`]).
-//! Claims are messages to all whose checksum is inverted, so that nobody takes them for frames.
+//! Claims are messages to all whose checksum is inverted, so that no node takes them for frames.
 
 use crate::endpoint::CanNodeConfig;
 use crate::frame_medium::{FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult};
@@ -206,7 +206,7 @@ impl<P: CanPort> CanNode<P> {
         while let Some(output) = claim.poll_output() {
             match output {
                 AddressClaimOutput::Say(claim) => {
-                    // Where the queue to all is full, whoever is there is heard anyway.
+                    // If the queue to all is full, the nodes on the bus are received anyway.
                     let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
                 }
                 AddressClaimOutput::Held => self.standing = Standing::Held,
@@ -353,7 +353,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
 
     fn queue(&self) -> QueueLimits {
         // Frames wait in the machine, for each target on its own, so that one which is not there
-        // keeps nobody waiting.
+        // makes no other frame wait.
         QueueLimits { frames: self.config.queue_frames, ..QueueLimits::default() }
     }
 

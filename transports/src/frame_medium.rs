@@ -107,7 +107,7 @@ pub struct OpenedMedium {
 pub enum SendResult {
     /// The medium has it.
     Sent,
-    /// It is lost, for nobody can be reached at its address at present.
+    /// It is lost, because no peer can be reached at its address at present.
     Dropped,
 }
 
@@ -128,12 +128,12 @@ pub enum MediumEvent {
         /// How many.
         frames: u64,
     },
-    /// The medium is open, but has found that nobody is at its other end.
+    /// The medium is open, but has found that no peer is at its other end.
     NoCarrier {
         /// What it found, and what helps.
         reason: &'static str,
     },
-    /// Another wants our place on the medium, and does not get it: somebody is to be told.
+    /// Another wants our place on the medium, and does not get it: a user must know.
     Clash {
         /// Who, and what helps.
         text: String,

@@ -5,7 +5,7 @@ use bytes::{Buf, Bytes, BytesMut};
 /// Parts the first `length` bytes from a buffer that takes its memory in pieces of `chunk` bytes.
 ///
 /// A large frame shares the buffer's memory. A small one is copied: it would keep a whole piece
-/// from being freed for as long as somebody holds it.
+/// from being freed for as long as a receiver holds it.
 pub(crate) fn part_frame(buffer: &mut BytesMut, length: usize, chunk: usize) -> Bytes {
     if length >= chunk / 4 {
         return buffer.split_to(length).freeze();

@@ -10,7 +10,8 @@ use std::task::{self, Poll};
 /// How many frames are moved in one turn before the mailbox, and the arbiter's other actors, come
 /// to their right. 64 small datagrams take about a tenth of a millisecond.
 pub(crate) const BUDGET: usize = 64;
-/// And how many bytes: a large frame may hold hundreds of messages, each of which somebody serves.
+/// And how many bytes: a large frame may hold hundreds of messages, each of which a component
+/// serves.
 #[cfg(any(feature = "memory", feature = "udp", feature = "tcp", feature = "unix"))]
 const BUDGET_BYTES: usize = 128 * 1024;
 
@@ -118,7 +119,8 @@ macro_rules! transport {
             }
         }
 
-        /// The next life opens at the same address and serves whoever was attached.
+        /// The next incarnation opens at the same address and serves the receivers that were
+        /// attached.
         impl actix::Supervised for $medium {
             fn restarting(&mut self, context: &mut actix::Context<Self>) {
                 crate::medium::MediumActor::shut(self);

@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::time::Sleep;
 
 /// What a dying process still holds is free after some milliseconds; how late a freed port may be
-/// noticed is the limit. One process tries one address: nobody to be kept apart from by jitter.
+/// noticed is the limit. One process tries one address, so that jitter is not needed.
 const BACKOFF: Backoff = Backoff {
     first: Duration::from_millis(20),
     factor: 2,

@@ -17,7 +17,7 @@ const BATCH: usize = 64;
 /// more only lengthens the queue before a receiver that is too slow.
 const BATCHES: usize = 4;
 
-/// Hands frames and reports to whoever is attached, and counts.
+/// Hands frames and reports to the attached receiver, and counts.
 ///
 /// actix mailboxes have no bound. So the last frame of each batch is sent as a request, and no more
 /// than `BATCHES` of them are left unanswered: a receiver that is slow or hangs is not buried.
@@ -35,7 +35,7 @@ pub(crate) struct Upstream {
 }
 
 impl Upstream {
-    /// Puts somebody else in the receiver's place, and tells them where the medium stands.
+    /// Attaches another receiver, and reports the state of the medium to it.
     pub(crate) fn attach(&mut self, attach: Attach) {
         self.attach = Some(attach);
         self.unconfirmed.clear();
@@ -70,19 +70,19 @@ impl Upstream {
         }
     }
 
-    /// After a panic: whoever is attached stays so, and is told anew where the medium stands.
+    /// After a panic: the receiver stays attached, and is told the state of the medium again.
     pub(crate) fn begin_next_life(&mut self) {
         self.state = None;
         self.unconfirmed.clear();
         self.in_batch = 0;
     }
 
-    /// Reports that the medium is closed, now and to whoever attaches later.
+    /// Reports that the medium is closed, now and to a receiver that attaches later.
     pub(crate) fn announce_closed(&mut self, reason: String) {
         self.announce(TransportReport::Closed { reason });
     }
 
-    /// Reports where the medium stands, now and to whoever attaches later, unless that is what was
+    /// Reports the state of the medium, now and to a receiver that attaches later, unless it was
     /// reported last.
     pub(crate) fn announce(&mut self, state: TransportReport) {
         if self.state.as_ref() != Some(&state) {

@@ -175,7 +175,7 @@ fn frames_are_overtaken_and_spoilt_in_the_direction_that_is_told() {
         assert_eq!(bench.received()[0].count_ones(), 1);
 
         advance(MS(1)).await;
-        assert_eq!(bench.sent(), [4], "nobody has overtaken it");
+        assert_eq!(bench.sent(), [4], "no frame has overtaken it");
         let InjectedFaults { outgoing, incoming } = bench.injected().await;
         assert_eq!((outgoing.reordered, incoming.corrupted), (3, 1));
     });

@@ -176,7 +176,7 @@ fn a_controller_that_leaves_the_bus_is_closed_at_once_and_told_why() {
         let end = End::can("vcan7", 1);
         end.opened().await;
 
-        // What the kernel says of a controller that has had too many errors: nobody makes those
+        // What the kernel says of a controller that has had too many errors: no test makes those
         // here.
         let other = CanFdSocket::open("vcan7").unwrap();
         let word = [&0x2000_0040_u32.to_ne_bytes()[..], &[8, 0, 0, 0], &[0; 8]].concat();

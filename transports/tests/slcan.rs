@@ -131,10 +131,10 @@ fn a_target_that_is_not_there_keeps_nobody_else_waiting() {
         a.opened().await;
         b.opened().await;
 
-        (0..10).for_each(|_| a.send(9, "nobody is there to hear this"));
-        a.send(2, "somebody is there to hear this");
+        (0..10).for_each(|_| a.send(9, "no node is there to hear this"));
+        a.send(2, "a node is there to hear this");
 
-        b.expect(1, "somebody is there to hear this").await;
+        b.expect(1, "a node is there to hear this").await;
         loop {
             let counters = a.transport.counters.send(ReadCounters).await.unwrap();
             if counters.dropped == 10 {

@@ -216,7 +216,7 @@ fn ends(baud: u32) -> [End; 2] {
 }
 
 /// Twenty-five seconds during which both nodes say more than there is room for, in frames of this
-/// size, beside control that nobody answers.
+/// size, beside control that is not answered.
 fn flood(size: usize) {
     paused(async {
         let ends = ends(9_600);

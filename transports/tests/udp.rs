@@ -43,7 +43,8 @@ fn a_datagram_above_the_limit_is_refused_whole() {
 fn peers_who_do_not_listen_or_cannot_be_reached_keep_nobody_from_the_others() {
     actix_rt::System::new().block_on(async {
         let (transport, local, frames) = open(UdpConfig::default()).await;
-        // Bound and let go: nobody listens there. The other is of a family that the socket cannot.
+        // Bound and let go: no socket listens there. The other is of a family that the socket
+        // cannot.
         let deaf = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let foreign: SocketAddr = "[::1]:7400".parse().unwrap();
 
@@ -77,7 +78,7 @@ fn the_limit_fits_the_medium_unless_told() {
     });
 }
 
-/// A group that nobody else hears, at a port that the system chose.
+/// A group that no other socket hears, at a port that the system chose.
 fn group() -> SocketAddr {
     let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     ([239, 255, 77, 1], free).into()
@@ -115,7 +116,7 @@ fn who_does_not_hear_the_group_is_left_alone() {
         let (a, _, _to_a) = open(hearing(ours)).await;
         let (_b, at_b, to_b) = open(hearing(theirs)).await;
 
-        a.do_send(Transmit::new(MediumAddress::Ip(ours), "to nobody".into()));
+        a.do_send(Transmit::new(MediumAddress::Ip(ours), "to no peer".into()));
         a.do_send(Transmit::new(MediumAddress::Ip(at_b), "to b".into()));
 
         assert_eq!(to_b.expect().await.frame, "to b");

@@ -71,7 +71,7 @@ fn a_socket_that_a_dead_process_has_left_is_taken_over() {
     run(async {
         let folder = Folder::new();
         let (a, b) = (folder.path("a"), folder.path("b"));
-        // The file stays when a process dies, or when, as here, nobody removes it.
+        // The file stays when a process dies, or when, as here, it is not removed.
         drop(UnixListener::bind(&a).unwrap());
         assert!(a.exists());
 

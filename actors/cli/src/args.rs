@@ -18,9 +18,9 @@ Exit status:
 
 const MONITOR_HELP: &str = "\
 Examples:
-  blastema monitor /run/robot/module1.window
-  blastema monitor --json /run/robot/module1.window /run/robot/module2.window
-  watch -n 1 blastema monitor /run/robot/module1.window
+  blastema monitor /run/robot/module1.sock
+  blastema monitor --json /run/robot/module1.sock /run/robot/module2.sock
+  watch -n 1 blastema monitor /run/robot/module1.sock
 
 Exit status:
   0  every node was shown
@@ -28,7 +28,7 @@ Exit status:
 
 const FAULT_LIST_HELP: &str = "\
 Examples:
-  blastema fault list /run/robot/module1.window
+  blastema fault list /run/robot/module1.sock
   blastema fault list --journal /var/lib/robot/module1.faults
   blastema fault list --all --json --journal /var/lib/robot/module1.faults
 
@@ -83,9 +83,9 @@ pub(crate) enum Subcommand {
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on,
     /// links, sessions with other nodes, claimed names, services and who serves them, actuators and
-    /// who commands them, and faults, as they are now. A node is shown where its program gave it a
-    /// window, by `NodeBuilder::inspection_socket`, to the user who runs it, and nobody else. What is not
-    /// known is a dash; a table that is left out is empty, and one whose part of the node has not
+    /// who commands them, and faults, as they are now. A node is shown if its program opens an
+    /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no other.
+    /// A value that is not known is a dash; a table that is left out is empty, and one whose part of the node has not
     /// answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
@@ -118,9 +118,9 @@ pub(crate) struct DemoOptions {
 /// The options of the monitor.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct MonitorOptions {
-    /// The path of a node's window, a Unix socket; several are shown one after the other
+    /// The path of a node's inspection socket; several are shown one after the other
     #[arg(required = true, value_name = "PATH")]
-    pub(crate) windows: Vec<PathBuf>,
+    pub(crate) sockets: Vec<PathBuf>,
     /// Print one JSON document for each node, each on one line, instead of tables: texts are whole
     /// there, spans are in milliseconds (`_ms`), and what is not known is null
     #[arg(long)]
@@ -147,9 +147,9 @@ pub(crate) enum FaultJob {
 /// Which faults are to be shown, and how.
 #[derive(Args, Clone, Debug, PartialEq)]
 pub(crate) struct FaultListOptions {
-    /// The path of a running node's window, a Unix socket; several are shown in one list
+    /// The path of a running node's inspection socket; several are shown in one list
     #[arg(value_name = "PATH", required_unless_present = "journal", conflicts_with = "journal")]
-    pub(crate) windows: Vec<PathBuf>,
+    pub(crate) sockets: Vec<PathBuf>,
     /// Show also what is over
     #[arg(long)]
     pub(crate) all: bool,
@@ -326,8 +326,8 @@ mod tests {
 
     #[test]
     fn the_fault_list_is_that_of_nodes_or_of_a_journal_and_not_of_both() {
-        let options = |windows: &[&str], journal: Option<&str>| FaultListOptions {
-            windows: windows.iter().map(PathBuf::from).collect(),
+        let options = |sockets: &[&str], journal: Option<&str>| FaultListOptions {
+            sockets: sockets.iter().map(PathBuf::from).collect(),
             all: false,
             journal: journal.map(PathBuf::from),
             node: None,
@@ -348,13 +348,13 @@ mod tests {
     }
 
     #[test]
-    fn the_monitor_takes_the_paths_of_windows() {
-        let windows = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
+    fn the_monitor_takes_the_paths_of_sockets() {
+        let sockets = ["/run/a", "/run/b"].map(PathBuf::from).to_vec();
         let within = Duration::from_secs(10);
-        let wanted = MonitorOptions { windows: windows.clone(), json: true, within };
+        let wanted = MonitorOptions { sockets: sockets.clone(), json: true, within };
         assert_eq!(parse("blastema monitor --json /run/a /run/b"), Ok(Subcommand::Monitor(wanted)));
         let within = Duration::from_millis(500);
-        let wanted = MonitorOptions { windows, json: false, within };
+        let wanted = MonitorOptions { sockets, json: false, within };
         assert_eq!(
             parse("blastema monitor --within 500ms /run/a /run/b"),
             Ok(Subcommand::Monitor(wanted))

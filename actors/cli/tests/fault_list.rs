@@ -55,7 +55,7 @@ fn a_process_keeps_a_journal() {
     blastema::run(async {
         let node = robot("module1")
             .journal(folder.join("faults"))
-            .inspection_socket(folder.join("window"));
+            .inspection_socket(folder.join("socket"));
         let node = node.start().await.expect("it starts");
         node.ended().await;
     });
@@ -133,16 +133,16 @@ fn text(path: &Path) -> &str {
 #[test]
 fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (journal, window) = (folder.path().join("faults"), folder.path().join("window"));
-    let (journal, window) = (text(&journal), text(&window));
+    let (journal, socket) = (folder.path().join("faults"), folder.path().join("socket"));
+    let (journal, socket) = (text(&journal), text(&socket));
     let robot = Robot::start(folder.path());
 
     let stands = pairs(&[(WORN, "open")]);
     let both = pairs(&[("B01", "closed"), (WORN, "open")]);
     until(|| rows(&["--journal", journal]) == stands);
     assert_eq!(rows(&["--all", "--journal", journal]), both);
-    assert_eq!(rows(&[window]), stands, "the node shows the same");
-    assert_eq!(rows(&["--all", window]), both);
+    assert_eq!(rows(&[socket]), stands, "the node shows the same");
+    assert_eq!(rows(&["--all", socket]), both);
     assert_eq!(rows(&["--node", "module2", "--all", "--journal", journal]), []);
     robot.kill();
 
@@ -218,7 +218,10 @@ fn a_damaged_journal_is_set_aside_and_the_next_faults_are_kept() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("faults");
-        fs::write(&path, "no database at all, but a text of some length").expect("a file");
+        robot("module1").journal(&path).start().await.expect("it starts").shutdown().await;
+        let mut bytes = fs::read(&path).expect("a journal");
+        bytes[100..].fill(0x5a); // behind the header
+        fs::write(&path, &bytes).expect("it is ours");
         let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
 
         let detail = journal_fault(&node).await;
@@ -235,6 +238,23 @@ fn a_damaged_journal_is_set_aside_and_the_next_faults_are_kept() {
         let ended = blastema::journal::read(&path).expect("it is a journal");
         assert!(ended.iter().all(|entry| !entry.status.stands()), "{ended:?}");
         assert!(ended.iter().any(|entry| entry.status.to_string() == "ended with the node"));
+    });
+}
+
+#[test]
+fn a_file_that_is_no_journal_is_left_alone_and_the_fault_says_what_to_do() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("photograph.jpg");
+        fs::write(&path, "no database at all, but a photograph").expect("a file");
+        let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
+
+        let detail = journal_fault(&node).await;
+
+        assert!(detail.contains("give the journal another path"), "{detail}");
+        node.shutdown().await;
+        let kept = fs::read_to_string(&path).expect("it is still there");
+        assert_eq!(kept, "no database at all, but a photograph");
     });
 }
 

@@ -42,16 +42,16 @@ fn text(path: &Path) -> &str {
 fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let window = folder.path().join("module1.window");
+        let socket = folder.path().join("module1.sock");
         let builder = Node::builder("module1")
             .work_threads(1)
             .child(ChildSpec::new("lamp", || Lamp))
             .service(ServiceSpec::new("light/room", ["module1", "module2"], || Lamp))
-            .inspection_socket(&window);
+            .inspection_socket(&socket);
         let node = builder.start().await.expect("the node starts");
         let _claim = node.claim_for("light", "lamp", blastema::ClaimPolicy::Refuse).await;
 
-        let json = monitor(&["--json", text(&window)]).await;
+        let json = monitor(&["--json", text(&socket)]).await;
         assert!(json.status.success(), "{json:?}");
         let picture: Value = serde_json::from_slice(&json.stdout).expect("a JSON document");
         assert_eq!((&picture["node"], &picture["state"]), (&"module1".into(), &"running".into()));
@@ -68,7 +68,7 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         assert_eq!(service["unheard"], serde_json::json!(["module2"]));
         assert_eq!(row("claims", "name", "light")["object"], "lamp");
 
-        let tables = monitor(&[text(&window)]).await;
+        let tables = monitor(&[text(&socket)]).await;
         let shown = String::from_utf8(tables.stdout).expect("text");
         for part in
             ["module1 running", "objects", "module1:lamp", "threads", "claimed names", "services"]
@@ -77,7 +77,7 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
         }
 
         node.shutdown().await;
-        let gone = monitor(&[text(&window)]).await;
+        let gone = monitor(&[text(&socket)]).await;
         let told = String::from_utf8(gone.stderr).expect("text");
         assert_eq!(gone.status.code(), Some(2), "{told}");
         assert!(
@@ -100,12 +100,12 @@ async fn not_shown(arguments: &[&str], words: &[&str]) {
 }
 
 #[test]
-fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
+fn a_path_at_which_there_is_no_socket_is_told_with_what_to_do() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         std::fs::write(at("file"), "{}").expect("a file");
-        let dead = at("dead.window");
+        let dead = at("dead.sock");
         drop(UnixListener::bind(&dead).expect("a socket"));
         let _datagrams = UnixDatagram::bind(at("datagrams")).expect("a socket");
         let check = async |path: PathBuf, words: &[&str]| {
@@ -114,10 +114,11 @@ fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
         };
 
         check(at("nothing"), &["nothing is there: start the node"]).await;
-        check(at("no/window"), &["there is no folder", "correct the path"]).await;
-        check(at("file"), &["it is a file, and a window is a socket"]).await;
-        check(at("file/window"), &["is a file: correct the path"]).await;
-        check(folder.path().to_owned(), &["it is a folder: name the window in it"]).await;
+        check(at("no/socket"), &["there is no folder", "correct the path"]).await;
+        check(at("file"), &["it is a file and no socket"]).await;
+        check(at("file/socket"), &["is a file: correct the path"]).await;
+        check(folder.path().to_owned(), &["it is a folder: name the inspection socket in it"])
+            .await;
         check(at(&"w".repeat(120)), &["at most 107 bytes"]).await;
         check(dead, &["has died", "restart it"]).await;
         check(at("datagrams"), &["inspection_socket"]).await;
@@ -128,9 +129,9 @@ fn a_path_at_which_there_is_no_window_is_told_with_what_to_do() {
 fn who_may_not_look_is_told_who_may() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let window = folder.path().join("module1.window");
-        let _listener = UnixListener::bind(&window).expect("a socket");
-        std::fs::set_permissions(&window, Permissions::from_mode(0o000)).expect("it is ours");
+        let socket = folder.path().join("module1.sock");
+        let _listener = UnixListener::bind(&socket).expect("a socket");
+        std::fs::set_permissions(&socket, Permissions::from_mode(0o000)).expect("it is ours");
         // Root may do everything, and so looks as somebody else, who can reach the program there.
         let own = folder.path().join("blastema");
         std::fs::copy(env!("CARGO_BIN_EXE_blastema"), &own).expect("a file");
@@ -139,7 +140,7 @@ fn who_may_not_look_is_told_who_may() {
         if rustix::process::geteuid().is_root() {
             program.uid(65_534);
         }
-        let output = program.arg("monitor").arg(&window).output().expect("it can be started");
+        let output = program.arg("monitor").arg(&socket).output().expect("it can be started");
 
         let told = String::from_utf8(output.stderr).expect("text");
         assert_eq!(output.status.code(), Some(2), "{told}");
@@ -148,8 +149,8 @@ fn who_may_not_look_is_told_who_may() {
 }
 
 /// Shows this to one who comes, and ends.
-async fn shows(window: &Path, shown: &[u8]) {
-    let listener = tokio::net::UnixListener::bind(window).expect("a socket");
+async fn shows(socket: &Path, shown: &[u8]) {
+    let listener = tokio::net::UnixListener::bind(socket).expect("a socket");
     let (mut viewer, _) = listener.accept().await.expect("somebody looks");
     viewer.write_all(shown).await.expect("somebody reads");
 }
@@ -165,26 +166,26 @@ fn what_is_shown_by_somebody_else_is_not_taken_for_a_node() {
             (b"", "nothing"),
         ] {
             let folder = tempfile::tempdir().expect("a folder");
-            let window = folder.path().join("other.socket");
-            let (tables, json) = ([text(&window)], ["--json", text(&window)]);
-            let words = ["this is not a node's window", text(&window), word];
-            tokio::join!(shows(&window, shown), not_shown(&tables, &words));
-            std::fs::remove_file(&window).expect("it is there");
-            tokio::join!(shows(&window, shown), not_shown(&json, &words));
+            let socket = folder.path().join("other.socket");
+            let (tables, json) = ([text(&socket)], ["--json", text(&socket)]);
+            let words = ["this is no inspection socket of a node", text(&socket), word];
+            tokio::join!(shows(&socket, shown), not_shown(&tables, &words));
+            std::fs::remove_file(&socket).expect("it is there");
+            tokio::join!(shows(&socket, shown), not_shown(&json, &words));
         }
     });
 }
 
-/// Which window the process is to be shown at that this test starts from itself.
-const WINDOW: &str = "BLASTEMA_TEST_WINDOW";
+/// At which inspection socket the process is shown that this test starts from itself.
+const SOCKET: &str = "BLASTEMA_TEST_SOCKET";
 
 #[test]
 fn a_process_shows_its_node() {
-    let Some(window) = std::env::var_os(WINDOW) else { return };
+    let Some(socket) = std::env::var_os(SOCKET) else { return };
     blastema::platform::end_with_parent(std::os::unix::process::parent_id()).expect("it has one");
     blastema::run(async {
         let node =
-            Node::builder("module1").inspection_socket(window).start().await.expect("it starts");
+            Node::builder("module1").inspection_socket(socket).start().await.expect("it starts");
         node.ended().await;
     });
 }
@@ -193,17 +194,17 @@ fn a_process_shows_its_node() {
 fn a_node_whose_process_is_stopped_is_told_as_such_and_how_to_let_it_go_on() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let window = folder.path().join("module1.window");
+        let socket = folder.path().join("module1.sock");
         let program = std::env::current_exe().expect("a running program has a path");
         let mut process = tokio::process::Command::new(program)
             .args(["--exact", "a_process_shows_its_node", "--nocapture"])
-            .env(WINDOW, &window)
+            .env(SOCKET, &socket)
             .stdout(Stdio::null())
             .kill_on_drop(true)
             .spawn()
             .expect("the test can be started again");
         let begun = async {
-            while !monitor(&[text(&window)]).await.status.success() {
+            while !monitor(&[text(&socket)]).await.status.success() {
                 assert_eq!(process.try_wait().expect("it is ours"), None, "it goes on");
             }
         };
@@ -215,10 +216,10 @@ fn a_node_whose_process_is_stopped_is_told_as_such_and_how_to_let_it_go_on() {
         signal(Signal::STOP);
         let hint = format!("`kill -CONT {number}`");
         let words = &["did not answer within 0.2 s", "is stopped", &hint];
-        not_shown(&["--within", "200ms", text(&window)], words).await;
+        not_shown(&["--within", "200ms", text(&socket)], words).await;
 
         signal(Signal::CONT);
-        assert!(monitor(&[text(&window)]).await.status.success(), "it goes on");
+        assert!(monitor(&[text(&socket)]).await.status.success(), "it goes on");
         process.kill().await.expect("it is ours");
     });
 }
@@ -227,34 +228,34 @@ fn a_node_whose_process_is_stopped_is_told_as_such_and_how_to_let_it_go_on() {
 fn who_takes_connections_and_says_nothing_is_not_waited_for_without_end() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let window = folder.path().join("silent");
-        let listener = UnixListener::bind(&window).expect("a socket");
+        let socket = folder.path().join("silent");
+        let listener = UnixListener::bind(&socket).expect("a socket");
 
         let words = &["did not answer within 0.1 s", "--within"];
-        not_shown(&["--within", "100ms", text(&window)], words).await;
+        not_shown(&["--within", "100ms", text(&socket)], words).await;
 
         // As many wait now as the system lets: no more can even connect.
         listener.set_nonblocking(true).expect("it is a socket");
         let mut waiting = Vec::new();
         let full = loop {
-            match tokio::net::UnixStream::connect(&window).await {
+            match tokio::net::UnixStream::connect(&socket).await {
                 Ok(viewer) => waiting.push(viewer),
                 Err(error) => break error,
             }
         };
         assert_eq!(full.kind(), std::io::ErrorKind::WouldBlock);
         let words = &["did not answer within 0.1 s", "others wait there, too"];
-        not_shown(&["--within", "100ms", text(&window)], words).await;
+        not_shown(&["--within", "100ms", text(&socket)], words).await;
     });
 }
 
 #[test]
-fn a_window_that_cannot_be_opened_is_refused_at_start_with_what_to_do() {
+fn a_socket_that_cannot_be_opened_is_refused_at_start_with_what_to_do() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let window = folder.path().join("nowhere/module1.window");
+        let socket = folder.path().join("nowhere/module1.sock");
         let error = Node::builder("module1")
-            .inspection_socket(&window)
+            .inspection_socket(&socket)
             .start()
             .await
             .expect_err("no folder");

@@ -2,7 +2,7 @@
 //! goes.
 //!
 //! ```text
-//!  Commander ─ claim, renew, command ─► the actuator's node: Yard ─ epoch holds? ─► component
+//!  Commander ─ claim, renew, command ─► the actuator's node: ActuatorTable ─ epoch holds? ─► component
 //!      ╳ (killed, cut off, hangs)         └─ lease over ─► cut-off, safe command ─► component
 //! ```
 

@@ -16,7 +16,7 @@ use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::limits::ComponentLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
-use crate::messaging::error::{Receiver, RequestError, SendError};
+use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injected;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
@@ -30,7 +30,7 @@ use blastema_contract::reports::FaultDeclared;
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
-    Contract, DeliveryError, FaultKind, Incarnation, Lifecycle, MessageId, ObjectName,
+    Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
 };
 use std::future::Future;
 use std::pin::Pin;
@@ -73,6 +73,8 @@ pub(crate) struct CellCore {
 /// Where a component stands, and where it lives.
 struct Standing {
     state: Lifecycle,
+    /// A hook waits for what is not there yet: since when, and why.
+    unavailable: Option<(Instant, String)>,
     seat: Option<CurrentPlacement>,
 }
 
@@ -118,7 +120,11 @@ impl CellCore {
             mourners: Watchers::default(),
             injected: Injected::default(),
             gate: AtomicU8::new(0),
-            state: Mutex::new(Standing { state: Lifecycle::Created, seat: None }),
+            state: Mutex::new(Standing {
+                state: Lifecycle::Created,
+                unavailable: None,
+                seat: None,
+            }),
             incarnation: AtomicU64::new(0),
             service: Mutex::default(),
             quarantine: Mutex::default(),
@@ -163,7 +169,26 @@ impl CellCore {
     }
 
     pub(crate) fn set_state(&self, state: Lifecycle) {
-        lock(&self.state).state = state;
+        let mut standing = lock(&self.state);
+        standing.state = state;
+        // Between two hooks that wait for a device, the component may be initialized.
+        if state != Lifecycle::Initialized {
+            standing.unavailable = None;
+        }
+    }
+
+    /// A hook has failed because what it needs is not there yet.
+    pub(crate) fn set_unavailable(&self, reason: &str) {
+        let mut standing = lock(&self.state);
+        let since = standing.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
+        standing.unavailable = Some((since, reason.to_owned()));
+    }
+
+    /// What the component waits for, and for how long it has.
+    fn unavailable(&self) -> Option<Unavailable> {
+        let standing = lock(&self.state);
+        let (since, reason) = standing.unavailable.clone()?;
+        Some(Unavailable { reason, lasts: platform::now() - since })
     }
 
     pub(crate) fn seat(&self) -> Option<CurrentPlacement> {
@@ -422,6 +447,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
             object: self.record.name.clone(),
             contract: M::NAME,
             queue: Some(self.lane.capacity()),
+            unavailable: self.record.unavailable(),
         })
     }
 

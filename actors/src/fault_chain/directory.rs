@@ -4,7 +4,7 @@ use actix::prelude::*;
 use blastema_contract::supervisor::{
     IsolateChild, MoveChild, ReadTree, ResetChild, RestartChild, SafeStop,
 };
-use blastema_core::ObjectName;
+use blastema_core::{ObjectName, suggestion};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -60,6 +60,13 @@ impl SupervisorDirectory {
     /// Who keeps this object.
     pub(crate) fn keeper_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
         self.entries().keepers.get(object).cloned()
+    }
+
+    /// The child whose name is spelt most like this one.
+    pub(crate) fn nearest(&self, name: &str) -> Option<ObjectName> {
+        let entries = self.entries();
+        let nearest = suggestion::nearest(name, entries.keepers.keys().map(ObjectName::as_str))?;
+        entries.keepers.get_key_value(nearest).map(|(name, _)| name.clone())
     }
 
     /// The supervisor of this name.

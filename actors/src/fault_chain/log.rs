@@ -103,7 +103,7 @@ fn step_name(turn: &FaultTransition) -> &'static str {
 /// What is new in the step, or the particulars of the fault.
 fn detail<'a>(fault: &'a Fault, turn: &'a FaultTransition) -> &'a str {
     match turn {
-        FaultTransition::Decided { measure } => measure,
+        FaultTransition::Decided { action } => action,
         FaultTransition::GaveUp { reason } => reason,
         _ => &fault.detail,
     }
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn what_a_user_must_act_on_is_a_warning_or_an_error_and_nothing_else_is() {
         let gave_up = || FaultTransition::GaveUp { reason: "no".to_owned() };
-        let decided = || FaultTransition::Decided { measure: "restart".to_owned() };
+        let decided = || FaultTransition::Decided { action: "restart".to_owned() };
         let check = |kind, symptom_of, turn, level, printed| {
             let shown = shown(&fault(kind, symptom_of), &turn);
             assert_eq!(shown, Shown { level, printed }, "{turn:?}");

@@ -234,9 +234,10 @@ impl Handler<SafeStateChanged> for RecovererActor {
     type Result = ();
 
     fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
-        match message.reason {
-            Some(_) => self.machine.handle_rest(platform::now()),
-            None => self.machine.handle_work(),
+        match message {
+            SafeStateChanged::Entered { .. } => self.machine.handle_rest(platform::now()),
+            SafeStateChanged::Left => self.machine.handle_work(),
+            SafeStateChanged::NodeEnds => self.machine.handle_node_end(platform::now()),
         }
         self.drive(context);
     }

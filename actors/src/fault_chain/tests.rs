@@ -141,14 +141,10 @@ fn a_silent_arm_is_reported_once_and_cleared_when_it_speaks_again() {
         assert_eq!(chain.stand_downs.expect().await.id, fault.id);
         let turns: Vec<FaultTransition> =
             chain.events.drain().into_iter().map(|e| e.turn).collect();
-        let measure = "restart".into();
+        let action = "restart".into();
         assert_eq!(
             turns,
-            [
-                FaultTransition::Found,
-                FaultTransition::Decided { measure },
-                FaultTransition::Cleared
-            ]
+            [FaultTransition::Found, FaultTransition::Decided { action }, FaultTransition::Cleared]
         );
     });
 }

@@ -1,10 +1,10 @@
 //! Names of the whole robot: an address without a node.
 //!
 //! ```text
-//!  Claim ── Wish ──► body (net::claims) ◄── letters ──► bodies of other nodes
-//!                      │ Held
-//!                      ▼
-//!  Roaming ── who? ── Names        `*:map` is sent to whoever holds `map` now
+//!  Claim ── ClaimCommand ──► ClaimActor (net::claims) ◄── messages ──► those of other nodes
+//!                              │ Held
+//!                              ▼
+//!  GlobalNameSender ── who? ── GlobalNameTable   `*:map` is sent to the holder of `map`
 //! ```
 
 pub(crate) mod actor;

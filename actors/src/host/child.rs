@@ -198,6 +198,10 @@ impl<C: Component> ComponentCell<C> {
 }
 
 impl<C: Component> Watchable for ComponentCell<C> {
+    fn component_type(&self) -> Option<&'static str> {
+        Some(std::any::type_name::<C>())
+    }
+
     fn inject(&self, injection: Injection) {
         self.record.injected.put_in(injection);
         if injection == Injection::Panic

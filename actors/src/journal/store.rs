@@ -162,6 +162,10 @@ impl Store {
         )?;
         connection.busy_timeout(BUSY)?;
         check(&connection)?;
+        if version_of(&connection)? == 0 {
+            // Before the log takes over, so that the file itself says whose it is.
+            connection.pragma_update(None, "application_id", APPLICATION)?;
+        }
         // The answer is the mode that the file system bears.
         let _: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
         connection.pragma_update(None, "synchronous", "FULL")?;
@@ -170,7 +174,6 @@ impl Store {
         let transaction = connection.transaction()?;
         if version_of(&transaction)? == 0 {
             transaction.execute_batch(SCHEMA)?;
-            transaction.pragma_update(None, "application_id", APPLICATION)?;
             transaction.pragma_update(None, "user_version", VERSION)?;
         }
         let (node, incarnation) = (author.node.as_str(), number(author.incarnation.0));
@@ -211,15 +214,24 @@ impl Store {
     }
 }
 
-/// Whether it is a journal, or a new file, and whole.
+/// Whether it is a journal, or a new file, and whole. Only a file whose header says that it is a
+/// journal is damaged; any other is not ours, and is left alone.
 fn check(connection: &Connection) -> Result<(), StoreError> {
-    let application: i32 =
-        connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
-    let tables: i64 =
-        connection.query_row("SELECT count(*) FROM sqlite_master", [], |row| row.get(0))?;
-    if application != APPLICATION && (application != 0 || tables != 0) {
-        let what = "it is a database of another program: give the journal another path";
-        return Err(StoreError::Unwritable(what.to_owned()));
+    let foreign =
+        |what: &str| StoreError::Unwritable(format!("it is {what}: give the journal another path"));
+    let not_ours = |error: rusqlite::Error| match StoreError::from(error) {
+        StoreError::Damaged(reason) => foreign(&format!("no journal ({reason})")),
+        unwritable => unwritable,
+    };
+    let application: i32 = connection
+        .pragma_query_value(None, "application_id", |row| row.get(0))
+        .map_err(not_ours)?;
+    if application != APPLICATION {
+        let tables = "SELECT count(*) FROM sqlite_master";
+        let tables: i64 = connection.query_row(tables, [], |row| row.get(0)).map_err(not_ours)?;
+        if application != 0 || tables != 0 {
+            return Err(foreign("a database of another program"));
+        }
     }
     let version = version_of(connection)?;
     if version > VERSION {

@@ -162,7 +162,9 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
     let whole = fs::read(&path).unwrap();
     let mut spoilt = whole.clone();
     spoilt[100..].fill(0x5a);
-    for bytes in [b"no database at all, but a text of some length".to_vec(), spoilt] {
+    let mut pages_gone = whole.clone();
+    pages_gone[5000..].fill(0x5a);
+    for bytes in [spoilt, pages_gone] {
         fs::write(&path, &bytes).unwrap();
         let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
         assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
@@ -170,6 +172,23 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
         let aside = set_aside(&path).unwrap();
         assert_eq!(fs::read(&aside).unwrap(), bytes);
         drop(open(&path, 2));
+    }
+}
+
+#[test]
+fn a_file_that_no_journal_wrote_is_left_alone() {
+    let (_folder, path) = journal();
+    let mut image = vec![0x5a; 5000];
+    image[..16].copy_from_slice(b"SQLite format 3\0");
+    let text = b"no database at all, but a text of some length".to_vec();
+    for bytes in [text, b"short".to_vec(), image] {
+        fs::write(&path, &bytes).unwrap();
+
+        let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
+
+        let StoreError::Unwritable(reason) = error else { panic!("{error:?}") };
+        assert!(reason.contains("give the journal another path"), "{reason}");
+        assert_eq!(fs::read(&path).unwrap(), bytes);
     }
 }
 

@@ -249,7 +249,7 @@ impl Now {
         let over = fault.is_repaired_by_recovery();
         let mut line = self.blank(fault);
         match turn {
-            FaultTransition::Decided { measure } => line.measure = Some(measure),
+            FaultTransition::Decided { action } => line.measure = Some(action),
             FaultTransition::Recovered => {
                 line.recovered = Some(at);
                 line.repaired = over.then_some(at);

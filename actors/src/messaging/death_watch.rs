@@ -177,6 +177,10 @@ impl Deaths {
 pub(crate) trait Watchable: Send + Sync {
     /// Tells at once if it is not alive, and whenever a life of it ends.
     fn watch(&self, mourner: Watcher);
+    /// Its type, where it is a component.
+    fn component_type(&self) -> Option<&'static str> {
+        None
+    }
     /// Puts a fault into it, where it is a component.
     fn inject(&self, _: Injection) {}
 }

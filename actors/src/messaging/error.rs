@@ -3,6 +3,7 @@
 
 use blastema_core::{DeliveryError, NodeName, ObjectName, Outcome};
 use std::fmt;
+use std::time::Duration;
 
 /// The receiver that a failed message was for.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,6 +17,26 @@ pub struct Receiver {
     pub contract: &'static str,
     /// How many messages its queue holds; `None` for a receiver on another node.
     pub queue: Option<usize>,
+    /// The receiver serves nothing, because a hook of it waits for what is
+    /// [not there yet](crate::Failure::unavailable); `None` for a receiver on another node.
+    pub unavailable: Option<Unavailable>,
+}
+
+/// What a receiver waits for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Unavailable {
+    /// The reason that its hook gave last.
+    pub reason: String,
+    /// For how long it has waited.
+    pub lasts: Duration,
+}
+
+impl fmt::Display for Unavailable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Unavailable { reason, lasts } = self;
+        write!(f, "the receiver has been unavailable for {:.1} s: {reason}", lasts.as_secs_f64())
+    }
 }
 
 impl fmt::Display for Receiver {
@@ -132,9 +153,10 @@ fn describe(
         Some(to) => {
             write!(f, "`{}` to {to} {what}: ", to.contract)?;
             match (why, to.queue) {
-                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full"),
-                _ => write!(f, "{why}"),
+                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full")?,
+                _ => write!(f, "{why}")?,
             }
+            to.unavailable.as_ref().map_or(Ok(()), |unavailable| write!(f, "; {unavailable}"))
         }
     }
 }

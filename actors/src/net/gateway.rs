@@ -3,13 +3,13 @@
 mod inbound;
 mod inputs;
 mod peer;
+mod subscriptions;
 mod undelivered;
 
 pub(super) use super::gateway_messages::{ForwardFault, SendToPeer};
 
-use super::credit::CreditClass;
 use super::fault_reporter::FaultReporter;
-use super::gateway_messages::{FaultForwarded, LocalEvent, LocalReply, TopicInterestChanged};
+use super::gateway_messages::{FaultForwarded, LocalReply, TopicInterestChanged};
 use super::isolation::{IsolationControl, IsolationObservers};
 use super::stub::{PeerCondition, PeerSendState, PeerStubs};
 use super::{NetEnvironment, fault_forwarding};
@@ -17,7 +17,7 @@ use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::{MessageMetadata, Registry, ReplyTo};
 use crate::runtime::guardian::answers_the_monitor;
-use crate::topic::{ForwardId, RemoteForward, TopicKey, Topics};
+use crate::topic::{TopicKey, Topics};
 use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::monitor::NodeReported;
@@ -34,19 +34,17 @@ use blastema_core::net::peer_protocol::{
 };
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
-use blastema_core::{
-    ContractIdentity, Delivery, DeliveryError, FaultKind, GatherBuffer, NodeName, PeerIdentity,
-    Place,
-};
+use blastema_core::{DeliveryError, FaultKind, GatherBuffer, NodeName, Place};
 use bytes::Bytes;
 use inbound::{InboundBacklog, LOOK, PeerBinding};
 use peer::GatewayPeer;
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use subscriptions::Forwarded;
 use tokio::sync::oneshot;
 use tracing::{debug, error, info, warn};
-use undelivered::{EndedSubscription, UndeliveredEvents};
+use undelivered::EndedSubscription;
 
 /// How often the registry is looked at for objects that came or went, and what was lost is brought
 /// together.
@@ -103,16 +101,6 @@ pub(super) struct GatewayActor {
     leaving: bool,
     /// As of which revision of the registry the peers know our names.
     revision: Option<u64>,
-}
-
-struct Forwarded {
-    id: ForwardId,
-    key: TopicKey,
-    /// What the peer takes the events for, until that could be compared.
-    unverified: Option<Vec<PeerIdentity>>,
-    /// Under which number they go, and how.
-    by: (u32, Delivery),
-    losses: Arc<UndeliveredEvents>,
 }
 
 impl GatewayActor {
@@ -292,9 +280,11 @@ impl GatewayActor {
             }
             PeerProtocolOutput::Event { topic, form, age, payload } => {
                 let key = TopicKey::new(&topic.topic, &topic.contract);
-                // What cannot be read is among the topic's dead letters; what nobody knows has no
-                // listeners.
-                if let Err(why) = self.wiring.topics.inject(&key, form, &payload, age) {
+                let topics = &self.wiring.topics;
+                // An event that cannot be read is among the topic's dead letters; a topic that is
+                // not known has no listeners.
+                let given = key.and_then(|key| topics.inject(&key.topic, form, &payload, age));
+                if let Err(why) = given {
                     debug!(topic = %topic.topic, %why, "an event did not arrive");
                 }
             }
@@ -313,74 +303,6 @@ impl GatewayActor {
             PeerProtocolOutput::Bye { peer } => self.handle_bye(peer),
             PeerProtocolOutput::Forget { peer, why } => self.forget(peer, &why),
         }
-    }
-
-    fn subscribe(
-        &mut self,
-        peer: NodeId,
-        subscription: u32,
-        topic: &TopicContract,
-        theirs: Vec<PeerIdentity>,
-        context: &mut Context<Self>,
-    ) {
-        let key = TopicKey::new(&topic.topic, &topic.contract);
-        // Whether it wants the newest only must be known before the first event.
-        let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
-        let (by, unverified) = match self.wiring.topics.identities(&key).first() {
-            None => ((subscription, Delivery::default()), Some(theirs)),
-            Some(ours) => match version_of(ours, &theirs) {
-                Ok(form) => ((subscription + form, ours.delivery), None),
-                Err(difference) => {
-                    self.differs(peer, &difference);
-                    let why = DeliveryError::ContractDiffers { difference };
-                    self.exchange.handle_subscribe_refused(peer, subscription, why);
-                    return;
-                }
-            },
-        };
-        let Some(known) = self.peers.get(&peer) else { return };
-        let (gate, gateway) = (known.gate.clone(), context.address());
-        let (delivery, losses) = (by.1, self.losses(known, &key));
-        let unsent = losses.clone();
-        let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
-            let freight = CreditClass::of(delivery, event.len());
-            // Publishing never waits: what a peer cannot take now is not sent.
-            // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { gate.has_session() } else { gate.is_open(freight) };
-            match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
-                Some(credit) => {
-                    let event = event.clone();
-                    gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
-                }
-                None => unsent.take(gate.why_not()),
-            }
-        });
-        self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, forward);
-        let forwarded = Forwarded { id, key, unverified, by, losses };
-        self.forwards.insert((peer, subscription), forwarded);
-    }
-
-    fn end_forward(&mut self, forward: (NodeId, u32)) -> Option<Forwarded> {
-        let ended = self.forwards.remove(&forward)?;
-        self.wiring.topics.end_forward(&ended.id);
-        Some(ended)
-    }
-
-    /// Under which number, and how, an event goes to this peer. The first event may find that the
-    /// topic had no contract here when the peer subscribed.
-    fn verify(&mut self, forward: (NodeId, u32)) -> Result<(u32, Delivery), DeliveryError> {
-        let Some(known) = self.forwards.get_mut(&forward) else {
-            return Err(DeliveryError::Unknown { name: "subscription".into() });
-        };
-        if let Some(theirs) = known.unverified.take()
-            && let Some(ours) = self.wiring.topics.identities(&known.key).first()
-        {
-            let form = version_of(ours, &theirs);
-            let form = form.map_err(|difference| DeliveryError::ContractDiffers { difference })?;
-            known.by = (forward.1 + form, ours.delivery);
-        }
-        Ok(known.by)
     }
 
     /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does
@@ -509,20 +431,6 @@ impl GatewayActor {
             self.exchange.handle_own_names(None, &announcement, platform::now());
         }
         self.drive(context);
-    }
-}
-
-/// Which of a listener's versions is ours, from 0 for its present one.
-///
-/// # Errors
-/// What differs from its present one.
-fn version_of(ours: &ContractIdentity, theirs: &[PeerIdentity]) -> Result<u32, String> {
-    match theirs.iter().position(|theirs| ours.check(theirs).is_ok()) {
-        Some(form) => Ok(form as u32),
-        None => {
-            let present = theirs.first().map(|theirs| ours.check(theirs));
-            Err(present.and_then(Result::err).map_or(String::new(), |d| d.to_string()))
-        }
     }
 }
 

@@ -95,8 +95,13 @@ impl Supervised for SafeStateActor {
 impl Handler<SafeStateChanged> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, SafeStateChanged { reason }: SafeStateChanged, _: &mut Context<Self>) {
-        self.said = Some(reason);
+    fn handle(&mut self, message: SafeStateChanged, _: &mut Context<Self>) {
+        self.said = Some(match message {
+            SafeStateChanged::Entered { reason } => Some(reason),
+            SafeStateChanged::Left => None,
+            // The peers see the node leave.
+            SafeStateChanged::NodeEnds => return,
+        });
         let peers: Vec<_> = self.peers.values().map(|(node, _)| node.clone()).collect();
         peers.iter().for_each(|node| self.tell(node));
     }

@@ -190,10 +190,16 @@ impl NodeController {
         }
     }
 
+    fn tell(&self, changed: &SafeStateChanged) {
+        self.told.iter().for_each(|told| told.do_send(changed.clone()));
+    }
+
     fn tell_rest(&self, reason: Option<&str>) {
         let reason = reason.map(str::to_owned);
-        let rests = SafeStateChanged { reason: reason.clone() };
-        self.told.iter().for_each(|told| told.do_send(rests.clone()));
+        self.tell(&match reason.clone() {
+            Some(reason) => SafeStateChanged::Entered { reason },
+            None => SafeStateChanged::Left,
+        });
         let NodeControllerSetup { node, incarnation, nodes, .. } = &self.setup;
         let (node, incarnation) = (node.clone(), *incarnation);
         let condition = match reason {
@@ -350,6 +356,7 @@ impl Handler<Shutdown> for NodeController {
 
     fn handle(&mut self, _: Shutdown, _: &mut Context<Self>) -> Self::Result {
         self.closed = true;
+        self.tell(&SafeStateChanged::NodeEnds);
         if std::mem::take(&mut self.again) {
             // They see that they wait in vain.
             self.started.clear();

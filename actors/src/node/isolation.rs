@@ -12,8 +12,8 @@ pub enum IsolateError {
     /// The name does not parse.
     #[error("the name of the node: {0}")]
     Name(#[from] NameError),
-    /// It is this node itself, on which the others decide. To take it out of service, let it come
-    /// to safe rest, or shut it down.
+    /// It is this node itself, on which the others decide. To take it out of service, let it enter
+    /// the safe state, or shut it down.
     #[error("{node} is this node itself: it is for the others to isolate it; shut it down instead")]
     Oneself {
         /// The node.

@@ -77,7 +77,7 @@ use blastema_core::{
     Contract, DeliveryError, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable,
 };
 use controller::{RestartRoot, Shutdown};
-use std::any::Any;
+use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
@@ -306,13 +306,23 @@ impl Node {
     /// A reference to a component here whose type is known.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] where no component of this type has the name,
-    /// [`DeliveryError::Misspelt`] where one has a similar name.
+    /// [`DeliveryError::OtherType`] where the component is of another type,
+    /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no component has the name.
     pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, DeliveryError> {
-        let unknown = || self.0.environment.registry.misspelt(name);
-        let name = ObjectName::new(name).map_err(|_| unknown())?;
+        let registry = &self.0.environment.registry;
+        let object = ObjectName::new(name).map_err(|_| registry.misspelt(name))?;
         let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
-        actors.get(&name).and_then(|actor| actor.downcast_ref()).cloned().ok_or_else(unknown)
+        if let Some(actor) = actors.get(&object).and_then(|actor| actor.downcast_ref()) {
+            return Ok(ActorRef::clone(actor));
+        }
+        Err(match registry.component_type(&object) {
+            Some(found) => DeliveryError::OtherType {
+                name: name.to_owned(),
+                found: found.to_owned(),
+                wanted: type_name::<C>().to_owned(),
+            },
+            None => registry.misspelt(name),
+        })
     }
 
     /// Where events can be published on a topic; `E`'s own name is its default topic.

@@ -1,4 +1,4 @@
-//! Bringing back what has enter the safe state.
+//! Restarting a node that is in the safe state, and its children.
 
 use super::Node;
 use super::controller::{NodeState, RestartRefused, RestartRoot};
@@ -34,10 +34,12 @@ pub enum RestartError {
         reason: String,
     },
     /// No supervisor of this node keeps an object of this name.
-    #[error("no supervisor of this node keeps {name}")]
+    #[error("no supervisor of this node keeps {name}{}", did_you_mean(.nearest))]
     Unknown {
         /// The name.
         name: String,
+        /// The child whose name is spelt most like it.
+        nearest: Option<ObjectName>,
     },
     /// The supervisor of the component is not at work, as in a node in the safe state. Restart the
     /// node, or the supervisor.
@@ -54,6 +56,10 @@ pub enum RestartError {
         /// Why.
         reason: GiveUpReason,
     },
+}
+
+fn did_you_mean(nearest: &Option<ObjectName>) -> String {
+    nearest.as_ref().map_or_else(String::new, |name| format!(": did you mean `{name}`?"))
 }
 
 impl Node {
@@ -84,7 +90,7 @@ impl Node {
     }
 
     /// Begins the next life of a component, or of a supervisor and all below it. One that has come
-    /// to safe rest, or was isolated, is back with it; one that is at work is stopped in order
+    /// to the safe state, or was isolated, is back with it; one that is at work is stopped in order
     /// first. Its siblings fare as their supervisor's strategy says. Resolves when all of them are
     /// at work, and says which life it is, unless its rules let it be. No budget of restarts counts
     /// it.
@@ -93,7 +99,10 @@ impl Node {
     /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
     /// a node at rest; [`RestartError::ChildGaveUp`] where it did not come back.
     pub async fn restart_child(&self, name: &str) -> Result<Option<Incarnation>, RestartError> {
-        let unknown = || RestartError::Unknown { name: name.to_owned() };
+        let unknown = || RestartError::Unknown {
+            name: name.to_owned(),
+            nearest: self.0.directory.nearest(name),
+        };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let keeper = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
         match keeper.restart.send(RestartChild { object, fault: None }).await {

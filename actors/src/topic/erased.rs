@@ -1,6 +1,6 @@
 //! A topic as those see it who do not know its type: the network, and the snapshot.
 
-use super::{Latched, RemoteForward, Times, Topic, TopicRow, lock, nanos};
+use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
 use crate::platform;
 use crate::platform::panics;
 use blastema_core::contract::codec;
@@ -13,6 +13,7 @@ use tracing::error;
 
 /// A topic whose type is not known.
 pub(super) trait AnyTopic: Send + Sync {
+    fn key(&self) -> &TopicKey;
     fn identity(&self) -> ContractIdentity;
     /// The present version and the earlier ones that listeners here understand.
     fn identities(&self) -> Vec<ContractIdentity>;
@@ -28,9 +29,15 @@ pub(super) trait AnyTopic: Send + Sync {
     fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
     fn row(&self, now: Instant) -> TopicRow;
+    /// The names of its publishers and listeners of this node.
+    fn users(&self) -> Vec<String>;
 }
 
 impl<E: Event> AnyTopic for Topic<E> {
+    fn key(&self) -> &TopicKey {
+        &self.key
+    }
+
     fn identity(&self) -> ContractIdentity {
         ContractIdentity::of::<E>()
     }
@@ -64,6 +71,10 @@ impl<E: Event> AnyTopic for Topic<E> {
         self.traffic.row(&self.key, E::LATCHED, nodes, now)
     }
 
+    fn users(&self) -> Vec<String> {
+        self.traffic.users()
+    }
+
     fn publish_remote(
         &self,
         form: usize,
@@ -77,7 +88,11 @@ impl<E: Event> AnyTopic for Topic<E> {
             Some(former) => former.read(event),
         });
         if let Err(panicked) = &read {
-            error!(topic = &*self.key.topic, contract = E::NAME, "to read an event {panicked}");
+            error!(
+                topic = self.key.topic.as_str(),
+                contract = E::NAME,
+                "to read an event {panicked}"
+            );
         }
         match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(event) => {

@@ -37,8 +37,8 @@ use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
 use blastema_core::{
-    ContractIdentity, DeliveryError, Event, GatherBuffer, Instant, ObjectName, PreviousVersion,
-    suggestion,
+    ContractIdentity, DeliveryError, Event, GatherBuffer, Instant, ObjectName, PeerIdentity,
+    PreviousVersion, suggestion,
 };
 use bytes::Bytes;
 use erased::AnyTopic;
@@ -65,19 +65,20 @@ pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct TopicKey {
-    pub(crate) topic: Arc<str>,
+    /// Lost events concern no listener in particular, so that they are counted under this name.
+    pub(crate) topic: ObjectName,
     pub(crate) contract: Arc<str>,
 }
 
 impl TopicKey {
-    pub(crate) fn new(topic: &str, contract: &str) -> Self {
-        TopicKey { topic: topic.into(), contract: contract.into() }
-    }
-
-    /// What is lost of it concerns no listener in particular, so that it is counted under its own
-    /// name.
-    pub(crate) fn lost_to(&self) -> Option<ObjectName> {
-        ObjectName::new(&self.topic).or_else(|_| ObjectName::new("topic")).ok()
+    /// # Errors
+    /// The name of the topic does not obey the rule for names of objects.
+    pub(crate) fn new(topic: &str, contract: &str) -> Result<Self, DeliveryError> {
+        let topic = ObjectName::new(topic).map_err(|error| {
+            let reason = format!("the name of a topic: {error}");
+            DeliveryError::InvalidName { reason }
+        })?;
+        Ok(TopicKey { topic, contract: contract.into() })
     }
 }
 
@@ -177,7 +178,7 @@ impl<E: Event> Topic<E> {
         let Some(all) = self.all.upgrade() else { return };
         let Some(nearest) = lock(&all).lonely_like(&self.key) else { return };
         tracing::warn!(
-            topic = &*self.key.topic,
+            topic = self.key.topic.as_str(),
             nearest = &*nearest,
             "a topic has publishers and no listeners, and one of a similar name has listeners and no \
              publishers: is the name right?"
@@ -239,12 +240,10 @@ impl<E: Event> Topic<E> {
     #[cold]
     fn complain(&self, payload: Box<dyn Any + Send>) {
         let (text, at) = (panics::text_of(payload), panics::take_place());
-        if !self.complained.swap(true, Relaxed)
-            && let Some(topic) = self.key.lost_to()
-        {
+        if !self.complained.swap(true, Relaxed) {
             let contract = E::NAME;
             let detail = format!("an event {contract} panics in its Clone or Drop at {at}: {text}");
-            self.reports.declare(topic.as_str(), detail);
+            self.reports.declare(self.key.topic.as_str(), detail);
         }
     }
 
@@ -258,9 +257,7 @@ impl<E: Event> Topic<E> {
 
     /// Counts an event that a hub lost.
     fn bury(&self, why: &DeliveryError) {
-        if let Some(name) = self.key.lost_to() {
-            self.dead_letters.record(&name, E::NAME, why);
-        }
+        self.dead_letters.record(&self.key.topic, E::NAME, why);
     }
 
     /// One listener more or less.
@@ -318,12 +315,35 @@ struct Known {
     erased: Arc<dyn AnyTopic>,
 }
 
+impl Known {
+    /// Names the contract that the topic carries and the one that another party means by it.
+    fn difference(&self, topic: &str, naming: Naming, wanted: &ContractIdentity) -> String {
+        let (known, first) = (self.erased.identity(), self.naming);
+        let what = if known.name == wanted.name {
+            difference(&known, wanted)
+        } else {
+            let (one, other) = (described(&known.brief()), described(&wanted.brief()));
+            format!("{one} and {other} are two contracts: give one of them another topic")
+        };
+        let users = match self.erased.users().join(", ") {
+            users if users.is_empty() => users,
+            users => format!("; the first is used by {users}"),
+        };
+        format!("the topic {topic:?} carries {first} and {naming}: {what}{users}")
+    }
+}
+
+/// A contract, as texts name it.
+pub(crate) fn described(contract: &PeerIdentity) -> String {
+    format!("`{}` version {}", contract.name, contract.version)
+}
+
 #[derive(Default)]
 struct Inner {
     /// As many as the program has publishers and listeners.
-    topics: BTreeMap<TopicKey, Known>,
-    /// Kept for topics that nobody here has named yet.
-    forwards: BTreeMap<TopicKey, BTreeMap<u64, RemoteForward>>,
+    topics: BTreeMap<ObjectName, Known>,
+    /// Kept for topics that no object of this node has named yet.
+    forwards: BTreeMap<ObjectName, BTreeMap<u64, RemoteForward>>,
     next_forward: u64,
 }
 
@@ -341,22 +361,23 @@ impl Topics {
         Topics { inner: Arc::default(), interest: Arc::default(), dead_letters, reports }
     }
 
-    /// The topic of this name that carries `E`, as it is said to here.
+    /// The topic of this name that carries `E`, as it is said to here. A topic carries one contract:
+    /// that of its first publisher or listener, for as long as the node runs.
+    ///
+    /// # Errors
+    /// [`DeliveryError::InvalidName`]; [`DeliveryError::ContractDiffers`] if it carries another one.
     pub(crate) fn topic<E: Event>(
         &self,
         name: &str,
         at: &'static Location<'static>,
     ) -> Result<Arc<Topic<E>>, DeliveryError> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        let key = TopicKey::new(name, E::NAME);
+        let key = TopicKey::new(name, E::NAME)?;
         let naming = Naming { named: type_name::<E>(), at };
         let mut inner = lock(&self.inner);
-        if let Some(known) = inner.topics.get(&key) {
+        if let Some(known) = inner.topics.get(&key.topic) {
             return known.typed.clone().downcast().map_err(|_| {
-                let difference = difference(&known.erased.identity(), &ContractIdentity::of::<E>());
-                let first = known.naming;
-                let difference =
-                    format!("the topic {name:?} carries {first} and {naming}: {difference}");
+                let difference = known.difference(name, naming, &ContractIdentity::of::<E>());
                 DeliveryError::ContractDiffers { difference }
             });
         }
@@ -377,10 +398,12 @@ impl Topics {
             interest: self.interest.clone(),
             former: E::previous_versions(),
         });
-        if let Some(forwards) = inner.forwards.get(&key) {
+        if let Some(forwards) = inner.forwards.get(&key.topic) {
             topic.forward_to(forwards.values().cloned().collect());
         }
-        inner.topics.insert(key, Known { naming, typed: topic.clone(), erased: topic.clone() });
+        inner
+            .topics
+            .insert(key.topic, Known { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
     }
 
@@ -423,53 +446,54 @@ impl Topics {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        inner.forwards.entry(key.clone()).or_default().insert(id, forward.clone());
-        inner.renew_forwards(key);
-        let topic = inner.topics.get(key).map(|known| known.erased.clone());
+        inner.forwards.entry(key.topic.clone()).or_default().insert(id, forward.clone());
+        inner.renew_forwards(&key.topic);
+        let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
         drop(inner);
         if let Some(topic) = topic {
             topic.catch_up(&forward);
         }
-        ForwardId { key: key.clone(), id }
+        ForwardId { topic: key.topic.clone(), id }
     }
 
     /// Ends a forward.
     pub(crate) fn end_forward(&self, forward: &ForwardId) {
         let mut inner = lock(&self.inner);
-        if let Some(forwards) = inner.forwards.get_mut(&forward.key) {
+        if let Some(forwards) = inner.forwards.get_mut(&forward.topic) {
             forwards.remove(&forward.id);
         }
-        inner.renew_forwards(&forward.key);
+        inner.renew_forwards(&forward.topic);
     }
 
     /// Gives an event that came from another node to the listeners here, read by this version of
     /// its contract, 0 for the present one; it took so long.
     pub(crate) fn inject(
         &self,
-        key: &TopicKey,
+        topic: &ObjectName,
         form: usize,
         event: &Bytes,
         age: Duration,
     ) -> Result<(), DeliveryError> {
-        let topic = lock(&self.inner).topics.get(key).map(|known| known.erased.clone());
-        match topic {
-            Some(topic) => topic.publish_remote(form, event, age),
-            None => Err(DeliveryError::Unknown { name: key.topic.to_string() }),
+        let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
+        match known {
+            Some(known) => known.publish_remote(form, event, age),
+            None => Err(DeliveryError::Unknown { name: topic.to_string() }),
         }
     }
 
-    /// What a topic carries, if anybody here has named it, and the earlier versions of that which
-    /// are understood.
-    pub(crate) fn identities(&self, key: &TopicKey) -> Vec<ContractIdentity> {
+    /// The contract that a topic carries, if an object here has named it, and the earlier versions
+    /// of it that are understood.
+    pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
         let inner = lock(&self.inner);
-        inner.topics.get(key).map_or(Vec::new(), |known| known.erased.identities())
+        inner.topics.get(topic).map_or(Vec::new(), |known| known.erased.identities())
     }
 
     /// All topics that have listeners here, and what they carry.
     pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        listened.map(|(key, known)| (key.clone(), known.erased.identities())).collect()
+        let carried = |known: &Known| (known.erased.key().clone(), known.erased.identities());
+        listened.map(|(_, known)| carried(known)).collect()
     }
 
     /// From now on tells when a topic gets its first listener here, or loses its last.
@@ -484,17 +508,17 @@ impl Inner {
     fn lonely_like(&self, key: &TopicKey) -> Option<Arc<str>> {
         let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
         let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let listened = elsewhere.map(|(key, _)| key).chain(here.map(|(key, _)| key));
-        let is_lonely = |other: &&TopicKey| {
+        let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
+        let is_lonely = |other: &&ObjectName| {
             let known = self.topics.get(*other);
-            *other != key && known.is_none_or(|known| !known.erased.has_publishers())
+            **other != key.topic && known.is_none_or(|known| !known.erased.has_publishers())
         };
-        let names = listened.filter(is_lonely).map(|other| &*other.topic);
-        suggestion::nearest(&key.topic, names).map(Arc::from)
+        let names = listened.filter(is_lonely).map(ObjectName::as_str);
+        suggestion::nearest(key.topic.as_str(), names).map(Arc::from)
     }
 
-    fn renew_forwards(&self, key: &TopicKey) {
-        if let (Some(known), Some(forwards)) = (self.topics.get(key), self.forwards.get(key)) {
+    fn renew_forwards(&self, topic: &ObjectName) {
+        if let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic)) {
             known.erased.forward_to(forwards.values().cloned().collect());
         }
     }
@@ -503,6 +527,6 @@ impl Inner {
 /// Names one forward.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ForwardId {
-    key: TopicKey,
+    topic: ObjectName,
     id: u64,
 }

@@ -136,6 +136,14 @@ impl Traffic {
         }
     }
 
+    /// The names of its publishers and listeners.
+    pub(super) fn users(&self) -> Vec<String> {
+        let shown = lock(&self.shown);
+        let publishers = shown.publishers.keys().map(|name| name.to_string());
+        let listeners = shown.listeners.keys().map(ObjectName::to_string);
+        publishers.chain(listeners).collect()
+    }
+
     pub(super) fn row(
         &self,
         key: &TopicKey,

@@ -1,8 +1,8 @@
 //! Every typed message between two objects of the Blastema middleware.
 //!
-//! Objects know each other by contract, never by type: whoever holds a [`Recipient`] of one of
-//! these messages knows all that it may know about the object behind it. Requests go down, events
-//! go up.
+//! Objects know each other by contract, never by type: an object that holds a [`Recipient`] of one
+//! of these messages knows all that it may know about the object behind it. Requests go down,
+//! events go up.
 //!
 //! [`Recipient`]: actix::Recipient
 
@@ -22,6 +22,6 @@ pub mod transport;
 
 /// The answer to a hand-over of fault information: it has arrived and is in the receiver's record.
 ///
-/// A hand-over that is not confirmed is repeated by whoever made it.
+/// A hand-over that is not confirmed is repeated by its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, actix::MessageResponse)]
 pub struct Confirmed;

@@ -52,7 +52,7 @@ pub struct LinkChanged {
     pub status: LinkStatus,
 }
 
-/// The router begins anew: every link is to tell how it is.
+/// The router restarts: every link is to report its state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct ReportLinks;

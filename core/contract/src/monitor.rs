@@ -1,7 +1,7 @@
 //! What others may say to, and ask of, the monitor.
 //!
 //! ```text
-//! node ──Enrol, Dismiss──►┐
+//! node ──Register, Unregister──►┐
 //! link, router ──LinkReported, NodeReported──► Monitor ──Observed──► Detector
 //! supervisor ──IsolationReported──►┘     ▲
 //! anyone ──ReadTable─────────────────────┘

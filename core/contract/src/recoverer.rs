@@ -13,13 +13,19 @@ pub struct Recover {
     pub fault: Fault,
 }
 
-/// From the keeper: this node has enter the safe state, where nothing is treated, or goes to work
-/// again.
+/// From the keeper: whether recovery is possible in this node.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
-pub struct SafeStateChanged {
-    /// Why it is at rest; `None` where it is not.
-    pub reason: Option<String>,
+pub enum SafeStateChanged {
+    /// The node has entered the safe state, where nothing is treated.
+    Entered {
+        /// Why.
+        reason: String,
+    },
+    /// The node goes to work again.
+    Left,
+    /// The node was told to stop: what ends is not restarted.
+    NodeEnds,
 }
 
 /// A fault has gone by itself: what is not yet under way for it need not begin.

@@ -13,7 +13,7 @@ use bytes::Bytes;
 use std::fmt;
 use std::sync::Arc;
 
-/// Whoever lets only so much be under way.
+/// Grants a bounded amount of send credit.
 pub trait CreditPool: Send + Sync {
     /// So many bytes are not under way any more.
     fn give_back(&self, bytes: usize);
@@ -21,7 +21,7 @@ pub trait CreditPool: Send + Sync {
 
 /// The room that a message takes until the sessions have it; dropping gives it back.
 ///
-/// actix mailboxes have no bound. Whoever sends holds itself to what it has lent.
+/// actix mailboxes have no bound. A sender holds itself to the credit that it has taken.
 pub struct Credit {
     lender: Arc<dyn CreditPool>,
     bytes: usize,
@@ -61,7 +61,7 @@ pub struct SendReliable {
     pub strand: OrderingKey,
     /// What.
     pub message: GatherBuffer,
-    /// Room that it takes with whoever sent it.
+    /// The credit that it holds with its sender.
     pub credit: Option<Credit>,
 }
 
@@ -77,7 +77,7 @@ pub struct SendLatest {
     pub channel: u32,
     /// What.
     pub message: GatherBuffer,
-    /// Room that it takes with whoever sent it.
+    /// The credit that it holds with its sender.
     pub credit: Option<Credit>,
 }
 
@@ -156,7 +156,7 @@ pub enum SessionReported {
 #[rtype(result = "()")]
 pub struct AddGateway(pub Recipient<SessionReported>);
 
-/// The gateway begins anew, with everybody or with one peer: the session is to end and begin again,
+/// The gateway restarts, with all peers or with one: the session is to end and begin again,
 /// so that both ends agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]

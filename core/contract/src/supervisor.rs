@@ -3,10 +3,11 @@
 //! ```text
 //! strategy ──RestartChild, ResetChild, IsolateChild, SafeStop──► Supervisor
 //!          ◄──Recovered | GaveUp (once it is decided)───────────┘
-//! parent, or the node ──Begin, End, Forsake──► Supervisor ──ChildReport──► parent, or the node
+//! parent, or the node ──StartSupervisor, StopSupervisor, AbandonChildren──► Supervisor
+//!                     ◄──ChildReport────────────────────────────────────────┘
 //! ```
 //!
-//! Requests go down the tree, events go up; a supervisor awaits nobody.
+//! Requests go down the tree, events go up; a supervisor awaits no other object.
 
 use crate::child::{Child, ChildReport};
 use actix::{Message, Recipient};
@@ -121,7 +122,7 @@ pub struct StartSupervisor {
 #[derive(Clone, Copy, Debug, Message)]
 #[rtype(result = "()")]
 pub struct StopSupervisor {
-    /// The supervisor is to begin anew, so that what waits for its children goes on waiting.
+    /// The supervisor is to restart, so that what waits for its children goes on waiting.
     pub again: bool,
 }
 

@@ -25,7 +25,7 @@ pub enum MediumAddress {
     Memory(Arc<str>),
     /// Unix-domain sockets: the path at which the other end listens.
     Unix(Arc<Path>),
-    /// A line with two ends, such as a serial cable: whoever is at the other.
+    /// A line with two ends, such as a serial cable: the node at the other.
     Line,
     /// CAN: the node's number on the bus.
     Can(u8),
@@ -159,7 +159,7 @@ pub enum TransportReport {
         /// What is sent to this address reaches all.
         all: MediumAddress,
     },
-    /// The medium is open, but has found that nobody is at its other end: what is heard later
+    /// The medium is open, but has found that no node is at its other end: what is heard later
     /// proves the contrary.
     NoCarrier {
         /// What it found, and what helps.
@@ -177,7 +177,7 @@ pub enum TransportReport {
     },
 }
 
-/// Who gets what a transport receives and reports. Sent anew, it replaces what was before.
+/// Who gets what a transport receives and reports. Sent again, it replaces the one before.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "()")]
 pub struct Attach {
@@ -206,7 +206,8 @@ pub struct TransportCounters {
     pub sent: u64,
     /// Frames taken from it and handed on.
     pub received: u64,
-    /// Frames that got lost here: a queue was full, no peer was connected, or nobody is attached.
+    /// Frames that got lost here: a queue was full, no peer was connected, or no receiver is
+    /// attached.
     pub dropped: u64,
     /// What was refused: frames that are too large, bytes that are no frames, peers that do not
     /// speak this protocol or are too many.
@@ -297,7 +298,7 @@ pub struct Cut {
 }
 
 /// Puts these peers, and no others, on the other side of a partition: nothing passes to and from
-/// them, and nobody is told. For what stands between link and transport.
+/// them, and does not report it. For what stands between link and transport.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Partition {

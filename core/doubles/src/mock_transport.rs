@@ -37,7 +37,7 @@ pub struct MockTransport {
 }
 
 impl MockTransport {
-    /// A medium on the present arbiter, open at this name, with nobody at its other end.
+    /// A medium on the present arbiter, open at this name, with no node at its other end.
     pub fn start(name: &str) -> Self {
         MockTransport::on(name, None)
     }
@@ -77,7 +77,7 @@ impl MockTransport {
         MediumAddress::Memory(self.name.clone())
     }
 
-    /// Lets a frame arrive at whoever is attached.
+    /// Lets a frame arrive at the attached receiver.
     pub fn receive(&self, from: MediumAddress, frame: impl Into<Bytes>) {
         self.address.do_send(Injection(Received { from, frame: frame.into() }));
     }

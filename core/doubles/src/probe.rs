@@ -4,7 +4,7 @@ use crate::record::Record;
 use actix::prelude::*;
 use std::time::Duration;
 
-/// Receives messages of one type in somebody's place, records them, and replies.
+/// Receives messages of one type in place of their receiver, records them, and replies.
 ///
 /// # Examples
 /// ```

@@ -51,10 +51,10 @@ impl<T> Record<T> {
     /// Takes note of one more.
     ///
     /// # Panics
-    /// When a million were noted that nobody has read.
+    /// When a million were recorded that the test has not read.
     pub fn push(&self, item: T) {
         let mut seen = self.0.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        assert!(seen.len() < LIMIT, "a double has recorded {LIMIT} messages that nobody read");
+        assert!(seen.len() < LIMIT, "a double has recorded {LIMIT} messages without a reader");
         seen.push_back(item);
         drop(seen);
         self.0.news.notify_one();

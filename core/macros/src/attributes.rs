@@ -166,7 +166,7 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
             Some("a variable has no reply: it is read and written; remove `reply`".into())
         }
         ("max_age", Derive::Variable) => {
-            Some("a variable shows its age to whoever reads it; remove `max_age`".into())
+            Some("a variable shows its age to its readers; remove `max_age`".into())
         }
         ("max_age", Derive::Request) => {
             Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())
@@ -246,6 +246,11 @@ fn parse_name(meta: &ParseNestedMeta<'_>) -> Result<LitStr> {
     }
 }
 
+/// Paths of files and command lines take such a part for a folder or an option.
+fn is_mistaken(part: &str) -> bool {
+    part == "." || part == ".." || part.starts_with('-')
+}
+
 /// What is wrong with a contract's name, which obeys the rules for names of objects.
 pub(crate) fn wrong_name(name: &str) -> Option<String> {
     let wrong = |c: &char| !(c.is_ascii_alphanumeric() || "_-./".contains(*c));
@@ -253,6 +258,10 @@ pub(crate) fn wrong_name(name: &str) -> Option<String> {
         Some("a contract's name, or a part of it between slashes, is empty".into())
     } else if name.len() > NAME_LIMIT {
         Some(format!("a contract's name has at most {NAME_LIMIT} bytes"))
+    } else if let Some(part) = name.split('/').find(|part| is_mistaken(part)) {
+        Some(format!(
+            "a part of a contract's name is not '.' or '..', and begins with no '-': not {part:?}"
+        ))
     } else {
         let c = name.chars().find(wrong)?;
         Some(format!(

@@ -1,4 +1,4 @@
-//! Finds what somebody may have meant to write.
+//! Finds the known word that a user may have meant to write.
 
 /// The word of `known` that is nearest to `wrong`, if one is near enough to be meant.
 pub(crate) fn nearest<'a>(wrong: &str, known: &[&'a str]) -> Option<&'a str> {

@@ -104,7 +104,7 @@ impl From<Blob> for Bytes {
 }
 
 impl From<Blob> for Vec<u8> {
-    /// Copies, unless nobody else has them.
+    /// Copies, unless this is the only reference.
     fn from(blob: Blob) -> Self {
         blob.0.into()
     }
@@ -117,7 +117,7 @@ impl FromIterator<u8> for Blob {
 }
 
 impl fmt::Debug for Blob {
-    /// Its size: nobody reads a mebibyte.
+    /// Its size: a mebibyte is not for display.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "Blob({} bytes)", self.len())
     }

@@ -1,7 +1,7 @@
 //! Messages as bytes. This file alone knows the codec.
 //!
 //! The format is bincode 2.0.1, standard configuration: little-endian, integers of variable length,
-//! fields and variants in their order without names. Whoever decodes must know that the sender
+//! fields and variants in their order without names. The receiver must know that the sender
 //! means the same contract, which [`ContractIdentity::check`](crate::ContractIdentity::check)
 //! tells.
 //!

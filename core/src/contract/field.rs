@@ -1,7 +1,7 @@
 //! How the derives encode the fields of a structure.
 //!
 //! `#[derive(Structure)]`, `#[derive(Event)]` and `#[derive(Request)]` write code that calls what
-//! stands here; nobody else should. Each module has the pair of functions that serde's `with`
+//! stands here, and nowhere else. Each module has the pair of functions that serde's `with`
 //! wants.
 
 use std::cell::Cell;

@@ -35,7 +35,7 @@ pub trait Contract: Described + Send + 'static {
 
     /// The name by which both parties know the contract.
     const NAME: &'static str;
-    /// Raised by whoever changes the contract's meaning.
+    /// Raised when the contract's meaning changes.
     const VERSION: u16 = 1;
     /// The most bytes that one encoded message, or its encoded reply, may take; at most 16 MiB.
     const MAX_SIZE: usize = 64 * 1024;
@@ -142,7 +142,7 @@ pub struct ContractIdentity {
     pub version: u16,
     /// How its messages travel.
     pub delivery: Delivery,
-    /// It may be sent again by whoever asks. No matter of the other party's, and not compared.
+    /// The asker may send it again. This does not concern the other party, and is not compared.
     pub idempotent: bool,
     /// The hash of its structure and of its reply's: FNV-1a, 64 bits, over their descriptions. It
     /// guards against accidents, not against intent.

@@ -17,7 +17,7 @@ pub enum DeadReason {
     Restarting,
     /// As much was on its way to the receiver's node as may be.
     WayFull,
-    /// No way led to the receiver's node any more, or what leads there began anew: it may have
+    /// No path led to the receiver's node any more, or the session was restarted: it may have
     /// arrived.
     Unreachable,
     /// The receiver's node had ended in order.
@@ -29,7 +29,7 @@ pub enum DeadReason {
     PeerDied,
     /// The message was older than its contract allows when its turn came.
     Expired,
-    /// Nobody waited for the answer any more when its turn came.
+    /// No caller waited for the answer any more when its turn came.
     DeadlinePassed,
     /// It had killed too many lives of the receiver.
     Quarantined,
@@ -96,7 +96,9 @@ impl From<&DeliveryError> for DeadReason {
             DeliveryError::ContractDiffers { .. } => DeadReason::ContractDiffers,
             DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
-            | DeliveryError::NotServed { .. } => DeadReason::Unknown,
+            | DeliveryError::NotServed { .. }
+            | DeliveryError::InvalidName { .. }
+            | DeliveryError::OtherType { .. } => DeadReason::Unknown,
             DeliveryError::TooLarge { .. } | DeliveryError::TooLargeForSession { .. } => {
                 DeadReason::TooLarge
             }

@@ -138,16 +138,16 @@ pub enum DeliveryError {
         /// What the check said.
         reason: String,
     },
-    /// Somebody else commands the actuator. Claim it when that lease has ended.
+    /// Another commander holds the actuator. Claim it when that lease has ended.
     #[error("the actuator is commanded by {by}")]
     Held {
         /// Who does, and in which life.
         by: String,
     },
-    /// The lease under which this was sent has ended. Claim anew.
-    #[error("the lease has ended: claim anew")]
+    /// The lease under which this was sent has ended. Claim the actuator again.
+    #[error("the lease has ended: claim it again")]
     LeaseEnded,
-    /// Somebody else has taken over since; what is sent under an older epoch is refused.
+    /// Another commander or primary has taken over: messages of an older epoch are refused.
     #[error("superseded: epoch {epoch} holds now")]
     Superseded {
         /// The epoch that holds.
@@ -169,8 +169,8 @@ pub enum DeliveryError {
         /// Why it came back, and what helps.
         reason: String,
     },
-    /// Nobody holds this name of the whole robot now. Try again when it is claimed.
-    #[error("nobody holds the name {name}")]
+    /// No component holds this name of the whole robot now. Try again when it is claimed.
+    #[error("the name {name} has no holder")]
     Unclaimed {
         /// The name.
         name: String,
@@ -207,7 +207,7 @@ pub enum DeliveryError {
         /// The limit in bytes.
         limit: usize,
     },
-    /// As much is on its way to the receiver's node as may be, whoever there it is for: `deliver`
+    /// As much is in flight to the receiver's node as may be, for all its objects: `deliver`
     /// waits. Bulk, messages of more than 16 KiB, has room of its own.
     #[error("the way to node {node} is full{}", of_what(.bulk))]
     WayFull {
@@ -234,6 +234,22 @@ pub enum DeliveryError {
         name: String,
         /// The known name that is spelt most like it.
         nearest: String,
+    },
+    /// The text is no name. Names take letters, digits, `_`, `-` and `.`, in parts between slashes.
+    #[error("{reason}")]
+    InvalidName {
+        /// Which name, and what is wrong with it.
+        reason: String,
+    },
+    /// The object is a component of another type than the one that was asked for.
+    #[error("`{name}` is a `{found}`, and not a `{wanted}`")]
+    OtherType {
+        /// The object.
+        name: String,
+        /// Its type.
+        found: String,
+        /// The type that was asked for.
+        wanted: String,
     },
 }
 
@@ -272,6 +288,8 @@ impl DeliveryError {
             | DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
             | DeliveryError::NotServed { .. }
+            | DeliveryError::InvalidName { .. }
+            | DeliveryError::OtherType { .. }
             | DeliveryError::Unreachable { .. }
             | DeliveryError::Undelivered { .. }
             | DeliveryError::TooLarge { .. }

@@ -64,7 +64,7 @@ impl Quarantine {
     /// This life ended while it served this message. Says how many lives the message has ended.
     pub fn handle_kill(&mut self, message: MessageId, incarnation: Incarnation) -> u32 {
         let kills = self.kills.entry(message).or_insert(Kills { count: 0, last: Incarnation(0) });
-        // A life ends once, whoever reports it.
+        // An incarnation ends once, whichever object reports it.
         if kills.last != incarnation {
             *kills = Kills { count: kills.count + 1, last: incarnation };
         }

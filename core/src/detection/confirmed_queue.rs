@@ -91,7 +91,7 @@ struct Flight<T> {
 }
 
 impl<T: Clone> ConfirmedQueue<T> {
-    /// A hand-over whose numbers begin after `first`. A sender that begins anew with nothing
+    /// A hand-over whose numbers begin after `first`. A sender that restarts with nothing
     /// remembered gives the present time, in nanoseconds: larger than any number it used before.
     pub fn new(limits: ConfirmedQueueLimits, first: u64) -> Self {
         ConfirmedQueue {

@@ -211,7 +211,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whoever needs a place is its user, and the other way round, whatever the dependencies.
+        /// An object that needs a place is its user, and the other way round, whatever the
+        /// dependencies.
         #[test]
         fn users_and_needs_are_the_same_relation(
             pairs in prop::collection::vec((0..6usize, prop::collection::vec(0..8usize, 0..4)), 0..8)

@@ -36,7 +36,7 @@ pub enum DependencyError {
     },
 }
 
-/// So many objects are named to somebody who named none of them.
+/// So many objects are named to a user who named none of them.
 const KNOWN_MAX: usize = 10;
 
 fn hint(nearest: Option<&str>, (known, more): &(Vec<ObjectName>, usize)) -> String {
@@ -142,8 +142,8 @@ impl Dependencies {
     }
 }
 
-/// A way that leads from somebody back to itself, where there is one: the first is also the last.
-/// Whoever is needed and needs nobody may be left out of the map.
+/// A path that leads from an object back to itself, where there is one: the first is also the last.
+/// An object that is needed and needs no other may be left out of the map.
 ///
 /// ```
 /// use blastema_core::ObjectName;

@@ -28,7 +28,7 @@ use std::time::Duration;
 ///   the end given up loudly.
 ///
 /// Where the guard has already restarted a component, the fault is found and recovered in one: it
-/// is recorded and told, and handed to nobody.
+/// is recorded and told, and handed to no recoverer.
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
@@ -224,7 +224,7 @@ impl Detector {
                 self.told.push_back(DetectorOutput::Tell {
                     fault,
                     at,
-                    turn: FaultTransition::Decided { measure },
+                    turn: FaultTransition::Decided { action: measure },
                 });
             }
             RecoveryOutcome::Recovered => {
@@ -477,8 +477,8 @@ impl Detector {
         self.handover.hand(notice.rank(), notice, now);
     }
 
-    /// Nobody has decided about this fault. That is as it should be for a symptom whose root is in
-    /// treatment.
+    /// No recoverer has decided about this fault. That is as it should be for a symptom whose root
+    /// is in treatment.
     fn remind(&mut self, id: FaultId, reminder: DecisionTimeout, now: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();

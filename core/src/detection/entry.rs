@@ -17,7 +17,7 @@ pub(super) struct MonitoredObject {
     pub(super) last_sign: Option<Instant>,
     pub(super) restarts: u32,
     pub(super) suspicions: u32,
-    /// A sign of life is overdue, or it stands behind somebody else's hang.
+    /// A sign of life is overdue, or it waits behind the hang of another object.
     pub(super) suspect: bool,
     /// Silence was observed and not yet broken.
     pub(super) silent: bool,

@@ -169,7 +169,7 @@ impl Monitor {
         restarted_as: Option<Incarnation>,
         now: Instant,
     ) {
-        // The orderly end of somebody unknown, such as the dismissed, is no news.
+        // The orderly end of an unknown object, such as a dismissed one, is not reported.
         if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
         }
@@ -363,7 +363,7 @@ impl Monitor {
         if let Liveness::Pull(pull) = entry.watch {
             self.inquiry.enrol(object, pull, entry.incarnation, now);
         }
-        // Whoever has not begun yet may have to wait for others that are started before it.
+        // An object that has not begun yet may have to wait for others that are started before it.
         if entry.end.is_some() || entry.incarnation == Incarnation::default() {
             self.inquiry.handle_end(object, entry.incarnation, now);
         }

@@ -36,8 +36,8 @@ impl Default for NotifierLimits {
             // A round trip over two hops and a change of path takes less.
             patience: Duration::from_millis(250),
             longest: Duration::from_secs(2),
-            // What another node's recoverer cannot keep up with helps nobody, and the network has
-            // other things to carry.
+            // Faults that another node's recoverer cannot keep up with do not help it, and the
+            // network has other things to carry.
             per_second: 50,
             capacity: 256,
             ..ConfirmedQueueLimits::default()
@@ -227,7 +227,7 @@ impl Lane {
         let waited = self.handover.withdraw(|waiting| waiting.id() == id).is_some();
         self.suppressed += u64::from(waited);
         match notice {
-            // Nobody behind this port has heard of it: there is nothing to take back.
+            // The recoverer behind this port was not told of it: there is nothing to take back.
             FaultNotice::Cleared { .. } if waited => {}
             FaultNotice::Found(_) if self.handover.under_way().map(FaultNotice::id) == Some(id) => {
                 self.suppressed += 1;

@@ -1,4 +1,4 @@
-//! What the monitor saw, before anybody has judged it.
+//! What the monitor saw, before the detector has judged it.
 
 use crate::detection::hang::OverloadFigures;
 use crate::{FaultKind, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName, Place};
@@ -155,7 +155,7 @@ pub enum LinkCondition {
         /// How that was noticed.
         reason: String,
     },
-    /// It is no more: nobody had described it, and what it was learned for has not been there for
+    /// It is no more: it was not described, and what it was learned for has not been there for
     /// long.
     Forgotten,
 }

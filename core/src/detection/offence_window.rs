@@ -1,6 +1,6 @@
 //! Whether another node does harm again and again.
 //!
-//! One offence is an accident: a peer that has begun anew, a cable that spoils frames. Several
+//! One offence is an accident: a peer that was restarted, a cable that spoils frames. Several
 //! within a while are a node that cannot be recovered from here, and is better kept out.
 
 use crate::{Instant, NodeName};
@@ -32,7 +32,7 @@ impl OffenceWindow {
         at: Instant,
     ) -> Option<String> {
         if !self.offences.contains_key(node) && self.offences.len() == NODES_MAX {
-            // Whoever offended longest ago is forgotten.
+            // The node that offended longest ago is forgotten.
             let last = |(_, all): &(&NodeName, &VecDeque<(Instant, String)>)| {
                 all.back().map(|(at, _)| *at)
             };

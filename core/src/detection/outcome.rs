@@ -7,7 +7,7 @@ use std::time::Duration;
 /// What the recoverer tells the detector, for the record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RecoveryOutcome {
-    /// A measure was chosen.
+    /// A recovery action was chosen.
     Decided {
         /// Which, as a person reads it: "restart", "re-route".
         measure: String,
@@ -31,10 +31,10 @@ pub enum FaultTransition {
     Repeated,
     /// It turned out to be a symptom: [`Fault::symptom_of`] now names the root.
     Explained,
-    /// A measure was chosen.
+    /// A recovery action was chosen.
     Decided {
-        /// Which, as a person reads it.
-        measure: String,
+        /// Which one, for display.
+        action: String,
     },
     /// Service is restored. Of an object, the fault is over; of a link or a node it stands until
     /// [`Cleared`](FaultTransition::Cleared): see [`Fault::is_repaired_by_recovery`].
@@ -71,8 +71,8 @@ impl FaultNotice {
         }
     }
 
-    /// The order in which notices that wait are handed over: what is over, so that nobody acts upon
-    /// it; then critical faults, errors, warnings; of each the roots first.
+    /// The order in which notices that wait are handed over: what is over, so that no recoverer
+    /// acts upon it; then critical faults, errors, warnings; of each the roots first.
     pub fn rank(&self) -> u8 {
         let FaultNotice::Found(fault) = self else { return 0 };
         let severity = match fault.severity {

@@ -104,7 +104,7 @@ impl PeerTable {
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
         let place =
             Place::Link { node: node.clone(), link: link.clone(), neighbour: neighbour.clone() };
-        // Whoever leaves takes its ends of the cables along.
+        // A node that leaves takes its ends of the cables along.
         let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
         let is_news = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
@@ -252,7 +252,7 @@ impl PeerTable {
             let (opinion, note) = match &seen.standing {
                 Standing::Here => (Opinion::Trusted, None),
                 Standing::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
-                // Nobody watches it any more.
+                // It is not watched any more.
                 Standing::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
             };
             let (opinion, note) = match (&seen.standing, &seen.rest) {
@@ -445,7 +445,7 @@ mod tests {
         let mut told = rest_told_of();
         let rest = || AtRest { reason: "it panics".into() };
 
-        // Of a life that nobody knows yet.
+        // Of an unknown incarnation.
         assert_eq!(told(0, Lost { reason: "no path".into() }), (Ok(true), false));
         assert_eq!(told(5, rest()), (Ok(true), false));
         assert_eq!(told(5, AtWork), (Ok(true), false));
@@ -474,7 +474,7 @@ mod tests {
         let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
         assert!(back.is_ok_and(|news| news.is_some()));
 
-        assert!(told(&mut around, &down), "this time nobody had said so");
+        assert!(told(&mut around, &down), "this time it was not announced");
     }
 
     #[test]

@@ -99,7 +99,7 @@ impl Asked {
 }
 
 impl PingMonitor {
-    /// An inquiry that asks nobody yet.
+    /// An inquiry that asks no object yet.
     pub fn new() -> Self {
         PingMonitor::default()
     }
@@ -178,7 +178,7 @@ impl PingMonitor {
         }
     }
 
-    /// A life has ended: nobody is asked until a newer one begins.
+    /// An incarnation has ended: it is not asked until a newer one begins.
     pub fn handle_end(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
         if let Some(asked) = self.asked.get_mut(object)
             && incarnation >= asked.incarnation

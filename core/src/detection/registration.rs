@@ -97,7 +97,7 @@ pub enum RegistrationError {
         /// How many rows there may be.
         limit: usize,
     },
-    /// Give `Enrol::inquiries`, or watch the object in another way.
+    /// Give `Register::inquiries`, or watch the object in another way.
     #[error("{object} is to be asked for signs of life, but nothing says where it answers")]
     NowhereToAsk {
         /// Who was to be enrolled.
@@ -172,7 +172,7 @@ impl Default for Push {
 
 /// The pull model: an object is asked whether it is alive.
 ///
-/// A component need not be disturbed for it: whoever finishes anything, or lives on a thread that
+/// A component need not be disturbed for it: one that finishes anything, or lives on a thread that
 /// turns, could answer. So a flooded one is alive, however long its queue; that its messages wait
 /// is [an overload](crate::FaultKind::Overload), and another fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,9 +1,9 @@
-//! When to ask again about a fault on which nobody has decided.
+//! When to ask again about a fault that is not decided.
 
 use crate::{FaultId, Instant};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// When to remind of which fault on which nobody has decided: one reminder per fault.
+/// When to remind of which fault that is not decided: one reminder per fault.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DecisionTimeouts {
     agenda: BTreeSet<(Instant, FaultId)>,

@@ -34,7 +34,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 pub const CLAIMS_MAX: usize = 10_000;
 /// The most names that are known in all: some of several nodes that claim as much as they may.
 pub const NAMES_MAX: usize = 100_000;
-/// No epoch is greater: nobody can use up all that there are. Milliseconds of the wall clock times
+/// No epoch is greater: no node can use up all that there are. Milliseconds of the wall clock times
 /// 2^16 come near it in the year 4199.
 const EPOCH_MAX: u64 = 1 << 62;
 /// How many claims go into one message; at 280 bytes each it stays below any limit.
@@ -80,7 +80,7 @@ pub struct GlobalNames {
     known: BTreeMap<ObjectName, BTreeMap<NodeName, NameClaim>>,
     /// Who was last told to hold which.
     shown: BTreeMap<ObjectName, Holder>,
-    /// Names that we stand by for and that nobody holds, and when we take them.
+    /// Names without a holder that we stand by for, and when we take them.
     vacant: BTreeMap<ObjectName, Instant>,
     last_epoch: u64,
     alive_at: Instant,
@@ -94,7 +94,7 @@ pub struct GlobalNames {
 impl GlobalNames {
     /// Nothing is claimed yet.
     pub fn new(config: GlobalNamesConfig, now: Instant) -> Self {
-        // Above what an earlier life of this node gave out, should nobody be left who remembers.
+        // Above what an earlier life of this node gave out, should no node be left that remembers.
         let last_epoch = config.incarnation.0.saturating_mul(1 << 16).min(EPOCH_MAX - (1 << 32));
         let alive_at = now + config.lease / 4;
         let settles = (!config.settle.is_zero()).then(|| now + config.settle);
@@ -165,7 +165,7 @@ impl GlobalNames {
     /// wait: it is told later then.
     ///
     /// # Errors
-    /// [`ClaimRefused`] where somebody else holds it and the policy is to be refused.
+    /// [`ClaimRefused`] where another claimant holds it and the policy is to be refused.
     pub fn handle_claim(
         &mut self,
         wanted: ClaimRequest,
@@ -200,7 +200,7 @@ impl GlobalNames {
         self.set_own(name, None);
     }
 
-    /// A session with a node has begun: it is told everything anew, whatever it knew.
+    /// A session with a node has begun: it is told everything again, whatever it knew.
     pub fn handle_opened(&mut self, node: NodeName, incarnation: Incarnation, now: Instant) {
         if self.peers.get(&node).is_some_and(|peer| peer.incarnation != incarnation) {
             self.handle_left(&node, now);
@@ -232,7 +232,7 @@ impl GlobalNames {
         }
     }
 
-    /// A node has ended in order, or began anew: its claims are over.
+    /// A node has ended in order, or was restarted: its claims are over.
     pub fn handle_left(&mut self, node: &NodeName, now: Instant) {
         self.clear(node, now);
         self.peers.remove(node);
@@ -346,7 +346,7 @@ impl GlobalNames {
         names.iter().for_each(|name| self.unhear(node, name, now));
     }
 
-    /// Something is known anew of a name: it is shown, and may concern us.
+    /// Something new is known of a name: it is shown, and may concern us.
     fn look_at(&mut self, name: &ObjectName, now: Instant) {
         let holder = self.holder(name);
         self.show(name, holder.clone());
@@ -393,7 +393,7 @@ impl GlobalNames {
         self.outputs.push_back(GlobalNamesOutput::Held { name: name.clone(), holder });
     }
 
-    /// The others have been heard: what waited is granted, if nobody has it.
+    /// The others have been heard: waiting claims are granted, if the name has no holder.
     fn settle(&mut self, now: Instant) {
         if self.settles.take().is_some() {
             let waiting = self.own.iter().filter(|(_, own)| own.epoch.is_none());
@@ -402,7 +402,7 @@ impl GlobalNames {
         }
     }
 
-    /// Takes a name that is wanted here and that nobody holds.
+    /// Takes a name that is wanted here and that has no holder.
     fn take(&mut self, name: &ObjectName) -> Option<u64> {
         self.vacant.remove(name);
         let Own { object, policy, .. } = self.own.get(name)?;

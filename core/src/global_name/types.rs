@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::time::Duration;
 
-/// What a claimant wants where somebody else holds the name.
+/// What a claimant wants where another one holds the name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClaimPolicy {
     /// To be told so, and to go without.
@@ -27,7 +27,7 @@ pub struct GlobalNamesConfig {
     /// Longer costs less traffic, and keeps the names of a node that died for longer.
     pub lease: Duration,
     /// How long after our start nothing is granted here, so that who holds a name already is heard
-    /// first. Longer waits for slower networks; a name that nobody holds is had later.
+    /// first. Longer waits for slower networks; a name without a holder is granted later.
     pub settle: Duration,
     /// Once all of these have told what they claim, it is granted at once. Without any, `settle` is
     /// waited for.
@@ -41,7 +41,7 @@ pub struct ClaimRequest {
     pub name: ObjectName,
     /// The object of this node that is meant by it.
     pub object: ObjectName,
-    /// What becomes of it where somebody else holds the name.
+    /// What becomes of it where another claimant holds the name.
     pub policy: ClaimPolicy,
 }
 
@@ -69,7 +69,7 @@ impl fmt::Display for Holder {
     }
 }
 
-/// The name is somebody else's.
+/// Another claimant holds the name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{name} is claimed by {holder}, under epoch {epoch}: stand by, or take another name")]
 pub struct NameHeld {
@@ -84,7 +84,7 @@ pub struct NameHeld {
 /// Why a claim is not taken.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ClaimRefused {
-    /// Somebody else has the name.
+    /// Another claimant holds the name.
     #[error(transparent)]
     Held(#[from] NameHeld),
     /// This node claims too many names already. Give some back.
@@ -112,7 +112,7 @@ pub enum GlobalNamesOutput {
         /// Under which epoch.
         epoch: u64,
     },
-    /// Somebody else holds a name that we stand by for.
+    /// Another claimant holds a name that we stand by for.
     StandsBy {
         /// Which.
         name: ObjectName,
@@ -130,7 +130,7 @@ pub enum GlobalNamesOutput {
         /// We stand by for it from now on.
         stands_by: bool,
     },
-    /// A name is held by somebody else than before, or by nobody.
+    /// A name has another holder than before, or none.
     Held {
         /// Which.
         name: ObjectName,

@@ -35,7 +35,7 @@ impl UnmetClaims {
         self.cases.insert((name, number), Case { object, why: refused.to_string(), held });
     }
 
-    /// Another component of this node claims the name already, whoever holds it.
+    /// Another component of this node claims the name already.
     pub fn handle_doubled(
         &mut self,
         (name, number): (ObjectName, u64),
@@ -47,7 +47,7 @@ impl UnmetClaims {
         self.cases.insert((name, number), Case { object, why, held: true });
     }
 
-    /// Somebody else holds the name than before, or nobody.
+    /// The name has another holder than before, or none.
     pub fn handle_holder(&mut self, name: &ObjectName, holder: Option<&Holder>) {
         let cases = self.cases.range_mut((name.clone(), 0)..=(name.clone(), u64::MAX));
         for (_, case) in cases.filter(|(_, case)| case.held) {
@@ -61,7 +61,7 @@ impl UnmetClaims {
                 }
                 None => {
                     let object = &case.object;
-                    format!("nobody holds it now: restart {object}, or let it stand by for it")
+                    format!("it has no holder now: restart {object}, or let it stand by for it")
                 }
             };
         }
@@ -123,7 +123,7 @@ mod tests {
         without.handle_refused((name("map"), 2), name("two"), &ClaimRefused::TooMany { limit: 1 });
 
         without.handle_holder(&name("map"), None);
-        assert!(without.text().unwrap().contains("nobody holds it now: restart one, or"));
+        assert!(without.text().unwrap().contains("it has no holder now: restart one, or"));
         let node = NodeName::new("b").unwrap();
         let holder = Holder { node, object: name("map"), epoch: 9 };
         without.handle_holder(&name("map"), Some(&holder));

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// Whatever goes on is heard of again within ten seconds: six times as long, and longer than an
-/// announcement lives that nobody repeats.
+/// announcement lives that is not repeated.
 pub const QUIET: Duration = Duration::from_secs(60);
 
 /// What stands, by what it is; as much as there are things to be wrong.

@@ -1,4 +1,4 @@
-//! Neighbours that nobody has described: learned from those that were.
+//! Neighbours that are not described: learned from those that are.
 //!
 //! ```text
 //!  A ──── B ──── C      A and C are described to know B, which tells each of the other:
@@ -7,7 +7,7 @@
 //!
 //! A node tells each neighbour, over their session, where its others on the same medium are
 //! (*gossip*); or nodes say by multicast where they are themselves (*beacons*). What is learned is
-//! tried, if its name is admitted, as a link that takes nobody but that name; what does not prove
+//! tried, if its name is admitted, as a link that takes that name alone; what does not prove
 //! itself soon is given up, and what was down for long is forgotten.
 //!
 //! Nothing that is told is trusted: how much is tried at a time, and in all, is bounded for every
@@ -37,10 +37,10 @@ const FAILED_MAX: usize = 256;
 /// The most bytes of one message.
 pub const MESSAGE_MAX: usize = 32 * 1024;
 
-/// Who is admitted as a neighbour that nobody has described.
+/// Which nodes are admitted as neighbours that are not described.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DiscoveryAdmission {
-    /// Whoever is heard of.
+    /// Each node that is heard of.
     Anybody,
     /// These, and no others.
     Only(BTreeSet<NodeName>),
@@ -169,7 +169,7 @@ pub struct Discovery {
     failed: BTreeMap<(usize, String), Instant>,
     /// Neighbours that were up once; as many as there are.
     tellers: BTreeMap<NodeName, Teller>,
-    /// What came by beacon from whom nobody knows.
+    /// Beacons from unknown nodes.
     beacons: Refusals,
     tell_at: Option<Instant>,
     repeat_at: Instant,
@@ -182,7 +182,7 @@ impl Discovery {
     /// A neighbour is listened to no more often.
     const LISTEN: Duration = Duration::from_millis(10);
 
-    /// Nobody is known yet.
+    /// No node is known yet.
     pub fn new(config: DiscoveryConfig, now: Instant) -> Self {
         let repeat_at = now + config.repeat;
         Discovery {
@@ -227,7 +227,7 @@ impl Discovery {
         }
     }
 
-    /// A session has begun: whoever it is with is told.
+    /// A session has begun: its peer is told.
     pub fn handle_opened(&mut self, now: Instant) {
         self.tell_at.get_or_insert(now + Self::TOGETHER);
     }

@@ -8,9 +8,9 @@
 //! wardens                            the newest word of any of the nodes that are named
 //! ```
 //!
-//! Whatever the others think, a node's own vote holds for itself at once: nobody must take what it
-//! takes for wrong. So one hostile node shuts out nobody but itself, and half of them no one; and a
-//! node whose neighbours all refuse it is cut off, however few they are among the others.
+//! Whatever the others think, a node's own vote holds for itself at once: no node must take what it
+//! takes for wrong. So one hostile node shuts out itself alone, and half of them no other node; and
+//! a node whose neighbours all refuse it is cut off, however few they are among the others.
 //!
 //! Votes are told to every node that a session is open with, and again whenever a session begins.
 //! Those of a node that is kept out are void.
@@ -84,7 +84,7 @@ pub enum IsolationOutput {
         /// Who decided, and why.
         reason: String,
     },
-    /// Somebody wants it isolated, and not enough others do.
+    /// A node wants it isolated, and not enough others do.
     Accused {
         /// Which.
         node: NodeName,
@@ -98,8 +98,8 @@ pub enum IsolationOutput {
 struct Vote {
     isolated: bool,
     /// The voter's life, and which of its votes: of two of one life, the greater is the newer. With
-    /// another life it has begun anew, whichever number is greater: only its present life has a
-    /// session.
+    /// another incarnation it was restarted, whichever number is greater: only its present life has
+    /// a session.
     life: Incarnation,
     /// Higher than every vote on that node that the voter knew of.
     revision: u64,
@@ -162,7 +162,7 @@ impl Isolation {
         self.refused
     }
 
-    /// Whether it has a session with this node, or somebody has voted on it.
+    /// Whether it has a session with this node, or a node has voted on it.
     pub fn knows(&self, node: &NodeName) -> bool {
         self.peers.contains(node) || self.votes.contains_key(node) || self.is_isolated(node)
     }
@@ -187,7 +187,7 @@ impl Isolation {
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
         let about = self.votes.get(node);
-        // That it is admitted is said even where nobody is known to have objected: an earlier life
+        // That it is admitted is said even where no node is known to have objected: an earlier life
         // of this node may have.
         let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
         let revision = newest.unwrap_or(0).saturating_add(1);
@@ -261,7 +261,7 @@ impl Isolation {
         codec::encode_unbounded(&Ballot { life: self.life, votes }).into()
     }
 
-    /// Whether this one may vote on one more. Its word that somebody is let in, where nobody says
+    /// Whether this one may vote on one more. Its vote that a node is admitted, where no node says
     /// otherwise any more, gives way.
     fn makes_room_for(&mut self, voter: &NodeName) -> bool {
         if self.count_of(voter) < VOTES_MAX {
@@ -285,7 +285,7 @@ impl Isolation {
 
     /// Judges everybody on whom there are votes, until nothing changes any more.
     fn settle(&mut self) {
-        // Whoever is kept out takes its votes along: each turn leaves fewer.
+        // An isolated node takes its votes along: each turn leaves fewer.
         while let Some(node) = self.misjudged() {
             let isolated = !self.is_isolated(&node);
             let reason = self.reason(&node, isolated);

@@ -59,8 +59,8 @@ pub use wire::packet::PacketPriority;
 pub use wire::{Refusals, WireError};
 
 /// Smaller segments are those of a medium that is taken for slow until it is measured: a serial
-/// line, or CAN, whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes, whoever
-/// passes them on.
+/// line, or CAN, whose frames have 1,024 bytes. Larger ones fit into frames of 1,200 bytes,
+/// whichever node passes them on.
 const NARROW: usize = 1050;
 
 /// Whether a path leads over such a medium, by the largest segment that it carries. Router and

@@ -1,7 +1,7 @@
 //! Tells persistent refusals from passing ones.
 //!
-//! Something is always refused: a packet that was late, a peer that has just begun anew. What goes
-//! on for seconds is a broken peer or a hostile one, and somebody should look: until it was quiet
+//! Something is always refused: a packet that was late, a peer that was just restarted. What goes
+//! on for seconds is a broken peer or a hostile one, and a user should look: until it was quiet
 //! for a while.
 
 use super::active_alarms::ActiveAlarms;
@@ -21,7 +21,7 @@ pub struct RefusalAlarms<K> {
     seen: BTreeMap<K, Seen>,
     /// Of whom it was told.
     told: ActiveAlarms<K>,
-    /// It was told of somebody, and not yet that all of that is over.
+    /// An alarm was reported, and not yet that all alarms are over.
     stands: bool,
 }
 
@@ -56,7 +56,7 @@ impl<K: Ord + Clone> RefusalAlarms<K> {
         told.then_some(since)
     }
 
-    /// Nobody looks at `who` any more.
+    /// Forgets `who`.
     pub fn forget(&mut self, who: &K) {
         self.seen.remove(who);
         self.told.clear(who);
@@ -105,7 +105,7 @@ mod tests {
         }
         complaints.forget(&1);
         assert_eq!(complaints.seen.len(), 1);
-        assert!(complaints.take_over(Instant::ORIGIN), "nobody else is complained of");
+        assert!(complaints.take_over(Instant::ORIGIN), "no other peer is complained of");
     }
 
     #[test]

@@ -18,6 +18,7 @@ mod safe_state;
 mod tests;
 mod types;
 
+use self::safe_state::Standstill;
 pub use self::types::{
     FaultResolution, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed, RecoveryOrder,
 };
@@ -96,8 +97,7 @@ pub struct Recoverer {
     memories: BTreeMap<(Place, FaultKind), Memory>,
     open: BTreeMap<u64, (Place, RecoveryAction)>,
     engaged: BTreeMap<RecoveryAction, Engaged>,
-    /// Its node is in the safe state.
-    resting: bool,
+    standstill: Option<Standstill>,
     outputs: VecDeque<RecovererOutput>,
 }
 
@@ -115,7 +115,7 @@ impl Recoverer {
             memories: BTreeMap::new(),
             open: BTreeMap::new(),
             engaged: BTreeMap::new(),
-            resting: false,
+            standstill: None,
             outputs: VecDeque::new(),
         }
     }
@@ -125,7 +125,7 @@ impl Recoverer {
     pub fn begun_anew(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
         let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
-        (next.orders, next.resting) = (self.orders, self.resting);
+        (next.orders, next.standstill) = (self.orders, self.standstill);
         let noted = self.cases.values().flat_map(|case| &case.faults).map(|noted| &noted.fault);
         for fault in noted.chain(self.symptoms.values().map(|symptom| &symptom.fault)) {
             next.handle_fault(fault.clone(), now);
@@ -206,8 +206,8 @@ impl Recoverer {
         if ladder.steps()[0].measure == RecoveryAction::Observe {
             return self.tell(&fault, FaultResolution::Observed);
         }
-        if self.resting && matches!(fault.place, Place::Object(_)) {
-            return self.tell_rest(&fault);
+        if let (Some(standstill), Place::Object(_)) = (self.standstill, &fault.place) {
+            return self.tell_rest(&fault, standstill);
         }
         let place = fault.place.clone();
         if let Some(case) = self.cases.get_mut(&place) {

@@ -8,6 +8,7 @@ mod chaos;
 mod commanders;
 mod declared;
 mod either_order;
+mod error_texts;
 mod errors;
 mod escalation;
 mod events;

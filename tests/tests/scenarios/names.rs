@@ -108,7 +108,7 @@ impl Robot {
 #[blastema_testkit::test]
 async fn what_is_sent_to_a_name_reaches_whoever_holds_it_from_every_node() {
     let robot = Robot::start().await;
-    assert_eq!(robot.answers().await, ["nobody holds the name map"; 3]);
+    assert_eq!(robot.answers().await, ["the name map has no holder"; 3]);
 
     let claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
     assert_eq!(robot.answers().await, ["module2#1"; 3]);
@@ -373,7 +373,7 @@ async fn a_component_that_goes_without_a_name_that_has_become_free_or_anothers_s
     second.advance(100 * MS).await;
 
     let told = goes_without(&second).await.expect("it still goes without");
-    assert!(told.contains("nobody holds it now") && !told.contains("module1"), "{told}");
+    assert!(told.contains("it has no holder now") && !told.contains("module1"), "{told}");
     second.restart_child("other").await.expect("it runs");
     second.advance(100 * MS).await;
     let told = goes_without(&second).await.expect("the other one");

@@ -60,7 +60,7 @@ async fn at_rest_nothing_is_treated_any_more_and_the_outputs_are_applied_once() 
     node.shutdown().await;
     let mut measures = 0;
     while let Some(event) = events.next().await {
-        if let FaultTransition::Decided { measure } = event.turn {
+        if let FaultTransition::Decided { action: measure } = event.turn {
             assert!(event.at <= rested_at || measure == "observe", "{measure}");
             measures += 1;
         }
@@ -198,7 +198,8 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     assert_eq!(node.tree().await.unwrap().restarts_left, 1);
     assert_eq!(applied.lock().unwrap().len(), 1);
     let unknown = node.restart_child("mtors").await;
-    assert_eq!(unknown, Err(RestartError::Unknown { name: "mtors".into() }));
+    let nearest = Some("motors".parse().unwrap());
+    assert_eq!(unknown, Err(RestartError::Unknown { name: "mtors".into(), nearest }));
 }
 
 #[blastema_testkit::test]

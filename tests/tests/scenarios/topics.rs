@@ -243,6 +243,87 @@ async fn a_topic_that_nobody_else_names_is_suggested_the_nearest_that_lacks_a_pu
 }
 
 #[blastema_testkit::test]
+async fn a_publisher_of_another_contract_than_the_listeners_of_its_topic_is_refused() {
+    let node = TestNode::start(Node::builder("module1").child(viewer("viewer").0)).await;
+
+    let refused = node.publisher::<Map>("camera/image").expect_err("it carries images");
+    assert!(matches!(refused, DeliveryError::ContractDiffers { .. }), "{refused:?}");
+    let told = refused.to_string();
+    let both = ["\"camera/image\"", "`camera/image` version 1", "`map` version 1", "viewer"];
+    both.iter().for_each(|part| assert!(told.contains(part), "{part} is missing in {told}"));
+
+    // A listener to another contract is refused likewise.
+    let _plans = node.publisher::<Map>("plan").expect("it is new");
+    let planner = ChildSpec::new("planner", || Planner);
+    let told = node.add_child(planner).await.expect_err("it carries maps").to_string();
+    let both = ["\"plan\"", "`camera/image` version 1", "`map` version 1", "module1"];
+    both.iter().for_each(|part| assert!(told.contains(part), "{part} is missing in {told}"));
+}
+
+/// Listens to images on a topic that may carry something else.
+struct Planner;
+
+impl Component for Planner {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Image>().on("plan");
+    }
+}
+
+impl Handle<Image> for Planner {
+    async fn handle(&mut self, _: Image, _: &mut Context<Self>) {}
+}
+
+#[blastema_testkit::test]
+async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
+    for publishes_first in [true, false] {
+        let (mut here, mut there) = two_nodes().await;
+        let planner = ChildSpec::new("planner", || Planner);
+        let plans = if publishes_first {
+            let plans = here.publisher::<Map>("plan").unwrap();
+            there.add_child(planner).await.unwrap();
+            plans
+        } else {
+            there.add_child(planner).await.unwrap();
+            there.advance(100 * MS).await;
+            here.publisher::<Map>("plan").unwrap()
+        };
+        plans.publish(Map(1)).unwrap();
+
+        for node in [&mut here, &mut there] {
+            let fault = node.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
+            let parts = ["\"plan\"", "`map` version 1", "`camera/image` version 1"];
+            for part in parts.into_iter().chain(["module1", "module2"]) {
+                assert!(fault.detail.contains(part), "{part} is missing in {}", fault.detail);
+            }
+        }
+        assert_eq!(plans.matched(), 0);
+    }
+}
+
+#[blastema_testkit::test]
+async fn the_name_of_a_topic_obeys_the_rule_for_names_of_objects() {
+    struct Wrong;
+    impl Component for Wrong {
+        fn ports(ports: &mut Ports<Self>) {
+            ports.listen::<Image>().on("camera//image");
+        }
+    }
+    impl Handle<Image> for Wrong {
+        async fn handle(&mut self, _: Image, _: &mut Context<Self>) {}
+    }
+    let node = TestNode::start(Node::builder("module1")).await;
+
+    for name in ["", "a b!", "camera//image", "../image", "-image", &"n".repeat(129)] {
+        let refused = node.publisher::<Map>(name).expect_err(name).to_string();
+        assert!(refused.contains("name of a topic"), "{refused}");
+    }
+    let told = node.publisher::<Map>("a b!").unwrap_err().to_string();
+    assert!(told.contains("\"a b!\"") && told.contains("letters, digits"), "{told}");
+    let told = node.add_child(ChildSpec::new("wrong", || Wrong)).await.unwrap_err().to_string();
+    assert!(told.contains("wrong") && told.contains("camera//image"), "{told}");
+}
+
+#[blastema_testkit::test]
 async fn a_probe_listens_like_any_other() {
     let mut node = TestNode::start(Node::builder("module1")).await;
     let maps = node.publisher::<Map>("map").unwrap();

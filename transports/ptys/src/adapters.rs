@@ -65,7 +65,7 @@ impl Default for Adapters {
 }
 
 impl Adapters {
-    /// A bus with nobody on it.
+    /// A bus without nodes.
     pub fn new() -> Self {
         Adapters::default()
     }

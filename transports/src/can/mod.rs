@@ -119,7 +119,7 @@ impl CanSocket {
             let Some(socket) = &self.socket else { return Poll::Ready(closed()) };
             match failed.and_then(|_| socket.take_error()) {
                 Ok(Some(error)) | Err(error) => return Poll::Ready(error),
-                // Somebody was told already. What is ready is so until an attempt says otherwise.
+                // The receiver was told already. A ready bus is so until an attempt fails.
                 Ok(None) => {
                     let nothing = || Err::<(), _>(io::ErrorKind::WouldBlock.into());
                     let _ = socket.try_io(Interest::ERROR, nothing);
@@ -232,7 +232,7 @@ fn is_full(error: &io::Error) -> bool {
     error == Some(rustix::io::Errno::NOBUFS)
 }
 
-/// What is for us, what is for all, and what is said under our address by somebody else.
+/// Frames for this node, frames for all, and frames that another node sends under this address.
 fn filters(addressing: Addressing, own: u8) -> Vec<CanFilter> {
     let own = u32::from(own);
     let filter = |id, mask| CanFilter::new(id, mask | EXTENDED | REMOTE);

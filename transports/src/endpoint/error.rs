@@ -59,7 +59,8 @@ pub enum EndpointProblem {
     },
     /// The address is everybody's, so that no socket of our own can have it.
     #[error(
-        "`{found}` is the address of all on a network, and nobody's own: write 0.0.0.0 or one of this computer's"
+        "`{found}` is the address of all on a network, and no computer's own: write 0.0.0.0 or one of \
+         this computer's"
     )]
     Broadcast {
         /// What stands there.

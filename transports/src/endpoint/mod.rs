@@ -221,7 +221,7 @@ impl Endpoint {
     }
 
     /// Finds what is wrong with settings that were not read from a text, such as an address of our
-    /// own that nobody can have.
+    /// own that no node can have.
     ///
     /// # Errors
     /// What is wrong, and what to write.
@@ -235,15 +235,15 @@ impl Endpoint {
         }
     }
 
-    /// Why nobody else can be at this address of the medium.
+    /// Why no other node can be at this address of the medium.
     pub fn objection(&self, peer: &MediumAddress) -> Option<&'static str> {
         const OURSELVES: &str = "it is our own address: write the neighbour's";
         match (self, peer) {
             #[cfg(feature = "udp")]
             (Endpoint::Udp(config), MediumAddress::Ip(peer)) => {
                 let is_group = config.group == Some(*peer);
-                let nobody = validation::no_peer(*peer).filter(|_| !is_group);
-                nobody.or(validation::is_own(config.bind, *peer).then_some(OURSELVES))
+                let refused = validation::no_peer(*peer).filter(|_| !is_group);
+                refused.or(validation::is_own(config.bind, *peer).then_some(OURSELVES))
             }
             #[cfg(feature = "tcp")]
             (Endpoint::Tcp(config), MediumAddress::Ip(peer)) => validation::no_peer(*peer)

@@ -5,8 +5,8 @@ use blastema_core::suggestion::nearest;
 use std::ops::{Range, RangeInclusive};
 use std::time::Duration;
 
-/// The settings of one endpoint string. Each is asked for by its key; what nobody has asked for at
-/// the end is unknown.
+/// The settings of one endpoint string. Each is asked for by its key; a key that no transport has
+/// asked for at the end is unknown.
 pub(super) struct Settings<'a> {
     text: &'a str,
     medium: &'static str,
@@ -153,7 +153,7 @@ impl<'a> Settings<'a> {
         EndpointError::new(self.text, at, EndpointProblem::Contradiction { why })
     }
 
-    /// Refuses what nobody has asked for.
+    /// Refuses the keys that no transport has asked for.
     pub(super) fn finish(self) -> Result<(), EndpointError> {
         let Some(pair) = self.pairs.iter().find(|pair| !self.asked.contains(&pair.key)) else {
             return Ok(());

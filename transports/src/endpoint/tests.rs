@@ -334,7 +334,7 @@ fn an_address_that_no_neighbour_can_have_is_refused() {
     };
     for medium in ["udp", "tcp"] {
         let at = |place: &str| format!("{medium}://{place}");
-        check(&at("10.0.0.1:0"), "10.0.0.2:0", "nobody is at port 0");
+        check(&at("10.0.0.1:0"), "10.0.0.2:0", "no peer is at port 0");
         check(&at("10.0.0.1:0"), "0.0.0.0:7400", "one of the neighbour's");
         check(&at("[fd00::1]:0"), "[::]:7400", "one of the neighbour's");
         check(&at("10.0.0.1:0"), "255.255.255.255:7400", "the address of all");

@@ -11,7 +11,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::Duration;
 
 /// Whether it is everybody's on a network. Which addresses are so on one network alone, such as
-/// 10.0.0.255, its interface knows, and nobody else.
+/// 10.0.0.255, its interface alone knows.
 pub(super) fn is_broadcast(ip: IpAddr) -> bool {
     ip == IpAddr::V4(Ipv4Addr::BROADCAST)
 }
@@ -26,12 +26,12 @@ pub(super) fn is_reserved(group: IpAddr) -> bool {
     }
 }
 
-/// Why nobody can be at this address.
+/// Why no peer can be at this address.
 pub(super) fn no_peer(peer: SocketAddr) -> Option<&'static str> {
     if peer.port() == 0 {
-        Some("nobody is at port 0: write the port that it listens at")
+        Some("no peer is at port 0: write the port that it listens at")
     } else if peer.ip().is_unspecified() {
-        Some("it is every address of whoever writes it: write one of the neighbour's")
+        Some("it is every address of the computer that writes it: write one of the neighbour's")
     } else if is_broadcast(peer.ip()) {
         Some("it is the address of all: write the neighbour's")
     } else if peer.ip().is_multicast() {
@@ -50,7 +50,7 @@ pub(super) fn is_own(bind: SocketAddr, peer: SocketAddr) -> bool {
     is_here && bind.port() == peer.port() && bind.port() != 0
 }
 
-/// Nobody but a group, or all of a network, has such an address.
+/// Only a group, or all of a network, has such an address.
 fn check_own(own: SocketAddr) -> Result<(), String> {
     let whose = if own.ip().is_multicast() {
         "a group's"
@@ -60,8 +60,8 @@ fn check_own(own: SocketAddr) -> Result<(), String> {
         return Ok(());
     };
     Err(format!(
-        "{own} is {whose}, and nobody's own address: write 0.0.0.0 or one of this computer's; a group is \
-         heard by an endpoint such as udp://239.255.0.1:7400"
+        "{own} is {whose}, and no computer's own address: write 0.0.0.0 or one of this computer's; a \
+         group is heard by an endpoint such as udp://239.255.0.1:7400"
     ))
 }
 

@@ -21,7 +21,7 @@ const JUDGED_FOR: Duration = Duration::from_secs(60);
 pub(super) struct LinePacer {
     /// When all that was written has gone out.
     free: Option<Instant>,
-    /// Somebody waits for that, and so is owed some of the time by which he is woken too late.
+    /// A sender waits for that, and so is owed some of the time by which it is woken too late.
     waited: bool,
     /// Of a device without a line of its own.
     trial: Option<Trial>,
@@ -90,8 +90,8 @@ impl LinePacer {
             trial.taken += span;
             return;
         }
-        // Whoever is woken very late finds the line idle, and may not fill the system's buffer for
-        // that.
+        // A sender that is woken very late finds the line idle, and may not fill the system's
+        // buffer for that.
         let owed = if self.waited { PIECE } else { Duration::ZERO };
         let from = self.free.filter(|free| *free + owed >= now).unwrap_or(now);
         (self.free, self.waited) = (Some(from + span + span / SLACK), false);
@@ -123,7 +123,7 @@ mod tests {
         Instant::from_millis(10_000 + millis)
     }
 
-    /// How much time of the line is written within a second by somebody who is woken so late each
+    /// How much time of the line is written within a second by a sender that is woken so late each
     /// time.
     fn written(late: Duration) -> Duration {
         let (mut pace, mut now, mut sum) = (LinePacer::default(), at(0), Duration::ZERO);
@@ -151,7 +151,7 @@ mod tests {
     fn who_was_idle_or_slept_for_long_is_owed_nothing() {
         let mut pace = LinePacer::default();
         pace.spend(PIECE, at(0));
-        assert!(pace.due(DriverBacklog::Nothing, at(0)).is_some(), "somebody waits");
+        assert!(pace.due(DriverBacklog::Nothing, at(0)).is_some(), "a sender waits");
         assert_eq!(pace.due(DriverBacklog::Nothing, at(9_000)), None);
         pace.spend(PIECE, at(9_000));
         assert!(pace.due(DriverBacklog::Nothing, at(9_000)).is_some());

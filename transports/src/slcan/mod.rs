@@ -2,8 +2,8 @@
 //!
 //! * The adapter is brought onto the bus step by step, whether it answers or not; one that an ended
 //!   program left open is closed first.
-//! * It is given frames no faster than the bus carries them, so that its memory, whose size nobody
-//!   knows, does not overflow; nor faster than its own line does, so that little waits in the
+//! * It is given frames no faster than the bus carries them, so that its memory, whose size is not
+//!   known, does not overflow; nor faster than its own line does, so that little waits in the
 //!   system.
 //! * Unplugged, the port is closed at once and opened again by its path, with back-off.
 
@@ -200,7 +200,7 @@ impl CanPort for SlcanAdapter {
     fn poll_trouble(&mut self) -> Option<&'static str> {
         let line = self.line.as_mut()?;
         let text =
-            "nobody on the CAN bus confirms our frames: check its wires, termination and bit rate";
+            "no node on the CAN bus confirms our frames: check its wires, termination and bit rate";
         line.dialogue.poll_trouble().then_some(text)
     }
 

@@ -207,7 +207,7 @@ mod tests {
             reads
         };
 
-        assert_eq!(reads(65_535), 50 + 1, "the first in two, for nobody knew how large it is");
+        assert_eq!(reads(65_535), 50 + 1, "the first in two, because its size was not known");
         assert_eq!(reads(100), 1);
     }
 

@@ -2,15 +2,15 @@
 //! whatever makes streams: TCP, Unix-domain sockets.
 //!
 //! A transport listens and connects in one. A peer is known by the address at which *it* listens,
-//! whoever of the two made the connection: whoever connects says so first ([`framing`]). The first
-//! frame to a peer makes the connection; frames wait for it, within bounds, and are dropped in the
-//! pause after it failed or broke.
+//! whichever of the two made the connection: the one that connects says so first ([`framing`]). The
+//! first frame to a peer makes the connection; frames wait for it, within bounds, and are dropped
+//! in the pause after it failed or broke.
 //!
 //! * **One connection per peer.** When two nodes dial each other at the same time, the call of the
 //!   smaller address counts. A peer that dials while we believe to be connected has lost the
 //!   connection, or was restarted: the new one replaces the old.
 //! * **Strangers**, who have connected and said nothing yet, have places of their own, of which the
-//!   oldest is given up when all are taken. So those who never say anything keep nobody out.
+//!   oldest is given up when all are taken. So silent connections keep no peer out.
 
 mod outgoing;
 mod peer;
@@ -93,7 +93,7 @@ pub(crate) trait StreamFamily: 'static {
     type Stream: ByteStream;
     /// Takes connections.
     type Listener;
-    /// Where somebody listens.
+    /// Where a peer listens.
     type Address: Clone + Debug + Ord + Into<MediumAddress>;
     /// What is known of where a connection comes from.
     type Origin: Debug;
@@ -161,7 +161,7 @@ struct Listener<F: StreamFamily> {
     pause: Option<Pin<Box<Sleep>>>,
 }
 
-/// Somebody who has connected, and is to say where he listens.
+/// A peer that has connected, and is to say where it listens.
 struct Stranger<F: StreamFamily> {
     origin: F::Origin,
     greeting: HandshakeFuture<(F::Stream, F::Address)>,

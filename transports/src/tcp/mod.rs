@@ -32,7 +32,7 @@ use tokio::net::{TcpListener, TcpStream};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct TcpConfig {
-    /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
+    /// Our own address; port 0 takes a free one. The default is loopback: no node outside this
     /// machine can connect to a node that does not say otherwise.
     pub bind: SocketAddr,
     /// Only over this interface of the system, such as `eth0`. `None` leaves the choice to the
@@ -43,7 +43,7 @@ pub struct TcpConfig {
     pub mtu: usize,
     /// How many peers have a place; beyond, they are refused.
     pub peers: usize,
-    /// How many connections may be open on which nobody has said who he is.
+    /// How many connections may be open on which the peer has not said who it is.
     pub strangers: usize,
     /// How many bytes wait for each peer; beyond, frames are dropped.
     pub queue_bytes: usize,

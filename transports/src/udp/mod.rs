@@ -23,7 +23,7 @@ use tokio::net::UdpSocket;
 
 /// What a datagram carries at most over IPv4: 65,535 less the headers of IP (20) and UDP (8).
 const LARGEST: usize = 65_507;
-/// So many failed reads in a row, and the socket is opened anew: single ones are news of other
+/// So many failed reads in a row, and the socket is opened again: single ones are news of other
 /// hosts.
 const ERRORS_IN_A_ROW: u32 = 100;
 /// Memory is taken in pieces of at least this size, and shared by the frames in it.
@@ -40,7 +40,7 @@ const CHUNK: usize = 64 * 1024;
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct UdpConfig {
-    /// Our own address; port 0 takes a free one. The default is loopback: nobody outside this
+    /// Our own address; port 0 takes a free one. The default is loopback: no node outside this
     /// machine can send to a node that does not say otherwise.
     pub bind: SocketAddr,
     /// Only over this interface of the system, such as `eth0`, or `firewire0` for IP over IEEE 1394
@@ -261,7 +261,7 @@ fn try_send(socket: &UdpSocket, frame: &GatherBuffer, to: SocketAddr) -> io::Res
 
 /// What a turn of reading leaves.
 enum Turn {
-    /// Nothing to read, or nobody to take it; the task is woken when that changes.
+    /// Nothing to read, or no receiver attached; the task is woken when that changes.
     Empty,
     /// There may be more.
     More,

@@ -21,7 +21,7 @@ pub struct UnixConfig {
     pub mtu: usize,
     /// How many peers have a place; beyond, they are refused.
     pub peers: usize,
-    /// How many connections may be open on which nobody has said who he is.
+    /// How many connections may be open on which the peer has not said who it is.
     pub strangers: usize,
     /// How many bytes wait for each peer; beyond, frames are dropped.
     pub queue_bytes: usize,

@@ -2,10 +2,10 @@
 //! (the module `stream`).
 //!
 //! * **A peer** is known by the path of its socket, which all must spell alike.
-//! * **Who may speak** is decided by the permissions of the socket file and of its folder. Whoever
-//!   may connect could claim any path.
+//! * **Who may speak** is decided by the permissions of the socket file and of its folder. A
+//!   process that may connect could claim any path.
 //! * **A file that a dead process has left behind** is taken over: a lock beside it, which dies
-//!   with its process, tells whether somebody still listens there. What is no socket is never
+//!   with its process, tells whether a process still listens there. What is no socket is never
 //!   removed.
 //! * **A peer that dies** is noticed at once, for the system closes its connections.
 
@@ -73,7 +73,7 @@ impl StreamFamily for OverPaths {
     type Stream = UnixStream;
     type Listener = PathListener;
     type Address = Arc<Path>;
-    /// Whoever connects has no address of his own.
+    /// A peer that connects has no address of its own.
     type Origin = ();
 
     fn bounds(&self) -> StreamLimits {

@@ -41,7 +41,7 @@ impl PathListener {
     /// Listens there, for whom the file's permissions let in.
     ///
     /// # Errors
-    /// Somebody else listens, something else lies there, or the system refuses it; [`explain`] says
+    /// Another process listens, something else is there, or the system refuses it; [`explain`] says
     /// what helps.
     ///
     /// # Panics
@@ -55,7 +55,7 @@ impl PathListener {
         let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
         socket.set_nonblocking(true)?;
         socket.bind(&address)?;
-        // Nobody can connect before it listens, and so nobody does who may not.
+        // No process can connect before it listens, and so none does that may not.
         let opened = fs::set_permissions(path, Permissions::from_mode(mode))
             .and_then(|()| socket.listen(BACKLOG))
             .and_then(|()| Ok((UnixListener::from_std(socket.into())?, file_at(path)?)));
@@ -81,7 +81,7 @@ impl PathListener {
         self.socket.accept().await.map(|(stream, _)| stream)
     }
 
-    /// Whether its file is still there, so that somebody can connect: the system says nothing when
+    /// Whether its file is still there, so that a peer can connect: the system says nothing when
     /// one is removed.
     pub fn stands(&self) -> bool {
         file_at(&self.path).is_ok_and(|file| file == self.file)

@@ -28,7 +28,7 @@ trait Medium: Default + 'static {
     const CONNECTS: bool;
     /// What may wait for a receiver that hangs, in frames, apart from the kernel's buffers.
     const HELD: u64;
-    /// What is sent while nobody is at the other end may arrive later.
+    /// Frames that are sent while no peer is at the other end may arrive later.
     const KEEPS: bool = false;
 
     /// Runs a test on the clock that suits the medium.

@@ -191,7 +191,7 @@ impl Medium for OverUnix {
     }
 }
 
-/// A line has two ends; whoever opens again opens the one that was opened last.
+/// A line has two ends; a peer that opens again opens the one that was opened last.
 pub(crate) struct OverSerial(Cable, Cell<u32>);
 
 impl Default for OverSerial {

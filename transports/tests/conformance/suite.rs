@@ -198,7 +198,7 @@ pub(crate) async fn a_flood_before_a_receiver_that_hangs_stays_bounded<M: Medium
     let held = b.taken().await;
     assert!(held <= M::HELD, "{held} frames are held");
 
-    // Somebody who does take frames gets what comes from now on.
+    // A receiver that takes frames gets those that come from now on.
     let (frames, _) = attach(&b.transport);
     let fresh = async {
         loop {

@@ -110,7 +110,7 @@ fn row(entry: &JournalEntry) -> Value {
 
 fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
     let mut rows = Vec::new();
-    for path in &options.windows {
+    for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
         let node = &seen.picture["node"];
         if options.node.as_ref().is_some_and(|wanted| node.as_str() != Some(wanted)) {

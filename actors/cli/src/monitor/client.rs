@@ -40,8 +40,8 @@ pub(crate) enum InspectError {
     },
     /// The process at the socket is not a node.
     #[error(
-        "this is not a node's window: {} shows {reason}; give the path that NodeBuilder::inspection_socket \
-         was given",
+        "this is no inspection socket of a node: {} shows {reason}; give the path that \
+         NodeBuilder::inspection_socket was given",
         path.display()
     )]
     NoNode {
@@ -78,11 +78,11 @@ enum Peer {
 pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapshot, InspectError> {
     let mut peer = Peer::Unreached;
     let looked = timeout(within, async {
-        let window = connect(path).await?;
-        let number = window.peer_cred().ok().and_then(|peer| peer.pid());
+        let socket = connect(path).await?;
+        let number = socket.peer_cred().ok().and_then(|peer| peer.pid());
         peer = Peer::There { process: number.filter(|number| *number > 0) };
         let mut bytes = Vec::new();
-        window.take(LONGEST).read_to_end(&mut bytes).await?;
+        socket.take(LONGEST).read_to_end(&mut bytes).await?;
         Ok::<_, io::Error>(bytes)
     });
     match looked.await {
@@ -143,16 +143,16 @@ fn explain(path: &Path, error: &io::Error) -> String {
              its folder, or by a shorter link",
             path.as_os_str().len()
         ),
-        _ if path.is_dir() => "it is a folder: name the window in it".to_owned(),
+        _ if path.is_dir() => "it is a folder: name the inspection socket in it".to_owned(),
         _ if fs::metadata(path).is_ok_and(|found| !found.file_type().is_socket()) => {
-            "it is a file, and a window is a socket: give the path that NodeBuilder::inspection_socket was given"
+            "it is a file and no socket: give the path that NodeBuilder::inspection_socket was given"
                 .to_owned()
         }
         io::ErrorKind::NotFound if folder.is_some_and(|folder| !folder.exists()) => {
             format!("there is no folder {}: correct the path", folder.unwrap_or(path).display())
         }
         io::ErrorKind::NotFound => {
-            "nothing is there: start the node, or give it this window by NodeBuilder::inspection_socket"
+            "nothing is there: start the node, or give it this path by NodeBuilder::inspection_socket"
                 .to_owned()
         }
         io::ErrorKind::ConnectionRefused => {
@@ -191,8 +191,8 @@ fn silence_of(peer: Peer) -> String {
         Peer::There { process: None } => "its process".to_owned(),
     };
     format!(
-        "{process} stands still or has too much to do, or this is not a node's window; try again, or give it \
-         longer by --within"
+        "{process} stands still or has too much to do, or this is no inspection socket of a node; \
+         try again, or give it longer by --within"
     )
 }
 

@@ -23,7 +23,7 @@ pub(crate) enum MonitorError {
 /// # Errors
 /// The first node that cannot be shown; those before it have been printed.
 pub(crate) fn run(options: &MonitorOptions) -> Result<(), MonitorError> {
-    for path in &options.windows {
+    for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
         let shown = if options.json { seen.text } else { tables::draw(&seen.picture) };
         let printed = io::stdout().write_all(shown.as_bytes()).and_then(|()| io::stdout().flush());

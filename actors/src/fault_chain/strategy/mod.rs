@@ -2,7 +2,7 @@
 //! has had nothing to do for a while.
 //!
 //! ```text
-//! Recoverer ──CarryOut{order}──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
+//! Recoverer ──ExecuteAction(order)──► StrategyHost ──► RecoveryStrategy::carry_out(order, tools)
 //!           ◄──RecoveryDone | Failed───┘                        │
 //!                          Supervisor ◄──RestartChild…──┤ tools
 //!                          Router     ◄──Reroute────────┘

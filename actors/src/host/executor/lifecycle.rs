@@ -26,6 +26,7 @@ impl<C: Component> ComponentExecutor<C> {
                 LifecycleReport::State(state, reason) => self.enter(state, reason),
                 LifecycleReport::Unavailable { reason, retry_in } => {
                     self.chores.limit(DueWork::Retry, retry_in);
+                    self.anchor.record.set_unavailable(&reason);
                     let object = self.anchor.record.name.clone();
                     let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
                     let declared = FaultDeclared { object, incarnation, kind, detail: reason };

@@ -196,7 +196,7 @@ impl Handler<TopicInterestChanged> for GatewayActor {
 
     fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
         let TopicInterestChanged { key, more } = message;
-        let identities = if more { self.wiring.topics.identities(&key) } else { Vec::new() };
+        let identities = if more { self.wiring.topics.identities(&key.topic) } else { Vec::new() };
         self.exchange.handle_interest(topic(&key), identities);
         self.drive(context);
     }

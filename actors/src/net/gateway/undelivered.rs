@@ -1,7 +1,8 @@
 //! What did not arrive at other nodes, as dead letters.
 
+use super::GatewayActor;
 use super::peer::GatewayPeer;
-use super::{Forwarded, GatewayActor};
+use super::subscriptions::Forwarded;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
@@ -31,7 +32,7 @@ pub(super) struct UndeliveredEvents {
     office: DeadLetterLog,
     node: NodeName,
     contract: String,
-    topic: Option<ObjectName>,
+    topic: ObjectName,
     /// Those that are not in the office yet, by reason: whoever publishes pays for nothing else,
     /// however many find no room.
     counts: [AtomicU64; REASONS.len()],
@@ -57,10 +58,8 @@ impl UndeliveredEvents {
     }
 
     fn write_down(&self, reason: DeadReason, many: u64) {
-        if let Some(topic) = &self.topic {
-            let (node, contract) = (Some(self.node.clone()), self.contract.clone());
-            self.office.take_many(node, topic, contract, (reason, many));
-        }
+        let (node, contract) = (Some(self.node.clone()), self.contract.clone());
+        self.office.take_many(node, &self.topic, contract, (reason, many));
     }
 }
 
@@ -87,7 +86,7 @@ impl GatewayActor {
             office: self.wiring.dead_letters.clone(),
             node: peer.node.clone(),
             contract: key.contract.to_string(),
-            topic: key.lost_to(),
+            topic: key.topic.clone(),
             counts: Default::default(),
         })
     }

@@ -17,8 +17,8 @@ const TEXT_LIMIT: usize = 128;
 /// walk, breadth first, meets them. The [fingerprint](crate::ContractIdentity::fingerprint) relies
 /// on it.
 ///
-/// A description that was decoded is sound, whoever sent it: its references lead to rows, and its
-/// size, its names and its units are bounded and printable.
+/// A description that was decoded is sound, whichever peer sent it: its references lead to rows,
+/// and its size, its names and its units are bounded and printable.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<Shape<u32>>", into = "Vec<Shape<u32>>")]
 pub struct LayoutDescription {

@@ -1,6 +1,6 @@
 //! The structure of a message as data.
 //!
-//! A [`Layout`] is what a type looks like to somebody who must read its bytes: fields and variants
+//! A [`Layout`] is what a type looks like to a peer that must read its bytes: fields and variants
 //! with their names, their order and their types, and the units and coordinate frames that were
 //! declared for them. Two parties compare layouts before the first message crosses, because the
 //! codec itself decodes a message with two fields swapped without complaint.

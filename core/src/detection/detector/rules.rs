@@ -89,7 +89,7 @@ impl Detector {
         }
     }
 
-    /// Whoever stands still behind a hang is remembered, so that its silence is known for a
+    /// An object that waits behind a hang is remembered, so that its silence is known for a
     /// symptom.
     fn judge_hang(
         &mut self,
@@ -114,7 +114,7 @@ impl Detector {
         self.explain_by(id, scene.at);
     }
 
-    /// Whoever is late behind an overload is remembered, as behind a hang.
+    /// An object that is late behind an overload is remembered, as behind a hang.
     fn judge_overload(
         &mut self,
         object: &ObjectName,
@@ -157,7 +157,7 @@ impl Detector {
             }
             ExitReason::Returned if !over && !self.may_end.contains(object) => {
                 // A life that ends itself in order is finalized before its guard says how it ended.
-                (FaultKind::UnexpectedExit, "it ended itself, and nobody had told it to".into())
+                (FaultKind::UnexpectedExit, "it ended itself without having been told to".into())
             }
             ExitReason::Fatal if !over => {
                 (FaultKind::UnexpectedExit, "it could not go on, and did not say why".into())
@@ -327,7 +327,7 @@ impl Detector {
         }
     }
 
-    /// Somebody who stands still does so behind a hang, or because of what else is wrong with
+    /// An object that stands still does so behind a hang, or because of what else is wrong with
     /// itself, or because of what it depends on.
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
         // Also where the culprit has been replaced elsewhere: its victims stand until they are

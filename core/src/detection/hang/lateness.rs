@@ -1,13 +1,13 @@
 //! Whether a component that works is late, from counts over time.
 
-use super::{ComponentSample, HangLimits, QueueReading, SlotId};
+use super::{ComponentSample, HangLimits, OverloadFigures, QueueReading, SlotId};
 use crate::Instant;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// Rounds that a window holds at least: of fewer, one that is missed is already a large share.
 const ROUNDS_LEAST: u64 = 10;
-/// Messages of one window that nobody waited for any more: fewer are callers that changed their
+/// Messages of one window whose sender did not wait any more: fewer are callers that changed their
 /// mind.
 const EXPIRED_LEAST: u64 = 3;
 /// Windows in a row that must be bad.
@@ -100,7 +100,7 @@ impl Lateness {
         let due_here = due.saturating_sub(due_before);
         let is_full = due_here >= ROUNDS_LEAST || reading.interval.is_zero();
         if due < due_before {
-            // It is counted anew.
+            // It is counted from the beginning.
             self.window = Window { since: now, due, missed, expired: reading.expired };
         } else if now - since >= window && is_full {
             let missed_here = missed.saturating_sub(missed_before);
@@ -109,8 +109,8 @@ impl Lateness {
             let expired_here = reading.expired.saturating_sub(expired);
             let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero();
             self.bad = if rounds || messages { self.bad + 1 } else { 0 };
-            // What was late because of somebody is so until a window is good: the end of a load is
-            // no fault of those who were behind it.
+            // A component that was late because of another is so until a window is good: the end of
+            // a load is no fault of those who were behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
             self.counts = Counts { missed: missed_here, expired: expired_here, root };
             self.window = Window { since: now, due, missed, expired: reading.expired };
@@ -148,11 +148,34 @@ impl Lateness {
     }
 }
 
-/// An overload: who is late, and since when nobody is.
+/// An overload: who is late, and when one was so last.
 #[derive(Debug)]
 pub(super) struct Episode {
     pub(super) latest: Instant,
     pub(super) victims: BTreeSet<SlotId>,
+    /// The worst of all its figures.
+    pub(super) worst: OverloadFigures,
+    /// The worst of them when it was told last.
+    pub(super) told: OverloadFigures,
+}
+
+impl Episode {
+    pub(super) fn new(now: Instant) -> Self {
+        let (worst, told) = Default::default();
+        Episode { latest: now, victims: BTreeSet::new(), worst, told }
+    }
+
+    /// One of its figures is twice as bad as it was told. Smaller changes are told with the next,
+    /// and so is silence, which is a fault of its own: an overload that lasts is reported a few
+    /// times, and not at every look.
+    pub(super) fn has_doubled(&self) -> bool {
+        let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
+        let told = &self.told;
+        (oldest > told.oldest && oldest >= 2 * told.oldest)
+            || (queued > told.queued && queued >= 2 * told.queued)
+            || (missed_rounds > told.missed_rounds && missed_rounds >= 2 * told.missed_rounds)
+            || (expired > told.expired && expired >= 2 * told.expired)
+    }
 }
 
 /// One component that is late.

@@ -159,8 +159,8 @@ impl Component {
 }
 
 impl HangDetector {
-    /// Finds the roots of those who are late, and tells each when it is new, or its victims are
-    /// more.
+    /// Finds the root of each late component, and reports a root when it is new, when it has more
+    /// victims, or when one of its figures has doubled.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
         let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
         let home = |slot| Some(self.component(slot)?.judged.arbiter);
@@ -174,18 +174,19 @@ impl HangDetector {
                 root.flow(reading, &mut self.outputs);
             }
             let is_new = root.overload.is_none();
-            let fresh = Episode { latest: now, victims: Default::default() };
-            let episode = root.overload.get_or_insert(fresh);
+            let episode = root.overload.get_or_insert_with(|| Episode::new(now));
             episode.latest = now;
             let known = episode.victims.len();
             episode.victims.extend(late.iter().map(|late| late.slot).filter(|one| *one != slot));
-            if !is_new && episode.victims.len() == known {
+            episode.worst = episode.worst.worst(figures(&late, looked.queue(slot)));
+            if !is_new && episode.victims.len() == known && !episode.has_doubled() {
                 continue;
             }
+            episode.told = episode.worst;
+            let mut figures = episode.worst;
             let victims = episode.victims.clone();
             let (object, home) = (root.judged.object.clone(), root.judged.arbiter);
             let incarnation = reading.incarnation;
-            let mut figures = figures(&late, looked.queue(slot));
             if let Some(arbiter) = self.arbiters.get_mut(&home) {
                 let share = arbiter.occupancy.share_of(slot, usize::MAX);
                 figures.utilisation_percent = percent(share);

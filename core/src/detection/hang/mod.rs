@@ -84,7 +84,7 @@ struct Component {
 enum Silence {
     No,
     Told,
-    /// It was told, and what had kept the component from speaking is away: it is measured anew.
+    /// It was told, and what had kept the component from speaking is away: it is measured again.
     Void,
 }
 

@@ -107,7 +107,7 @@ pub struct ComponentSample {
     pub rounds: u64,
     /// How often a round is due; zero for never.
     pub interval: Duration,
-    /// Messages that nobody waited for any more when their turn came.
+    /// Messages whose sender did not wait any more when their turn came.
     pub expired: u64,
 }
 
@@ -128,21 +128,35 @@ pub trait Looked {
     fn queue(&self, slot: SlotId) -> QueueReading;
 }
 
-/// The figures of an overload.
+/// The figures of an overload, each the worst since it began.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OverloadFigures {
     /// The share of the latest looks that found the component on its thread.
     pub utilisation_percent: u8,
-    /// How many messages wait for the component that is latest: itself, or one behind it.
+    /// How many messages waited for the component that was latest: itself, or one behind it.
     pub queued: usize,
-    /// How long the oldest of them has waited.
+    /// How long the oldest of them had waited.
     pub oldest: Duration,
-    /// Rounds that it, and those behind it, missed within the latest window.
+    /// Rounds that it, and those behind it, missed within one window.
     pub missed_rounds: u64,
-    /// Messages to them that nobody waited for any more when their turn came, within the same.
+    /// Messages to them whose sender did not wait any more when their turn came, within the same.
     pub expired: u64,
     /// For how long one of them has given no sign of life, where that is longer than it may.
     pub silent_for: Duration,
+}
+
+impl OverloadFigures {
+    /// The worse of each figure.
+    pub(super) fn worst(self, other: Self) -> Self {
+        OverloadFigures {
+            utilisation_percent: self.utilisation_percent.max(other.utilisation_percent),
+            queued: self.queued.max(other.queued),
+            oldest: self.oldest.max(other.oldest),
+            missed_rounds: self.missed_rounds.max(other.missed_rounds),
+            expired: self.expired.max(other.expired),
+            silent_for: self.silent_for.max(other.silent_for),
+        }
+    }
 }
 
 /// What the scanner has seen.

@@ -7,13 +7,13 @@
 //!     └─────────────────────────► Lost ◄────────────────────┘
 //! ```
 //!
-//! Whoever hears that another node speaks under its address, says its claim again; the one who
+//! A node that receives frames of another one under its address repeats its claim; the one who
 //! comes second falls silent. Who has held the address for a while goes before who has just come,
 //! so that a node that is plugged in with a wrong address does not put a running robot out of order
 //! (J1939 decides by the name alone). Otherwise the lesser name goes first, and between two of one
-//! name the lesser number, which each draws anew.
+//! name the lesser number, which each draws again.
 //!
-//! Nobody takes another address by itself: the neighbours are configured with this one.
+//! No node takes another address by itself: the neighbours are configured with this one.
 
 use crate::{Instant, Machine};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -40,7 +40,7 @@ const FORM: u8 = 1;
 pub struct AddressClaimed {
     /// It has held the address for a while.
     pub held: bool,
-    /// Drawn anew by each who claims, so that two of one name are told apart, and an echo from
+    /// Drawn by each claimant, so that two of one name are told apart, and an echo from
     /// another.
     pub number: u32,
     /// How people call it.
@@ -138,7 +138,7 @@ impl AddressClaim {
         AddressClaim { own, state, said: now, owed: false, rival: None, outputs }
     }
 
-    /// Somebody claims the address.
+    /// Another node claims the address.
     pub fn handle_claim(&mut self, claim: AddressClaimed, now: Instant) {
         let is_echo = (claim.number, &claim.name) == (self.own.number, &self.own.name);
         if is_echo || self.state == State::Lost {
@@ -161,7 +161,7 @@ impl AddressClaim {
         }
     }
 
-    /// Somebody says something else under our address: perhaps he does not know of us.
+    /// Another node sends something else under our address: perhaps it does not know of us.
     pub fn handle_intruder(&mut self, now: Instant) {
         if self.state != State::Lost && now - self.said >= LONG_PAUSE {
             self.object(now);

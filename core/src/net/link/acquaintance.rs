@@ -37,7 +37,7 @@ const AHEAD_MAX: u64 = 2;
 /// Of numbers that were passed, so many are remembered.
 const BEHIND_MAX: i32 = 64;
 
-/// Whoever says what contradicts what is known of the neighbour.
+/// The sender of hellos that contradict what is known of the neighbour.
 #[derive(Debug)]
 pub(super) struct Claimant {
     neighbour: Neighbour,
@@ -107,7 +107,7 @@ impl Link {
             let arrival = heard.arrivals.handle(hello.sequence, now);
             match arrival {
                 HelloArrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
-                // It does not hear us, or is of the past: somebody else may.
+                // It does not receive us, or is of the past: another node may.
                 HelloArrival::New { .. } => {}
                 HelloArrival::Old => self.refusals.stale += 1,
             }
@@ -155,7 +155,7 @@ impl Link {
                 claimant.answered = answered.or(claimant.answered);
                 silent && answered.is_some_and(|echo| is_from(claimant.challenge, echo))
             }
-            // Late, doubled, or of the past: it takes nobody's place.
+            // Late, duplicated, or of the past: it replaces no known neighbour.
             Some(claimant) if !claimant.is_outdone_by(hello, interval, answered) => false,
             _ => {
                 self.claimant = Some(Claimant {
@@ -253,7 +253,7 @@ fn is_far_behind(last: u32, number: u32) -> bool {
     last.wrapping_sub(number).cast_signed() >= BEHIND_MAX
 }
 
-/// Whether nobody who says a hello per interval can have come to this number.
+/// Whether no node that sends a hello per interval can have come to this number.
 fn is_far_ahead(last: u32, number: u32, passed: Duration, interval: Duration) -> bool {
     // Serial-number arithmetic (RFC 1982): the nearer way round decides.
     let step = number.wrapping_sub(last).cast_signed();

@@ -56,7 +56,7 @@ pub struct Link {
     /// Who says what contradicts that, and has not shown yet to hear us.
     claimant: Option<Claimant>,
     next_hello: Instant,
-    /// By when somebody should have proved to be there; `None` once that has been told.
+    /// By when a neighbour should have proved to be there; `None` once that has been told.
     expected_by: Option<Instant>,
     /// When the last hellos went out, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
@@ -87,7 +87,7 @@ pub struct Link {
     outputs: VecDeque<LinkOutput>,
 }
 
-/// What we know of whoever speaks.
+/// What is known of the node that sends.
 #[derive(Debug)]
 struct NeighbourRecord {
     neighbour: Neighbour,
@@ -122,7 +122,8 @@ impl Link {
     const EXCUSES_MAX: u32 = 4;
     /// Remembered hellos: enough for round trips of so many intervals.
     const SENT_MAX: usize = 64;
-    /// Nobody is missing before so many hellos were said in vain beyond the time that was set.
+    /// No neighbour is missing before so many hellos were sent in vain beyond the time that was
+    /// set.
     const ABSENT_HELLOS: u32 = 5;
     /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
     const FLAP_MEMORY: Duration = Duration::from_secs(10);
@@ -291,8 +292,8 @@ impl Link {
         self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
     }
 
-    /// Silence counts only from a while after `now`. Whoever stands still over and over again still
-    /// finds in the end that nobody speaks.
+    /// Silence counts only from a while after `now`. A node that stands still over and over again
+    /// still finds in the end that no hello comes.
     fn excuse(&mut self, a_while: Duration, now: Instant) {
         if let Some(heard) = &mut self.neighbour
             && heard.excuses < Self::EXCUSES_MAX
@@ -411,7 +412,7 @@ impl Link {
     fn say_hello(&mut self, now: Instant) {
         // Numbered and sent by the absolute schedule, never "an interval after the last one": a
         // late hello must not shift the later ones. Counted from the clock's origin, the number
-        // also goes on rising when this machine is built anew in a running process.
+        // also goes on rising when this machine is rebuilt in a running process.
         let nanos = self.interval().as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
@@ -515,7 +516,7 @@ impl Machine for Link {
                 self.due(self.config.suspect_after_percent)
             }
             LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
-            // Looked at with the next hello: nobody depends on a link that is not up.
+            // Looked at with the next hello: no route depends on a link that is not up.
             LinkState::Connecting | LinkState::Down => None,
         };
         silence.into_iter().chain([self.next_hello]).min()

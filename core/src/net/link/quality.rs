@@ -74,7 +74,7 @@ impl QualityEstimator {
         }
     }
 
-    /// Judges anew; the answer is whether somebody must know.
+    /// Judges again; returns whether that must be reported.
     pub(super) fn judge(
         &mut self,
         loss_permille: u16,

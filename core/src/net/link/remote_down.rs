@@ -1,8 +1,9 @@
 //! The neighbour's word, by another way, that it has given the link up.
 //!
 //! It is an accelerator: its interface has lost its carrier and ours has not, where a switch stands
-//! between. Whoever has given a link up says so, or nothing, on the link itself. So hellos that
-//! come all the same and say that it is ready show that the word was a mistake, or a lie.
+//! between. A neighbour that has declared a link down sends that, or nothing, on the link itself.
+//! So hellos that come all the same and say that it is ready show that the word was a mistake, or a
+//! lie.
 
 use super::{Link, LinkState};
 use crate::Instant;

@@ -14,7 +14,7 @@ pub struct LinkConfig {
     pub node: NodeName,
     /// Our own life.
     pub incarnation: Incarnation,
-    /// Who must be at the other end; `None` takes whoever speaks first.
+    /// Which node must be at the other end; `None` takes the first that sends.
     pub expected: Option<NodeName>,
     /// How long after the start, and five hellos, whoever is at the other end may take to prove
     /// that it is there, before it is told as missing.
@@ -65,7 +65,7 @@ impl LinkConfig {
 /// What is known of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LinkState {
-    /// Nobody has proved yet to be at the other end.
+    /// No node has proved yet to be at the other end.
     Connecting,
     /// The neighbour is heard and hears.
     Up,
@@ -136,15 +136,15 @@ pub enum LinkOutput {
         /// Why, for people.
         reason: &'static str,
     },
-    /// Nobody has proved to be at the other end since the start. When somebody does, `Changed` says
+    /// No node has proved to be at the other end since the start. When one does, `Changed` says
     /// so.
     Missing {
-        /// Somebody speaks there, and does not hear us.
+        /// A node sends there, and does not receive us.
         heard: bool,
     },
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),
-    /// Whoever is at the other end is not taken.
+    /// The node at the other end is refused.
     Refused(PeerRefusal),
     /// For the router: what the neighbour's router says.
     Routing(Bytes),

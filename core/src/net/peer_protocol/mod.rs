@@ -479,7 +479,7 @@ impl PeerProtocol {
                 let to = MessageTarget::Subscription(subscription);
                 self.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
             }
-            // It was made, and no session carries it: whoever waits for it is told that much.
+            // It was made, and no session carries it: the caller that waits for it is told so.
             PeerMessage::Reply { call, result: Ok(_) } => {
                 if let (DeliveryError::TooLargeForSession { limit }, true) =
                     (why, self.is_open(peer))
@@ -512,7 +512,7 @@ fn give_up(
     sent: TransmitState,
 ) {
     let PendingCall { reply_as, again, .. } = pending;
-    // Whoever has left, or has no room, is not asked again.
+    // A peer that has left, or has no capacity, is not asked again.
     let helps = !matches!(
         why,
         DeliveryError::Left { .. }
@@ -524,7 +524,7 @@ fn give_up(
         _ => {
             let result = Err(match why {
                 why if sent == TransmitState::Nothing => why.clone(),
-                // Its death is certain, and so is that nobody will answer.
+                // Its death is certain, and so is that no answer will come.
                 DeliveryError::PeerDied { .. } => why.clone(),
                 why => DeliveryError::OutcomeUnknown { reason: why.to_string() },
             });

@@ -2,7 +2,7 @@
 //!
 //! Each node tells every other what it has, over their session: everything at first, then who comes
 //! and goes. Sessions keep the order, so that what was added up is right; when one ends, its node's
-//! names are forgotten and told anew with the next. An address of the form `node:object` works
+//! names are forgotten and told again with the next. An address of the form `node:object` works
 //! without all this.
 
 use crate::net::wire::node_id::NodeId;

@@ -8,9 +8,10 @@
 //!      │ ◄───────────────────────── room 1    │  the last that waited has been taken
 //! ```
 //!
-//! Each object has a line of its own for each peer, so that nobody waits for another's receiver.
-//! What a peer may have waiting is what its side can have under way before it has heard that it is
-//! to stop. Whoever goes on after that loses what does not fit, and it is counted.
+//! Each object has a line of its own for each peer, so that no message waits for another's
+//! receiver. What a peer may have waiting is what its side can have under way before it has heard
+//! that it is to stop. A peer that goes on after that loses the messages that do not fit, and they
+//! are counted.
 
 use crate::ObjectName;
 use crate::net::wire::Refusals;

@@ -106,7 +106,7 @@ impl ReplyCache {
         askers
     }
 
-    /// Forgets what nobody sends again any more.
+    /// Forgets replies to requests that are not sent again any more.
     pub(super) fn expire(&mut self, now: Instant) {
         while self.answered.first().is_some_and(|(at, _)| *at + REMEMBERED <= now) {
             self.forget_oldest();

@@ -62,7 +62,7 @@ pub enum MessageTarget {
     Object(ObjectName, &'static str),
     /// Those who listen by the subscription of this number.
     Subscription(u32),
-    /// Nobody knows any more: its session is long over.
+    /// It is not known any more: its session is long over.
     Forgotten,
 }
 

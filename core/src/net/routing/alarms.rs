@@ -1,7 +1,8 @@
 //! What was told of as a fault, until it is over.
 //!
-//! Somebody says again and again whatever goes on: announcements are repeated every ten seconds,
-//! and the holder of a name is asked as often. What nobody says any more for a minute has ended.
+//! A condition that lasts is reported again and again: announcements are repeated every ten
+//! seconds, and the holder of a name is asked as often. A condition that is not reported for a
+//! minute has ended.
 
 use super::{Router, RouterAlarm, RouterOutput};
 use crate::net::active_alarms::QUIET;

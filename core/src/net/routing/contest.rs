@@ -6,9 +6,9 @@
 //!  A ──defend──► B ──► C     it is: A' is kept out, and told so
 //! ```
 //!
-//! A node that begins anew has its name from its old life at once: the links that led to the old
+//! A restarted node has its name from its old life at once: the links that led to the old
 //! one have told of its end. Only while routes still lead to the old life is a new one disputed,
-//! and had it ended without anybody's knowing, it does not defend itself. Where two halves of a
+//! and if its end was not noticed, it does not defend itself. Where two halves of a
 //! network meet that have each a node of this name, the older life stays, everywhere.
 
 use super::{LinkHealth, LinkStatus, Router, RouterAlarm, RouterOutput};
@@ -71,7 +71,7 @@ impl Router {
         self.contested.insert(link, status);
     }
 
-    /// Somebody asks whether the holder of a name is still there.
+    /// Another node asks whether the holder of a name is still there.
     pub(super) fn handle_dispute(
         &mut self,
         from: LinkId,
@@ -99,9 +99,9 @@ impl Router {
         self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(from));
     }
 
-    /// Whether somebody who has our name, and a greater life, says something new. What an earlier
-    /// life of ours has said, before the clock that numbers lives was set back, others can only
-    /// repeat.
+    /// Whether a node that has our name, and a greater incarnation, sends something new. What an
+    /// earlier life of ours has said, before the clock that numbers lives was set back, others can
+    /// only repeat.
     pub(super) fn is_more_than_a_rumour(&mut self, theirs: AdvertisementId) -> bool {
         match self.unconfirmed_incarnation {
             Some((known, since)) if known.incarnation == theirs.incarnation => {

@@ -159,7 +159,7 @@ impl Router {
                         adjacent.pending.remove(&stamp.origin);
                     }
                 } else {
-                    // Its origin has taken it back: whoever still has it must know.
+                    // Its origin has withdrawn it: each node that still has it must know.
                     self.refusals.stale += 1;
                     let told = vec![advertisement.withdrawal(), known.advertisement.clone()];
                     self.say(link, told);
@@ -181,7 +181,7 @@ impl Router {
                         better.insert(stamp.origin);
                     }
                 }
-                // After a withdrawal the origin begins to count anew.
+                // After a withdrawal the origin counts from the beginning.
                 Some(held) if held.withdrawn && !advertisement.withdrawn && !contested => {
                     confirmed.push(stamp);
                     self.learn(advertisement, link);
@@ -262,9 +262,9 @@ impl Router {
         self.flood(origin, Some(from));
     }
 
-    /// Somebody says something in our name: what a router of ours once said, or a lie. We say
-    /// something newer (RFC 2328, 13.4), or, where nothing can be, withdraw it and count anew.
-    /// Answers no where what we say is newer already.
+    /// A message in our name: an earlier one of this node's routers, or a forged one. We say
+    /// something newer (RFC 2328, 13.4), or, where nothing can be, withdraw it and count from the
+    /// beginning. Answers no where what we say is newer already.
     pub(super) fn hear_of_ourselves(
         &mut self,
         advertisement: &Advertisement,
@@ -293,8 +293,8 @@ impl Router {
             } else if theirs.sequence >= JUMP_MAX {
                 self.begin_anew(advertisement.withdrawal());
             } else {
-                // Also where this router was built anew within its node's life: it continues the
-                // count.
+                // Also where this router was rebuilt within its node's incarnation: it continues
+                // the count.
                 self.own.stamp.sequence = theirs.sequence;
                 self.renew();
             }

@@ -21,8 +21,8 @@ impl Router {
             self.refusals.isolated += 1;
         } else if packet.source == self.id {
             // It went in a circle, as packets may while nodes hear of a change one after the other,
-            // and is repeated. Or somebody uses our name; then the session asks no more often than
-            // it would.
+            // and is repeated. Or another node uses our name; then the session asks no more often
+            // than it would.
             self.refusals.unexpected += 1;
             self.give_back(&packet, UndeliveredReason::TooManyHops);
         } else if packet.destination != self.id {
@@ -138,7 +138,7 @@ impl Router {
         links.get(usize::from(copy) % links.len().max(1)).copied()
     }
 
-    /// Passes a packet on that came over a link, to nobody who has had it: nodes that hear of a
+    /// Forwards a packet that came over a link, to no node that has had it: nodes that hear of a
     /// change one after the other may each believe that another is nearer.
     pub(super) fn forward(&mut self, mut packet: Packet, from: LinkId) {
         let here_before = packet.passed.contains(&self.id);

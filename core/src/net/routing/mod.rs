@@ -47,7 +47,7 @@ pub struct Router {
     /// The ways of copies, computed when the first goes to a node after a change: as many as
     /// routes.
     ways: BTreeMap<NodeId, Vec<DisjointPath>>,
-    /// The paths must be computed anew, then.
+    /// The paths must be computed again then.
     compute_at: Option<Instant>,
     computed_at: Instant,
     refresh_at: Instant,
@@ -55,7 +55,7 @@ pub struct Router {
     told: Option<(NodeName, NodeName)>,
     /// What was withdrawn in our name, the last last.
     withdrew: VecDeque<AdvertisementId>,
-    /// How often within the last seconds somebody spoke in our name, and since when.
+    /// How often another node sent in our name within the last seconds, and since when.
     forged: (Instant, u32),
     /// The other node of our name that was told of last, and when we last said that we are here.
     usurper: Option<Incarnation>,
@@ -72,7 +72,7 @@ pub struct Router {
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
-    /// The earliest of all due times; computed anew only when it has come.
+    /// The earliest of all due times; computed again only when it has come.
     wake_at: Instant,
     now: Instant,
     refusals: Refusals,
@@ -292,7 +292,7 @@ impl Router {
         for (link, Adjacency { neighbour, cost, mtu, health, .. }) in barred {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
             self.barred.insert(link, status);
-            // The last that it is told: it learns at once that nobody is behind its links.
+            // The last that it is told: it learns at once that no node is behind its links.
             let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
@@ -340,7 +340,7 @@ impl Router {
         Topology::new(self.id, &self.links, known)
     }
 
-    /// Computes the paths anew and tells what has changed.
+    /// Computes the paths again and reports what has changed.
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;

@@ -33,7 +33,8 @@ impl Router {
         }
     }
 
-    /// The neighbour at the other end of `from` has given up a link; nobody else's word counts.
+    /// The neighbour at the other end of `from` has declared a link down; reports of other nodes do
+    /// not count.
     pub(super) fn handle_given_up(&mut self, from: LinkId, link: LinkId) {
         let neighbour = |link| self.links.get(link).map(|adjacent| &adjacent.neighbour);
         // Often both ends know of it.

@@ -218,7 +218,7 @@ impl<'a> Topology<'a> {
     }
 
     /// What an edge costs and carries that both its ends announce. The dearer and the narrower word
-    /// counts: nobody draws traffic by boasting alone.
+    /// counts: no node draws traffic by boasting alone.
     fn agreed(&self, from: NodeId, to: NodeId, cost: u16, mtu: u16) -> Option<(u16, u16)> {
         let (back, mtu_back) = self.back(to, from)?;
         Some((cost.max(back), mtu.min(mtu_back)))
@@ -249,7 +249,7 @@ impl<'a> Topology<'a> {
             let neighbour = if id == self.here { other } else { id };
             let own = self.links.values().filter(|link| link.id == neighbour);
             let cheapest = own.min_by_key(|link| link.cost)?;
-            // Which of several is meant, whoever looks at each of them knows.
+            // Which of several is meant, the caller that looks at each of them knows.
             let cost = if other == self.here { 0 } else { cheapest.cost };
             return Some((cost, u16::MAX));
         }

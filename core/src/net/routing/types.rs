@@ -20,7 +20,7 @@ pub struct RouterConfig {
     pub nodes_max: usize,
     /// How often we repeat what nothing has changed in. Shorter repairs sooner and costs more.
     pub refresh: Duration,
-    /// A node that nobody has heard of for so long is forgotten. At least three times `refresh`.
+    /// A node that was not announced for so long is forgotten. At least three times `refresh`.
     pub lifetime: Duration,
     /// How often neighbours compare what they know; ten times as rarely over narrow media.
     pub compare: Duration,
@@ -75,10 +75,10 @@ pub enum LinkHealth {
     Down,
 }
 
-/// What a router tells of that goes on until somebody acts.
+/// A condition that a router reports, and that lasts until a user acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RouterAlarm {
-    /// Somebody announces links in this node's name.
+    /// Another node announces links in this node's name.
     Forged,
     /// Two nodes have one name, or one number.
     NameTaken,
@@ -107,7 +107,7 @@ pub enum RouterOutput {
         source: NodeId,
         /// The segment.
         segment: Bytes,
-        /// It came over a link with the source itself: nobody else can have made it up.
+        /// It came over a link with the source itself: no other node can have forged it.
         direct: bool,
     },
     /// A packet of ours could not be delivered.
@@ -145,7 +145,7 @@ pub enum RouterOutput {
         /// In which of its lives.
         incarnation: Incarnation,
     },
-    /// Again and again somebody announces links in this node's name. It is outdone each time.
+    /// Another node announces links in this node's name again and again. It is outdone each time.
     Forged {
         /// Who passed it on, and may have done so in good faith.
         neighbour: NodeName,

@@ -20,7 +20,7 @@ pub struct SessionConfig {
     pub incarnation: Incarnation,
     /// The peer's name.
     pub peer: NodeName,
-    /// Sessions of this machine are numbered above this. A machine that is built anew within one
+    /// Sessions of this machine are numbered above this. A machine that is rebuilt within one
     /// life of its node must be given a greater number than the one before ever used.
     pub number: u32,
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer

@@ -20,7 +20,7 @@ pub(crate) struct DuplicateDiscard {
     next: u64,
     /// The most copies that a number of late had: as many ways carry, or did.
     ways: u8,
-    /// Numbers until the greatest count is taken anew.
+    /// Numbers until the greatest count is taken again.
     renew_in: usize,
     most: u8,
     pub(crate) dropped: u64,

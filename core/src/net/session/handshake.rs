@@ -60,7 +60,7 @@ impl Session {
                 if open.incarnation > peer.incarnation {
                     self.end_with_old_peer(open.incarnation);
                 } else if open.number > peer.number {
-                    // Perhaps it is forged: whoever is at the other end of the present session
+                    // Perhaps it is forged: the other end of the present session
                     // knows its tag, or says that it does not any more.
                     self.refusals.unexpected += 1;
                     self.acknowledge();

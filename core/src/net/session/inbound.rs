@@ -23,8 +23,8 @@ pub(crate) struct Inbound {
     /// Arrived ahead of their turn; all within the window.
     ahead: BTreeMap<u64, Part>,
     partial: Option<Partial>,
-    /// Where large messages were put together before: taken again once nobody holds those any more.
-    /// Two of the largest message for each stream at most, once such have come.
+    /// Where large messages were put together before: taken again once no receiver holds those any
+    /// more. Two of the largest message for each stream at most, once such have come.
     spare: VecDeque<BytesMut>,
     window: u32,
     message_max: usize,

@@ -21,7 +21,7 @@
 //! * A change of path, told by the router, repeats at once what is not acknowledged.
 //!
 //! What it does not do: wait for the application. What has arrived in order is output at once;
-//! whoever takes it must decide what to do when its receiver is busy.
+//! the caller that takes it must decide what to do when its receiver is busy.
 
 mod best_effort;
 mod config;
@@ -194,7 +194,7 @@ impl Session {
         }
     }
 
-    /// The number of the last session; a machine built anew must begin above it.
+    /// The number of the last session; a rebuilt machine must begin above it.
     pub fn number(&self) -> u32 {
         self.number
     }

@@ -20,7 +20,7 @@ pub enum OrderingKey {
     Object(u64),
     /// The events of one subscription.
     Subscription(u32),
-    /// The reply to one request: whoever waits for it waits for no other.
+    /// The reply to one request: its caller waits for no other.
     Call(u64),
 }
 

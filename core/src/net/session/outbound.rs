@@ -86,7 +86,7 @@ pub(crate) struct AckResult {
     pub(crate) order: Option<u64>,
 }
 
-/// What is small to whoever sent it is so with what an exchange has put before it.
+/// A message that is small for its sender is small with the header of the exchange, too.
 pub(crate) fn load_of(message: &GatherBuffer) -> SizeClass {
     SizeClass::of(message.len().saturating_sub(HEADER_MAX))
 }

@@ -101,6 +101,6 @@ pub struct SessionCounters {
     /// Parts of that stream of which no copy came in time; they were repeated.
     pub missed: u64,
     /// Parts of that stream of which fewer copies came than of others around: some way does not
-    /// carry, and nobody has noticed by the delivery.
+    /// carry, which the delivery does not show.
     pub alone: u64,
 }

@@ -24,7 +24,7 @@ impl Session {
         self.retransmit_at = self.retransmit_at.map(|lane| lane.map(|at| at.min(soon)));
     }
 
-    /// Why the peer cannot be reached, as far as somebody has said.
+    /// Why the peer cannot be reached, as far as it was reported.
     pub(super) fn unreachable(&self) -> DeliveryError {
         let node = self.config.peer.to_string();
         match self.returned {
@@ -228,7 +228,7 @@ impl Session {
         let rooms = SizeClass::ALL.map(|load| {
             let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
             match load {
-                // Half empty, so that whoever waits can send more than one message.
+                // Half empty, so that a waiting sender can send more than one message.
                 SizeClass::Small => messages <= most / 2 && holds <= should / 2,
                 // One is worth the word, and the next is to be here before the last has gone. What
                 // is small may stand here for ever: it has room of its own, and its senders keep

@@ -71,8 +71,8 @@ pub struct Advertisement {
 pub struct Edge {
     /// To whom.
     pub to: NodeId,
-    /// To which of its lives, as [`life_tag`](Edge::life_tag) has it: while a node begins anew,
-    /// some know its new life already, and their links lead nobody to the old one.
+    /// To which of its incarnations, as [`life_tag`](Edge::life_tag) has it: while a node restarts,
+    /// some know its new incarnation already, and their links lead to no earlier one.
     pub life: u8,
     /// How dear it is to use; at least 1.
     pub cost: u16,

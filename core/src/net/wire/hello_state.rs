@@ -5,7 +5,7 @@
 /// 5880).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HelloState {
-    /// It knows nothing yet: it has just begun, or begun anew.
+    /// It knows nothing yet: it has just been started, or restarted.
     Unproved,
     /// It has given the link up, which has not proved itself since.
     Down,

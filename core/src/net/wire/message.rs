@@ -114,7 +114,7 @@ pub enum PeerMessage {
         /// Why.
         why: DeliveryError,
     },
-    /// Nobody here listens any more.
+    /// No object of this node listens any more.
     Unsubscribe {
         /// Which.
         subscription: u32,

@@ -63,7 +63,7 @@ pub struct Refusals {
     pub malformed: u64,
     /// Understood, but from the past: an old incarnation, an old session, an old announcement.
     pub stale: u64,
-    /// Understood, but nobody was there to take it.
+    /// Understood, but there was no receiver.
     pub unexpected: u64,
     /// Copies whose next relay is no neighbour, or not at present. Another copy goes another way.
     pub astray: u64,
@@ -85,7 +85,7 @@ impl Refusals {
         }
     }
 
-    /// What has come since `before`. A counter that began anew counts in full.
+    /// What has come since `before`. A counter that was reset counts in full.
     pub fn since(&self, before: &Refusals) -> Refusals {
         let since = |now: u64, before: u64| now.checked_sub(before).unwrap_or(now);
         Refusals {
@@ -102,7 +102,7 @@ impl Refusals {
         }
     }
 
-    /// All but what was of the past: that somebody else may have recorded, and say again.
+    /// All but what was of the past: another node may have recorded and replayed that.
     pub fn of_the_present(&self) -> u64 {
         self.total() - self.stale
     }

@@ -3,10 +3,10 @@
 use crate::NodeName;
 use std::fmt;
 
-/// A node's number: a hash of its name, so that nobody has to hand numbers out.
+/// A node's number: a hash of its name, so that numbers need not be assigned.
 ///
 /// Two names with one number cannot be in one network; the chance is one in 86 million for ten
-/// nodes. Whoever meets such a pair refuses the second loudly; another name helps.
+/// nodes. A node that meets such a pair refuses the second and reports it; another name helps.
 ///
 /// ```
 /// use blastema_core::{NodeName, net::NodeId};

@@ -19,10 +19,10 @@
 //! whatever the nodes know of each other, no packet goes over a node twice. Between neighbours the
 //! list takes no byte.
 //!
-//! A copy's relays are those that still follow after whoever receives it. Each takes the first off
-//! the list and passes the copy on to that one, the last to the destination: the list only becomes
-//! shorter, and no node may stand on it twice, so that a copy cannot go in a circle whatever the
-//! nodes know of each other.
+//! A copy's relays are those that still follow after the node that receives it. Each takes the
+//! first off the list and passes the copy on to that one, the last to the destination: the list
+//! only becomes shorter, and no node may stand on it twice, so that a copy cannot go in a circle
+//! whatever the nodes know of each other.
 
 use super::node_id::NodeId;
 use super::{Reader, WireError};
@@ -114,7 +114,7 @@ pub enum UndeliveredReason {
 }
 
 impl UndeliveredReason {
-    /// What somebody can do about it.
+    /// What a user can do about it.
     pub fn advice(self) -> &'static str {
         match self {
             UndeliveredReason::NoRoute => "see the links of the nodes in between",
@@ -192,7 +192,7 @@ impl Packet {
             kind = reader.u8()?;
             passed = read_relays(&mut reader, kind & HOPS_MAX, destination, source)?;
             if passed.is_empty() {
-                return Err(WireError::Malformed { what: "a list of nobody" });
+                return Err(WireError::Malformed { what: "an empty list" });
             }
         } else if first & COPY == COPY {
             let (class, payload) = read_copy(reader, destination, source)?;

@@ -14,7 +14,7 @@
 //!                        redundant one
 //! close        100 00000 │ tag 4
 //! closed       101 00000 │ tag 4
-//! reset        110 00000 │ tag 4, the one that the segment carried which nobody knows
+//! reset        110 00000 │ tag 4, the one of the unknown segment
 //!
 //! s     stream: 0 control, 1 data
 //! r     sent again: no copy of what was sent before

@@ -1,30 +1,53 @@
-//! What a recoverer does while its node is in the safe state.
+//! What a recoverer does while its node is in the safe state, or ends.
 
 use super::{FaultResolution, Place, Recoverer};
 use crate::{Fault, Instant};
 
+/// Why faults of objects are not treated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Standstill {
+    /// The node is in the safe state.
+    SafeState,
+    /// The node was told to stop.
+    NodeEnds,
+}
+
 impl Recoverer {
-    /// The node has enter the safe state. Where everything was stopped nothing is treated: what was
-    /// under way is given up, and so is what comes. Links and other nodes go on being treated.
+    /// The node has entered the safe state. Where everything was stopped nothing is treated:
+    /// recovery that is in progress is given up, and faults that follow are too. Links and other
+    /// nodes go on being treated.
     pub fn handle_rest(&mut self, now: Instant) {
-        self.resting = true;
+        self.stand_still(Standstill::SafeState, now);
+    }
+
+    /// The node was told to stop: from now on faults of its objects are recorded and not treated,
+    /// as in the safe state.
+    pub fn handle_node_end(&mut self, now: Instant) {
+        self.stand_still(Standstill::NodeEnds, now);
+    }
+
+    fn stand_still(&mut self, standstill: Standstill, now: Instant) {
+        self.standstill = Some(standstill);
         let rests = |place: &&Place| matches!(place, Place::Object(_));
         let places: Vec<Place> = self.cases.keys().filter(rests).cloned().collect();
         for place in places {
             let told = self.cases[&place].given_up;
             for fault in self.close(&place, now).iter().filter(|_| !told) {
-                self.tell_rest(fault);
+                self.tell_rest(fault, standstill);
             }
         }
     }
 
     /// The node is at work again.
     pub fn handle_work(&mut self) {
-        self.resting = false;
+        self.standstill = None;
     }
 
-    pub(super) fn tell_rest(&mut self, fault: &Fault) {
-        let reason = "the node is in the safe state, where nothing is restarted".to_owned();
-        self.tell(fault, FaultResolution::GaveUp { reason });
+    pub(super) fn tell_rest(&mut self, fault: &Fault, standstill: Standstill) {
+        let reason = match standstill {
+            Standstill::SafeState => "the node is in the safe state, where nothing is restarted",
+            Standstill::NodeEnds => "the node ends, and restarts nothing",
+        };
+        self.tell(fault, FaultResolution::GaveUp { reason: reason.to_owned() });
     }
 }

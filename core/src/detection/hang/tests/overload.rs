@@ -78,6 +78,22 @@ fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_th
 }
 
 #[test]
+fn an_overload_that_grows_is_told_again_with_its_worst_figures_each_time_one_has_doubled() {
+    let mut road = Road::new(10, 3);
+    let mut told = Vec::new();
+    for oldest in [400, 450, 500, 790, 800, 300, 1700] {
+        road.world.eyes.queues[0] = QueueReading { queued: 7, oldest: ms(oldest) };
+        told.extend(road.pass(3000));
+    }
+
+    let ages = |(_, seen): &(u64, LivenessEvent)| match seen {
+        LivenessEvent::Overloaded { figures, .. } => figures.oldest,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(told.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
+}
+
+#[test]
 fn an_overload_is_over_when_the_load_has_been_gone_for_a_while_and_not_before() {
     let mut road = Road::new(10, 3);
     road.pass(5000);

@@ -27,7 +27,7 @@ pub struct IsoTpConfig {
     /// The least time that our senders leave between frames (STmin). Larger spares a slow receiver,
     /// and slows every long message down.
     pub separation: SeparationTime,
-    /// The least time between frames to all nodes, whom nobody asks how fast they are.
+    /// The least time between frames to all nodes, which do not say how fast they are.
     pub separation_to_all: Duration,
     /// How long a receiver may take for its word on how to go on (N_Bs). A node that is not there
     /// is noticed after this long; on a slow bus that others use, words take longer.
@@ -39,7 +39,7 @@ pub struct IsoTpConfig {
     pub bus_timeout: Duration,
     /// How often a sender is told to wait while we have no room.
     pub wait_interval: Duration,
-    /// How often in a row (N_WFTmax), both ways: nobody waits for ever.
+    /// How often in a row (N_WFTmax), both ways: no sender waits for ever.
     pub waits_max: u8,
 }
 

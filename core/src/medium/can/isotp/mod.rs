@@ -13,13 +13,13 @@
 //!
 //! * Between two nodes one message is under way at a time in each direction; between different
 //!   pairs any number. Where several of ours go out, frames take turns.
-//! * To all nodes a message goes without anybody's word, at a fixed pace. The standard knows only
+//! * To all nodes a message goes without flow control, at a fixed pace. The standard knows only
 //!   single frames to all; longer messages go as Linux sends them (`CAN_ISOTP_CF_BROADCAST`).
 //! * A target that does not answer loses all that waits for it: what is old when it is back helps
 //!   nobody.
 //!
 //! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check
-//! over a message, only that of each frame; whoever wants one, puts it into the message.
+//! over a message, only that of each frame; a user that wants one puts it into the message.
 
 mod config;
 mod pdu;
@@ -109,7 +109,7 @@ pub enum IsoTpOutput {
 pub struct IsoTpErrorCounts {
     /// Frames that ISO 15765-2 does not know.
     pub malformed: u64,
-    /// Words on how to go on that nobody had asked for.
+    /// Flow-control frames that were not asked for.
     pub unasked: u64,
     /// Frames under our own address.
     pub forged: u64,
@@ -281,7 +281,7 @@ impl IsoTp {
         }
     }
 
-    /// Whether whoever is to get the messages can take more. While not, senders are told to wait;
+    /// Whether the receiver of the messages can take more. While not, senders are told to wait;
     /// what is in a single frame or under way already comes nevertheless.
     pub fn handle_room(&mut self, room: bool, now: Instant) {
         if room && !self.room {
@@ -318,7 +318,7 @@ impl IsoTp {
         let (&(source, to_all), reception) =
             self.incoming.iter_mut().find(|(_, reception)| reception.is_ready())?;
         let id = self.addressing.id(AddressInfo { source: self.own, target: source });
-        let id = id.expect("we and whoever speaks have addresses of this bus");
+        let id = id.expect("this node and the sender have addresses of this bus");
         let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
         let terms = ReceptionContext { config: &self.config, room: self.room, now };
         let frame = reception.poll_frame(&writer, terms);

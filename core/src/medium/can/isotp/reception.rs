@@ -20,7 +20,7 @@ use bytes::{Bytes, BytesMut};
 #[non_exhaustive]
 pub enum ReceptionError {
     /// The sender began another message before this one was whole.
-    #[error("the sender began anew before the message was whole")]
+    #[error("the sender began another message before this one was whole")]
     Interrupted,
     /// A frame is missing, or came twice.
     #[error("frame {expected} of the message is due, {found} came")]
@@ -75,7 +75,7 @@ impl FrameResult {
 #[derive(Clone, Copy)]
 pub(super) struct ReceptionContext<'a> {
     pub(super) config: &'a IsoTpConfig,
-    /// Whether whoever is to get the message could take one.
+    /// Whether the receiver of the message could take one.
     pub(super) room: bool,
     pub(super) now: Instant,
 }
@@ -186,7 +186,7 @@ impl Reception {
         let ReceptionContext { config, now, .. } = terms;
         let (mut partial, left_in_block) = match std::mem::replace(&mut self.state, State::Idle) {
             State::Receiving { partial, left_in_block, .. } => (partial, left_in_block),
-            // Nobody was told to go on. What is under way goes on when he is.
+            // No sender was told to go on. What is under way goes on when he is.
             other => {
                 self.state = other;
                 return FrameResult::failure(ReceptionError::Unexpected);

@@ -32,12 +32,12 @@ pub enum TransmissionError {
     /// The receiver says what the standard does not know.
     #[error("the receiver answers with a flow status that does not exist")]
     UnknownStatus,
-    /// The bus took no frame for too long: nobody else is on it, or it is off.
+    /// The bus took no frame for too long: no other node is on it, or it is off.
     #[error("the bus takes no frames")]
     BusStuck,
 }
 
-/// Whether anybody says how to go on.
+/// Whether the receiver controls the flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TargetType {
     /// One receiver, who does.

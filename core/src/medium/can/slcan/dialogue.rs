@@ -32,7 +32,7 @@ const AHEAD: Duration = Duration::from_millis(3);
 const ASKING: Duration = Duration::from_millis(100);
 /// One that leaves so many questions unanswered is asked no more.
 const QUESTIONS: u8 = 3;
-/// What the answer has, of CAN232: too many of its frames were confirmed by nobody, and the last
+/// What the answer has, of CAN232: too many of its frames were not confirmed, and the last
 /// was not.
 const ERROR_PASSIVE: u8 = 1 << 5;
 const BUS_ERROR: u8 = 1 << 7;
@@ -116,7 +116,7 @@ impl AdapterControl {
         }
     }
 
-    /// Whether the adapter has found that nobody confirms its frames any more; it is told once.
+    /// Whether the adapter has found that no node confirms its frames any more; it is told once.
     pub fn poll_trouble(&mut self) -> bool {
         let is_new = self.alarm == Alarm::New;
         if is_new {

@@ -3,8 +3,8 @@
 //! The cheapest set of disjoint ways is a flow of least cost, found by one search of a shortest
 //! path for each way (Suurballe and Tarjan, Networks 14, 1984; Bhandari, "Survivable Networks",
 //! 1999). Two copies may share what they must: a node or a link that both pass costs more than any
-//! detour, so that just those are shared without which nobody is reached. No other single failure
-//! then stops both.
+//! detour, so that just those are shared without which the destination is not reached. No other
+//! single failure then stops both.
 //!
 //! Ways after the second share nothing with any other, or are left out.
 

@@ -1,0 +1,140 @@
+//! Topics that peers listen to: their events are sent there.
+
+use super::GatewayActor;
+use super::undelivered::UndeliveredEvents;
+use crate::net::credit::CreditClass;
+use crate::net::gateway_messages::LocalEvent;
+use crate::topic::{ForwardId, RemoteForward, TopicKey, described};
+use actix::prelude::*;
+use blastema_core::net::NodeId;
+use blastema_core::net::peer_protocol::TopicContract;
+use blastema_core::{ContractIdentity, Delivery, DeliveryError, GatherBuffer, PeerIdentity};
+use std::sync::Arc;
+
+/// The events of one topic that go to one peer.
+pub(super) struct Forwarded {
+    pub(super) id: ForwardId,
+    pub(super) key: TopicKey,
+    /// What the peer takes the events for, until that could be compared.
+    pub(super) unverified: Option<Vec<PeerIdentity>>,
+    /// Under which number they go, and how.
+    pub(super) by: (u32, Delivery),
+    pub(super) losses: Arc<UndeliveredEvents>,
+}
+
+impl GatewayActor {
+    pub(super) fn subscribe(
+        &mut self,
+        peer: NodeId,
+        subscription: u32,
+        topic: &TopicContract,
+        theirs: Vec<PeerIdentity>,
+        context: &mut Context<Self>,
+    ) {
+        let key = match TopicKey::new(&topic.topic, &topic.contract) {
+            Ok(key) => key,
+            Err(why) => return self.exchange.handle_subscribe_refused(peer, subscription, why),
+        };
+        // Whether it wants the newest only must be known before the first event.
+        let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
+        let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
+            None => ((subscription, Delivery::default()), Some(theirs)),
+            Some(ours) => match version_of(ours, &theirs) {
+                Ok(form) => ((subscription + form, ours.delivery), None),
+                Err(difference) => {
+                    let difference = self.topic_differs(peer, &key, ours, &theirs, &difference);
+                    self.differs(peer, &difference);
+                    let why = DeliveryError::ContractDiffers { difference };
+                    self.exchange.handle_subscribe_refused(peer, subscription, why);
+                    return;
+                }
+            },
+        };
+        let Some(known) = self.peers.get(&peer) else { return };
+        let (gate, gateway) = (known.gate.clone(), context.address());
+        let (delivery, losses) = (by.1, self.losses(known, &key));
+        let unsent = losses.clone();
+        let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
+            let freight = CreditClass::of(delivery, event.len());
+            // Publishing never waits: what a peer cannot take now is not sent.
+            // Of which only the newest counts, nothing waits behind what does.
+            let open = if newest { gate.has_session() } else { gate.is_open(freight) };
+            match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
+                Some(credit) => {
+                    let event = event.clone();
+                    gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
+                }
+                None => unsent.take(gate.why_not()),
+            }
+        });
+        self.end_forward((peer, subscription));
+        let id = self.wiring.topics.forward(&key, forward);
+        let forwarded = Forwarded { id, key, unverified, by, losses };
+        self.forwards.insert((peer, subscription), forwarded);
+    }
+
+    pub(super) fn end_forward(&mut self, forward: (NodeId, u32)) -> Option<Forwarded> {
+        let ended = self.forwards.remove(&forward)?;
+        self.wiring.topics.end_forward(&ended.id);
+        Some(ended)
+    }
+
+    /// Under which number, and how, an event goes to this peer. The first event may find that the
+    /// topic had no contract here when the peer subscribed.
+    pub(super) fn verify(
+        &mut self,
+        forward: (NodeId, u32),
+    ) -> Result<(u32, Delivery), DeliveryError> {
+        let Some(known) = self.forwards.get_mut(&forward) else {
+            return Err(DeliveryError::Unknown { name: "subscription".into() });
+        };
+        if let Some(theirs) = known.unverified.take()
+            && let Some(ours) = self.wiring.topics.identities(&known.key.topic).first()
+        {
+            match version_of(ours, &theirs) {
+                Ok(form) => known.by = (forward.1 + form, ours.delivery),
+                Err(difference) => {
+                    let key = known.key.clone();
+                    let difference =
+                        self.topic_differs(forward.0, &key, ours, &theirs, &difference);
+                    return Err(DeliveryError::ContractDiffers { difference });
+                }
+            }
+        }
+        Ok(known.by)
+    }
+
+    /// Names both nodes and the contract that each means by a topic.
+    fn topic_differs(
+        &self,
+        peer: NodeId,
+        key: &TopicKey,
+        ours: &ContractIdentity,
+        theirs: &[PeerIdentity],
+        difference: &str,
+    ) -> String {
+        let here = self.wiring.registry.node().map_or("this node".into(), |node| node.to_string());
+        let there = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
+        let carried = described(&ours.brief());
+        let wanted = theirs.first().map_or_else(String::new, described);
+        format!(
+            "the topic \"{}\" carries {carried} on {here}, and {there} listens to {wanted}: \
+             {difference}",
+            key.topic
+        )
+    }
+}
+
+/// Which of a listener's versions is ours, from 0 for its present one.
+///
+/// # Errors
+/// What differs from its present one.
+fn version_of(ours: &ContractIdentity, theirs: &[PeerIdentity]) -> Result<u32, String> {
+    match theirs.iter().position(|theirs| ours.check(theirs).is_ok()) {
+        Some(form) => Ok(form as u32),
+        None => {
+            let present = theirs.first().map(|theirs| ours.check(theirs));
+            Err(present.and_then(Result::err).map_or(String::new(), |d| d.to_string()))
+        }
+    }
+}
