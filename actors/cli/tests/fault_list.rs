@@ -43,6 +43,8 @@ fn robot(name: &str) -> blastema::NodeBuilder {
 const FOLDER: &str = "BLASTEMA_TEST_FOLDER";
 /// Whether that process has a subscriber for its log.
 const LOGS: &str = "BLASTEMA_TEST_LOGS";
+/// How that process ends; it runs until its node has ended, where nothing is said.
+const END: &str = "BLASTEMA_TEST_END";
 
 #[test]
 fn a_process_keeps_a_journal() {
@@ -57,7 +59,15 @@ fn a_process_keeps_a_journal() {
             .journal(folder.join("faults"))
             .inspection_socket(folder.join("window"));
         let node = node.start().await.expect("it starts");
-        node.ended().await;
+        match std::env::var(END).as_deref() {
+            Ok("shutdown") => node.shutdown().await,
+            Ok("drop") => drop(node),
+            Ok("panic") => panic!("the map is upside down"),
+            Ok("until signal") => node.run_until_signal().await.expect("signals are told"),
+            _ => {
+                node.ended().await;
+            }
+        }
     });
 }
 
@@ -79,6 +89,15 @@ impl Robot {
             .stderr(Stdio::piped())
             .spawn();
         Robot(child.expect("the test can be started again"))
+    }
+
+    /// Sends it a signal, if one is named, and waits until it has ended.
+    fn end(mut self, signal: Option<&str>) {
+        if let Some(signal) = signal {
+            let sent = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
+            assert!(sent.expect("there is kill").success());
+        }
+        self.0.wait().expect("it was started here");
     }
 
     /// As `kill -9` does. Answers what it had printed on standard error.
@@ -156,6 +175,37 @@ fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
     let table = String::from_utf8(list(&["--all", "--journal", journal]).stdout).expect("text");
     for part in ["found", "module1:gripper", "the finger is gone", "4 mm of 5 mm", "ended with"] {
         assert!(table.contains(part), "{part} is missing in\n{table}");
+    }
+}
+
+#[test]
+fn the_last_entry_of_a_run_says_when_and_why_the_node_ended() {
+    let cases = [
+        ("shutdown", None, "shut it down"),
+        ("drop", None, "dropped while it"),
+        ("panic", None, "dropped by a panic while it"),
+        ("until signal", Some("-TERM"), "SIGTERM"),
+        ("", Some("-TERM"), "SIGTERM"),
+        ("", Some("-INT"), "SIGINT"),
+    ];
+    for (how, signal, why) in cases {
+        let folder = tempfile::tempdir().expect("a folder");
+        let journal = folder.path().join("faults");
+        let robot = Robot::start_with(folder.path(), &[(END, how)]);
+        if signal.is_some() {
+            // It runs, and handles signals.
+            until(|| rows(&["--journal", text(&journal)]) == pairs(&[(WORN, "open")]));
+        }
+        robot.end(signal);
+
+        let entries = blastema::journal::read(&journal).expect("it is a journal");
+        let end = entries.last().expect("it has an entry");
+        assert_eq!(end.code, blastema::journal::NODE_ENDED, "{how} {signal:?}: {entries:?}");
+        assert!(end.detail.contains(why), "{how} {signal:?}: {end:?}");
+        let later = entries.iter().all(|entry| entry.found_at <= end.found_at);
+        assert!(later && !end.status.stands(), "{entries:?}");
+        let all = rows(&["--all", "--journal", text(&journal)]);
+        assert!(all.ends_with(&pairs(&[("B00", "closed")])), "{all:?}");
     }
 }
 

@@ -31,6 +31,8 @@ pub struct Monitor {
     inquiry: PingMonitor,
     handover: ConfirmedQueue<Observation>,
     asks: VecDeque<ObjectName>,
+    /// The node ends.
+    ending: bool,
     stale: u64,
     stalls: u64,
     refused: u64,
@@ -92,6 +94,7 @@ impl Monitor {
             inquiry: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
+            ending: false,
             stale: 0,
             stalls: 0,
             refused: 0,
@@ -295,6 +298,12 @@ impl Monitor {
         }
     }
 
+    /// The node ends, in order or not. Threads, links and sessions go with it: from now on only
+    /// what a component says itself, or dies of, is handed to the detector.
+    pub fn handle_ending(&mut self) {
+        self.ending = true;
+    }
+
     /// An object's sending and receiving was forbidden, or allowed again.
     pub fn handle_isolation(&mut self, object: &ObjectName, isolated: bool) {
         if let Some(entry) = self.objects.get_mut(object) {
@@ -424,6 +433,9 @@ impl Monitor {
     }
 
     fn observe(&mut self, place: Place, incarnation: Incarnation, finding: Finding, now: Instant) {
+        if self.ending && !finding.is_own_doing() {
+            return;
+        }
         // One rank for all: the detector is told things in the order in which they happened.
         self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
     }

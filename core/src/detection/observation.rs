@@ -108,6 +108,16 @@ pub enum Finding {
     Node(NodeCondition),
 }
 
+impl Finding {
+    /// Whether a component did this itself, so that the end of its node does not explain it.
+    pub(super) fn is_own_doing(&self) -> bool {
+        matches!(
+            self,
+            Finding::Exited { exit: ExitReason::Panicked { .. }, .. } | Finding::Declared { .. }
+        )
+    }
+}
+
 /// How a life ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExitReason {

@@ -505,3 +505,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn what_goes_with_its_node_is_not_handed_over_and_what_a_component_dies_of_is() {
+    let mut monitor = watched(Liveness::Guard);
+    let down = LinkCondition::Down { reason: "closed".into() };
+    let lost = NodeCondition::Lost { reason: "no path".into() };
+    monitor.handle_ending();
+
+    monitor.handle_link(node("m"), "eth".into(), Some(node("n")), down, at(1));
+    monitor.handle_node(node("n"), ONE, lost, at(1));
+    monitor.handle_exited(&object("laser"), TWO, ExitReason::Aborted, None, at(1));
+    monitor.handle_exited(&object("arm"), ONE, panicked(), None, at(1));
+
+    assert_eq!(seen(&mut monitor, 1), ["m:arm Exited"]);
+}
