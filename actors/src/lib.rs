@@ -50,6 +50,7 @@
 //!         println!("{error}"); // … the receiver died in its life #1 while it served this message
 //!     }
 //!     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
+//!     node.shutdown().await;
 //!     Ok(())
 //! }
 //! ```

@@ -84,5 +84,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The counter begins anew on another thread, and what waits for it comes along.
     println!("count {}", counter.ask_within(Count, patience).await?);
     println!("threads given up: {}", node.abandoned_threads());
+    node.shutdown().await;
     Ok(())
 }

@@ -235,8 +235,9 @@ fn a_node_that_was_shut_down_still_says_which_faults_stood() {
         let kinds = |record: FaultRecord| {
             record.entries.into_iter().map(|entry| entry.fault.kind).collect::<Vec<_>>()
         };
-        assert_eq!(kinds(node.faults().await), [worn.clone()]);
-        assert_eq!(kinds(node.faults().await), [worn], "as often as it is asked");
+        for time in ["once", "and as often as it is asked"] {
+            assert_eq!(kinds(node.faults().await), std::slice::from_ref(&worn), "{time}");
+        }
     });
 }
 

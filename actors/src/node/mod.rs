@@ -503,8 +503,9 @@ impl Node {
     }
 
     /// Stops all components in the reverse of their start order, and then everything else. What was
-    /// accepted for other nodes until the last component has ended is delivered; from then on
-    /// senders say [`DeliveryError::Stopped`] at once, also to those who wait in `deliver`.
+    /// accepted for other nodes until the last component has ended is delivered, and they are told
+    /// that the node leaves; from then on senders say [`DeliveryError::Stopped`] at once, also to
+    /// those who wait in `deliver`.
     pub async fn shutdown(&self) {
         self.shut_down_because("the program shut it down").await;
     }
