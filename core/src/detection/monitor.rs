@@ -13,6 +13,7 @@ use crate::{
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
@@ -34,7 +35,6 @@ pub struct Monitor {
     /// The node ends.
     ending: bool,
     stale: u64,
-    stalls: u64,
     refused: u64,
 }
 
@@ -43,6 +43,9 @@ pub struct Monitor {
 pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
+    /// From this length on, that no thread of the node ran is a fault. Shorter tells of each spell
+    /// of an overloaded computer.
+    pub pause: Duration,
     /// The hand-over to the detector.
     pub handover: ConfirmedQueueLimits,
 }
@@ -54,6 +57,8 @@ impl Default for MonitorLimits {
         // At start every object is enrolled at once, and some of them have more to tell.
         MonitorLimits {
             rows,
+            // Requests expire after as long, unless they say otherwise, and links are down before.
+            pause: Duration::from_secs(1),
             handover: ConfirmedQueueLimits { capacity: 4 * rows, ..Default::default() },
         }
     }
@@ -96,7 +101,6 @@ impl Monitor {
             asks: VecDeque::new(),
             ending: false,
             stale: 0,
-            stalls: 0,
             refused: 0,
         }
     }
@@ -333,11 +337,6 @@ impl Monitor {
     /// How often something came from a life that is over.
     pub fn stale(&self) -> u64 {
         self.stale
-    }
-
-    /// How often the watch, or the whole process, was found to have stood still.
-    pub fn stalls(&self) -> u64 {
-        self.stalls
     }
 
     /// How many reports came from strangers for whom the table had no room.

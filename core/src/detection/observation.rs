@@ -201,6 +201,11 @@ pub enum NodeCondition {
     },
     /// It says that it is at work again.
     AtWork,
+    /// This node itself: none of its threads ran.
+    Paused {
+        /// For how long.
+        span: Duration,
+    },
     /// It said that it ends in order: that it is silent from now on is no fault, and its return is
     /// an ordinary one.
     Left,
