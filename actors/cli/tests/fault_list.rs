@@ -1,7 +1,7 @@
 //! The program reads the faults of running nodes, and of nodes that were killed.
 
-use blastema::FaultStatus;
 use blastema::prelude::*;
+use blastema::{FaultEvent, FaultTransition};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -137,6 +137,7 @@ fn until(so: impl Fn() -> bool) {
     let begun = Instant::now();
     while !so() {
         assert!(begun.elapsed() < TIMEOUT, "it takes no such time");
+        // Each look starts a program: without a pause it would be this that loads the computer.
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -228,21 +229,22 @@ fn each_fault_is_printed_once_where_no_log_is_kept_and_never_where_one_is() {
     assert!(!printed.iter().any(|line| line.starts_with("blastema: ")), "{printed:?}");
 }
 
-/// The fault of the journal, once it is found.
-async fn journal_fault(node: &Node) -> String {
+/// A robot with its journal at this path, and what is found wrong with that.
+async fn start_with_journal(path: &Path) -> (Node, String) {
+    let mut builder = robot("module1").journal(path);
+    let mut faults = builder.fault_events();
+    let node = builder.start().await.expect("it starts all the same");
     let found = async {
-        loop {
-            let record = node.faults().await;
-            let of_journal = |place: &blastema::Place| place.to_string().ends_with("chain/journal");
-            if let Some(entry) = record.entries.iter().find(|entry| of_journal(&entry.fault.place))
-            {
-                assert_ne!(entry.status(), FaultStatus::Closed);
-                return entry.fault.detail.clone();
+        while let Some(FaultEvent { fault, turn, .. }) = faults.next().await {
+            let of_journal = fault.place.to_string().ends_with("chain/journal");
+            if of_journal && turn == FaultTransition::Found {
+                return fault.detail;
             }
-            tokio::time::sleep(Duration::from_millis(10)).await;
         }
+        panic!("the node has ended");
     };
-    tokio::time::timeout(TIMEOUT, found).await.expect("it is found")
+    let detail = tokio::time::timeout(TIMEOUT, found).await.expect("it is found");
+    (node, detail)
 }
 
 #[test]
@@ -253,9 +255,7 @@ fn a_journal_that_cannot_be_written_is_a_fault_and_the_node_goes_on() {
         let occupied = folder.path().join("occupied");
         fs::create_dir(&occupied).expect("a folder");
         for path in [nowhere, occupied] {
-            let node =
-                robot("module1").journal(&path).start().await.expect("it starts all the same");
-            let detail = journal_fault(&node).await;
+            let (node, detail) = start_with_journal(&path).await;
             assert!(detail.contains(text(&path)) && detail.contains("goes on without"), "{detail}");
             assert_eq!(node.state(), NodeState::Running);
             node.shutdown().await;
@@ -269,18 +269,11 @@ fn a_damaged_journal_is_set_aside_and_the_next_faults_are_kept() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("faults");
         fs::write(&path, "no database at all, but a text of some length").expect("a file");
-        let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
+        let (node, detail) = start_with_journal(&path).await;
 
-        let detail = journal_fault(&node).await;
         assert!(detail.contains("damaged") && detail.contains("faults.damaged-1"), "{detail}");
         assert!(folder.path().join("faults.damaged-1").exists());
-        let kept = || blastema::journal::read(&path).is_ok_and(|kept| kept.len() == 3);
-        let written = async {
-            while !kept() {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-        };
-        tokio::time::timeout(TIMEOUT, written).await.expect("it is written");
+        until(|| rows(&["--all", "--journal", text(&path)]).len() == 3);
         node.shutdown().await;
         let ended = blastema::journal::read(&path).expect("it is a journal");
         assert!(ended.iter().all(|entry| !entry.status.stands()), "{ended:?}");
