@@ -178,7 +178,7 @@ fn a_process_that_was_stopped_blames_itself_and_none_of_its_peers_or_components(
             loop {
                 match faults.ask_within(ReadFaults, PATIENCE).await {
                     Ok(found) if found.iter().any(|(code, ..)| code == "B24") => return found,
-                    // The session begins anew.
+                    // Another session begins.
                     _ => sleep(Duration::from_millis(10)).await,
                 }
             }

@@ -92,7 +92,7 @@ pub(crate) struct JournalGuard {
 impl JournalGuard {
     /// The node ends for this reason, which is the last entry.
     pub(crate) fn end(self, cause: &str) {
-        // Nobody else sets it before the guard is dropped, which follows.
+        // Only a drop sets it too, and that follows.
         let _ = self.ends.set(cause.to_owned());
     }
 }

@@ -168,8 +168,8 @@ impl Link {
         self.neighbour.as_ref().map(|heard| &heard.neighbour)
     }
 
-    /// Who is at the other end instead of the neighbour, if anybody was told of: more than that the
-    /// neighbour is not heard.
+    /// Which node is at the other end instead of the neighbour, once that was told: more than that
+    /// the neighbour is not heard.
     pub fn refusal(&self) -> Option<&PeerRefusal> {
         self.refused.as_ref()
     }

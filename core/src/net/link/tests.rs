@@ -113,7 +113,7 @@ fn a_wrong_neighbour_stays_the_reason_and_is_not_told_as_missing() {
     let [(at, _, LinkOutput::Refused(PeerRefusal::WrongNeighbour { .. }))] = of_left[..] else {
         panic!("{of_left:?}")
     };
-    assert!(*at < 5_000, "before anybody was missing");
+    assert!(*at < 5_000, "before the neighbour was missing");
     let of_right: Vec<_> = cable.told.iter().filter(|told| told.1 == 1).collect();
     assert!(matches!(of_right[..], [(_, _, LinkOutput::Missing { heard: true })]), "{of_right:?}");
 }
