@@ -50,6 +50,7 @@
 //!         println!("{error}"); // … the receiver died in its life #1 while it served this message
 //!     }
 //!     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
+//!     node.shutdown().await;
 //!     Ok(())
 //! }
 //! ```
@@ -233,7 +234,8 @@ pub mod program {
 /// Runs a future on this thread until it is done, with everything that nodes need around it.
 ///
 /// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone,
-/// as `head` does, ends with the status 141 and without a word, like other programs.
+/// as `head` does, ends with the status 141, like other programs, and says no more than that its
+/// nodes were dropped.
 pub fn run<F: Future>(future: F) -> F::Output {
     crate::platform::panics::install_hook();
     let running = AssertUnwindSafe(|| actix_rt::System::new().block_on(future));

@@ -61,6 +61,9 @@ pub enum FaultKind {
     Unavailable,
     /// Another node's process dies and is started again, over and over.
     CrashLoop,
+    /// No thread of this node ran for a while: its process was stopped, or its computer stood
+    /// still. What it finds of links and other nodes just then is a symptom of that.
+    NodePaused,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -78,7 +81,7 @@ pub enum Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 23] = [
+    pub const BUILT_IN: [FaultKind; 24] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -102,9 +105,10 @@ impl FaultKind {
         FaultKind::NotServed,
         FaultKind::Unavailable,
         FaultKind::CrashLoop,
+        FaultKind::NodePaused,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B22`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B24`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -131,6 +135,7 @@ impl FaultKind {
             FaultKind::NotServed => "B21",
             FaultKind::Unavailable => "B22",
             FaultKind::CrashLoop => "B23",
+            FaultKind::NodePaused => "B24",
             FaultKind::Custom(code) => code,
         }
     }
@@ -161,6 +166,7 @@ impl FaultKind {
             FaultKind::NotServed => "service not served",
             FaultKind::Unavailable => "unavailable",
             FaultKind::CrashLoop => "crash loop",
+            FaultKind::NodePaused => "node paused",
             FaultKind::Custom(code) => code,
         }
     }
@@ -172,7 +178,8 @@ impl FaultKind {
             | FaultKind::LinkDegraded
             | FaultKind::CheckFailed
             | FaultKind::CommanderGone
-            | FaultKind::Unprotected => Severity::Warning,
+            | FaultKind::Unprotected
+            | FaultKind::NodePaused => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm

@@ -137,6 +137,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("the arm took {} steps, once and in order, to {:.2} rad", seen.steps, seen.angle);
     println!("its longest pause: {:.1} ms", seen.longest_pause);
+    brain.shutdown().await;
+    shoulder.shutdown().await;
     Ok(())
 }
 

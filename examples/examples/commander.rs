@@ -67,6 +67,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     while console.claim().await.is_err() {} // the wheels are still being stopped
     println!("the console commands: {} m/s", console.command(Drive(0.1)).await?);
+    node.shutdown().await;
+    base.shutdown().await;
     Ok(())
 }
 

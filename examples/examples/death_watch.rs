@@ -81,5 +81,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("{}", killed.map_or_else(|error| error.to_string(), |()| "moved".into()));
     arm.ask(Move { to: 0.5 }).await?; // the arm's next life, and by now the watcher has been told
     println!("may release: {}", tool.ask(Release).await?);
+    node.shutdown().await;
     Ok(())
 }

@@ -49,7 +49,7 @@ impl Component for Battery {
 #[blastema::main]
 async fn main() -> Result<(), StartError> {
     let (heard, hears) = sync_channel(16);
-    let _node = Node::builder("module1")
+    let node = Node::builder("module1")
         .child(ChildSpec::new("display", move || Display { heard: heard.clone() }))
         .child(ChildSpec::new("battery", || Battery)) // speaks when the display listens
         .start()
@@ -57,5 +57,6 @@ async fn main() -> Result<(), StartError> {
     for percent in hears.iter().take(3) {
         println!("{percent} %");
     }
+    node.shutdown().await;
     Ok(())
 }

@@ -78,5 +78,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     node.remove_child("newest").await?;
     println!("newest: removed with {} waiting", newest.queued());
+    node.shutdown().await;
     Ok(())
 }

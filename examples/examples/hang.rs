@@ -84,5 +84,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The counter is restarted on another thread, and the messages that wait for it come along.
     println!("count {}", counter.ask_within(Count, patience).await?);
     println!("threads given up: {}", node.abandoned_threads());
+    node.shutdown().await;
     Ok(())
 }

@@ -43,5 +43,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{error}"); // … the receiver died in its life #1 while it served this message
     }
     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
+    node.shutdown().await;
     Ok(())
 }

@@ -120,7 +120,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         make_fifo(fifo)?;
     }
 
-    let _module2 = Node::builder("module2")
+    let module2 = Node::builder("module2")
         .network(Network::own("fifos", Fifos::new(b.clone(), a.clone())).peer("module1", ""))
         .child(ChildSpec::new("calculator", || Calculator))
         .start()
@@ -135,6 +135,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     for number in [3, 12] {
         println!("{number} squared is {}", calculator.ask(Square(number)).await?);
     }
+    module1.shutdown().await;
+    module2.shutdown().await;
     Ok(())
 }
 

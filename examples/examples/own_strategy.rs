@@ -85,5 +85,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
             break;
         }
     }
+    node.shutdown().await;
     Ok(())
 }

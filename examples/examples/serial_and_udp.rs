@@ -55,7 +55,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [a, b] = free_addresses()?;
     let line = Cable::new();
     let [ethernet, serial] = networks(&b, &line.right(), &a, "body");
-    let _arm = Node::builder("arm")
+    let module = Node::builder("arm")
         .network(ethernet)
         .network(serial)
         .child(ChildSpec::new("arm", Arm::default))
@@ -90,6 +90,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     line.plug();
     all_links_up(&body).await;
     println!("both cables are back");
+    body.shutdown().await;
+    module.shutdown().await;
     Ok(())
 }
 

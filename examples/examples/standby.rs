@@ -83,6 +83,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         counter.ask_within(Add, PATIENCE).await?;
     }
     println!("the first one is back, and stands by");
+    for node in carriers.iter().chain([&node]) {
+        node.shutdown().await;
+    }
     Ok(())
 }
 

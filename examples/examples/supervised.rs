@@ -77,5 +77,6 @@ async fn main() -> Result<(), StartError> {
     if let NodeState::InSafeState { reason } = node.ended().await {
         println!("at rest: {reason}");
     }
+    node.shutdown().await;
     Ok(())
 }

@@ -110,6 +110,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     while listener.ask(Heard).await? < 300 {} // an event may still be on its way
     println!("300 events heard, once and in order");
+    node.shutdown().await;
+    sums.shutdown().await;
     Ok(())
 }
 

@@ -79,5 +79,6 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     println!("still turning at {} m/s", motors.ask(Turning { working: 0 }).await?);
+    node.shutdown().await;
     Ok(())
 }

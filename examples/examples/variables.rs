@@ -90,6 +90,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     target.decide(RestoreDecision::Default).await?;
     println!("target: {}", watch.next().await?.value.0);
     println!("the load is still {} kg", load.read().await?.value.0);
+    node.shutdown().await;
+    arm.shutdown().await;
     Ok(())
 }
 

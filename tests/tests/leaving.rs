@@ -1,6 +1,6 @@
 //! A node that ends in order is no fault to the others, and its return an ordinary join.
 
-use blastema::core::detection::Opinion;
+use blastema::core::detection::{FaultRecord, Opinion};
 use blastema::prelude::*;
 use blastema::{Link, MemoryMedium, Network, NodeBuilder};
 use blastema_testkit::TestNode;
@@ -204,5 +204,67 @@ fn a_real_node_that_leaves_in_order_is_no_fault_to_another() {
         assert!(here.faults().await.entries.is_empty(), "{:?}", here.faults().await);
         there.shutdown().await;
         here.shutdown().await;
+    });
+}
+
+/// Declares a fault when it comes to work.
+struct Worn;
+
+impl Component for Worn {
+    async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        cx.declare_fault(FaultKind::Custom("WORN".into()), "4 mm of 5 mm");
+        Ok(())
+    }
+}
+
+#[test]
+fn a_node_that_was_shut_down_still_says_which_faults_stood() {
+    blastema::run(async {
+        let worn = FaultKind::Custom("WORN".into());
+        let mut builder = Node::builder("here")
+            .fault_kind("WORN")
+            .plan(Plan::default().on(worn.clone(), Ladder::first(RecoveryAction::Observe)))
+            .child(ChildSpec::new("worn", || Worn));
+        let mut faults = builder.fault_events();
+        let node = builder.start().await.expect("it starts");
+        let found = tokio::time::timeout(PATIENCE, faults.next()).await.expect("it is found");
+        assert_eq!(found.expect("the node runs").fault.kind, worn);
+
+        node.shutdown().await;
+
+        let kinds = |record: FaultRecord| {
+            record.entries.into_iter().map(|entry| entry.fault.kind).collect::<Vec<_>>()
+        };
+        for time in ["once", "and as often as it is asked"] {
+            assert_eq!(kinds(node.faults().await), std::slice::from_ref(&worn), "{time}");
+        }
+    });
+}
+
+#[test]
+fn real_nodes_that_leave_one_after_another_find_no_fault_in_each_other_or_in_themselves() {
+    blastema::run(async {
+        let [near, far] = addresses();
+        for first in [true, false] {
+            let here = real("here", near, "there", far).await;
+            let there = real("there", far, "here", near).await;
+            assert!(here.connected("there", PATIENCE).await);
+            assert!(there.connected("here", PATIENCE).await);
+            let (leaver, other) = if first { (here, there) } else { (there, here) };
+
+            leaver.shutdown().await;
+            let unreachable = async {
+                while !other.routes().await.is_empty() {
+                    tokio::time::sleep(MS).await;
+                }
+            };
+            tokio::time::timeout(PATIENCE, unreachable).await.expect("its silence is noticed");
+            other.shutdown().await;
+
+            for node in [leaver, other] {
+                let record = node.faults().await;
+                assert!(record.entries.is_empty(), "{}: {record:?}", node.name());
+            }
+        }
     });
 }

@@ -133,6 +133,40 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
 }
 
 #[test]
+fn neighbours_of_one_name_are_told_so_until_one_is_called_otherwise() {
+    blastema::run(async {
+        let [left, right] = free::<2>();
+        let start = async |name, own, far| {
+            let mut builder = node(name, own, &[("base", far)]);
+            let faults = builder.fault_events();
+            (builder.start().await.expect("it starts"), faults)
+        };
+        let (arm, of_arm) = start("arm", left, right).await;
+        let (other, of_other) = start("arm", right, left).await;
+
+        let faults = [taken(of_arm).await, taken(of_other).await];
+
+        for fault in faults {
+            assert_eq!(fault.place.to_string(), "arm:net/links/ethernet");
+            assert!(fault.detail.contains("also called arm"), "{}", fault.detail);
+        }
+        other.shutdown().await;
+        let base = node("base", right, &[("arm", left)]).start().await.expect("it starts");
+        assert!(arm.connected("base", PATIENCE).await);
+        let stands = async || arm.faults().await.entries.iter().any(|entry| entry.stands());
+        let over = async {
+            while stands().await {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, over).await.expect("all is as it should be");
+        for node in [arm, base] {
+            node.shutdown().await;
+        }
+    });
+}
+
+#[test]
 fn a_node_that_begins_anew_is_the_same_node_and_no_dispute() {
     blastema::run(async {
         let [arm, base] = free::<2>();

@@ -41,6 +41,11 @@ impl Process {
         Process(child.expect("the test can be started again"))
     }
 
+    fn signal(&self, signal: &str) {
+        let status = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
+        assert!(status.expect("there is kill").success());
+    }
+
     /// As `kill -9` does.
     fn kill(&mut self) {
         self.0.kill().expect("it still runs");
@@ -89,6 +94,7 @@ fn a_process_plays_its_role() {
             "carrier3" => carry_counter(3).await,
             "keeper" => keep_books().await,
             "bystander" => stand_by().await,
+            "paused" => tell_faults().await,
             other => panic!("there is no role {other}"),
         }
     });
@@ -97,6 +103,96 @@ fn a_process_plays_its_role() {
 async fn stand_by() {
     let _node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
     std::future::pending::<()>().await;
+}
+
+/// Answers what the node that it lives on has found so far: kind, place, and whether it is a root.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "faults/read", reply = Vec<(String, String, bool)>)]
+struct ReadFaults;
+
+struct Faults(tokio::sync::watch::Receiver<Vec<(String, String, bool)>>);
+
+impl Component for Faults {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<ReadFaults>();
+    }
+}
+
+impl Handle<ReadFaults> for Faults {
+    async fn handle(
+        &mut self,
+        _: ReadFaults,
+        _: &mut Context<Self>,
+    ) -> Vec<(String, String, bool)> {
+        self.0.borrow().clone()
+    }
+}
+
+/// Works at 50 Hz: it would be late by 150 rounds, and silent.
+struct Pulse;
+
+impl Component for Pulse {
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+/// A link between two nodes that bears a busy computer.
+fn patient(addresses: &[SocketAddr], own: usize) -> Network {
+    let far = Link::new(&format!("module{}", 1 - own), addresses[1 - own]);
+    Network::udp("ethernet", addresses[own]).link(far)
+}
+
+async fn tell_faults() {
+    let (found, told) = tokio::sync::watch::channel(Vec::new());
+    let mut builder = Node::builder("module1")
+        .network(patient(&addresses(), 1))
+        .child(ChildSpec::new("faults", move || Faults(told.clone())))
+        .child(ChildSpec::new("pulse", || Pulse).rate_hz(50.0));
+    let mut faults = builder.fault_events();
+    let node = builder.start().await.unwrap();
+    while faults.next().await.is_some() {
+        let row = |entry: blastema::core::detection::FaultEntry| {
+            let blastema::Fault { kind, place, symptom_of, .. } = entry.fault;
+            (kind.code().to_owned(), place.to_string(), symptom_of.is_none())
+        };
+        found.send_replace(node.faults().await.entries.into_iter().map(row).collect());
+    }
+}
+
+#[test]
+fn a_process_that_was_stopped_blames_itself_and_none_of_its_peers_or_components() {
+    let addresses = free_addresses(2);
+    blastema::run(async {
+        let node = Node::builder("module0").network(patient(&addresses, 0)).start().await.unwrap();
+        let process = Process::start("paused", &addresses);
+        assert!(node.connected("module1", PATIENCE).await);
+        let faults: Sender<ReadFaults> = node.sender("module1:faults").unwrap();
+        faults.ask_within(ReadFaults, PATIENCE).await.expect("it runs");
+
+        process.signal("-STOP");
+        sleep(Duration::from_secs(3)).await;
+        process.signal("-CONT");
+
+        let heard = async {
+            loop {
+                match faults.ask_within(ReadFaults, PATIENCE).await {
+                    Ok(found) if found.iter().any(|(code, ..)| code == "B24") => return found,
+                    // Another session begins.
+                    _ => sleep(Duration::from_millis(10)).await,
+                }
+            }
+        };
+        let found = tokio::time::timeout(PATIENCE, heard).await.expect("it answers again");
+        // A busy computer loses hellos also before and after.
+        let judged = |row: &&(String, String, bool)| row.2 && row.0 != "B12";
+        let roots: Vec<_> = found.iter().filter(judged).collect();
+        let [(code, place, _)] = roots[..] else { panic!("{found:?}") };
+        assert_eq!((code.as_str(), place.as_str()), ("B24", "module1"), "{found:?}");
+        let suffered = |code: &str| ["B11", "B12", "B13", "B24"].contains(&code);
+        assert!(found.iter().all(|(code, ..)| suffered(code)), "{found:?}");
+        node.shutdown().await;
+    });
 }
 
 #[test]

@@ -135,6 +135,7 @@ fn a_process_plays_its_role() {
             "watched" => stay_until_signal().await,
             "stuck" => get_stuck().await,
             "unsafe" => drop_with_outputs_that_panic().await,
+            "plain" => drop_without_outputs().await,
             role => drive_and(role).await,
         }
     });
@@ -170,7 +171,7 @@ fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
     let cases = [
         ("drop", None, Some(0), "was dropped while it ran"),
         ("error", None, Some(101), "was dropped while it ran"),
-        ("panic", None, Some(101), "was dropped while it ran"),
+        ("panic", None, Some(101), "was dropped by a panic while it ran"),
         ("signal", Some("-TERM"), Some(143), "SIGTERM"),
         ("signal", Some("-INT"), Some(130), "SIGINT"),
         ("blocked", Some("-TERM"), Some(143), "SIGTERM"),
@@ -189,7 +190,28 @@ fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
         let said: Vec<_> = errors.lines().filter(|line| line.contains("safe outputs")).collect();
         assert!(said.len() == 1 && said[0].contains(cause), "{role}: {errors}");
         assert!(said[0].contains("module1"), "{said:?}");
+        let faults: Vec<_> = errors.lines().filter(|line| line.contains("on node")).collect();
+        assert!(faults.is_empty(), "{role}: what ends with its node is no fault: {faults:?}");
     }
+}
+
+/// Has nothing that could be made safe.
+async fn drop_without_outputs() -> Result<(), Box<dyn std::error::Error>> {
+    let node = Node::builder("module1").child(ChildSpec::new("joint", || Joint)).start().await?;
+    println!("started");
+    drop(node);
+    Ok(())
+}
+
+#[test]
+fn a_node_without_outputs_that_is_dropped_says_so_in_one_line_and_no_more() {
+    let mut process = Process::start("plain", &[]);
+    process.await_line("started");
+    let (code, _, errors) = process.end();
+
+    let lines: Vec<_> = errors.lines().collect();
+    assert!(code == Some(0) && lines.len() == 1, "{errors}");
+    assert!(lines[0].contains("module1") && lines[0].contains("dropped while it ran"), "{errors}");
 }
 
 #[test]
@@ -200,7 +222,7 @@ fn a_program_that_shuts_its_node_down_has_nothing_more_to_make_safe() {
 
     assert_eq!(code, Some(0), "{errors}");
     assert!(!lines.iter().any(|line| line == "safe outputs"), "{lines:?}");
-    assert!(!errors.contains("safe outputs"), "{errors}");
+    assert_eq!(errors, "", "an orderly end prints no error");
 }
 
 /// Its safe outputs panic when they are called.

@@ -1,7 +1,7 @@
 //! The program reads the faults of running nodes, and of nodes that were killed.
 
-use blastema::FaultStatus;
 use blastema::prelude::*;
+use blastema::{FaultEvent, FaultTransition};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -43,6 +43,8 @@ fn robot(name: &str) -> blastema::NodeBuilder {
 const FOLDER: &str = "BLASTEMA_TEST_FOLDER";
 /// Whether that process has a subscriber for its log.
 const LOGS: &str = "BLASTEMA_TEST_LOGS";
+/// How that process ends; it runs until its node has ended, where nothing is said.
+const END: &str = "BLASTEMA_TEST_END";
 
 #[test]
 fn a_process_keeps_a_journal() {
@@ -57,7 +59,15 @@ fn a_process_keeps_a_journal() {
             .journal(folder.join("faults"))
             .inspection_socket(folder.join("socket"));
         let node = node.start().await.expect("it starts");
-        node.ended().await;
+        match std::env::var(END).as_deref() {
+            Ok("shutdown") => node.shutdown().await,
+            Ok("drop") => drop(node),
+            Ok("panic") => panic!("the map is upside down"),
+            Ok("until signal") => node.run_until_signal().await.expect("signals are told"),
+            _ => {
+                node.ended().await;
+            }
+        }
     });
 }
 
@@ -79,6 +89,15 @@ impl Robot {
             .stderr(Stdio::piped())
             .spawn();
         Robot(child.expect("the test can be started again"))
+    }
+
+    /// Sends it a signal, if one is named, and waits until it has ended.
+    fn end(mut self, signal: Option<&str>) {
+        if let Some(signal) = signal {
+            let sent = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
+            assert!(sent.expect("there is kill").success());
+        }
+        self.0.wait().expect("it was started here");
     }
 
     /// As `kill -9` does. Answers what it had printed on standard error.
@@ -118,6 +137,7 @@ fn until(so: impl Fn() -> bool) {
     let begun = Instant::now();
     while !so() {
         assert!(begun.elapsed() < TIMEOUT, "it takes no such time");
+        // Each look starts a program: without a pause it would be this that loads the computer.
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -160,6 +180,37 @@ fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
 }
 
 #[test]
+fn the_last_entry_of_a_run_says_when_and_why_the_node_ended() {
+    let cases = [
+        ("shutdown", None, "shut it down"),
+        ("drop", None, "dropped while it"),
+        ("panic", None, "dropped by a panic while it"),
+        ("until signal", Some("-TERM"), "SIGTERM"),
+        ("", Some("-TERM"), "SIGTERM"),
+        ("", Some("-INT"), "SIGINT"),
+    ];
+    for (how, signal, why) in cases {
+        let folder = tempfile::tempdir().expect("a folder");
+        let journal = folder.path().join("faults");
+        let robot = Robot::start_with(folder.path(), &[(END, how)]);
+        if signal.is_some() {
+            // It runs, and handles signals.
+            until(|| rows(&["--journal", text(&journal)]) == pairs(&[(WORN, "open")]));
+        }
+        robot.end(signal);
+
+        let entries = blastema::journal::read(&journal).expect("it is a journal");
+        let end = entries.last().expect("it has an entry");
+        assert_eq!(end.code, blastema::journal::NODE_ENDED, "{how} {signal:?}: {entries:?}");
+        assert!(end.detail.contains(why), "{how} {signal:?}: {end:?}");
+        let later = entries.iter().all(|entry| entry.found_at <= end.found_at);
+        assert!(later && !end.status.stands(), "{entries:?}");
+        let all = rows(&["--all", "--journal", text(&journal)]);
+        assert!(all.ends_with(&pairs(&[("B00", "closed")])), "{all:?}");
+    }
+}
+
+#[test]
 fn each_fault_is_printed_once_where_no_log_is_kept_and_never_where_one_is() {
     let folder = tempfile::tempdir().expect("a folder");
     let journal = folder.path().join("faults");
@@ -178,21 +229,22 @@ fn each_fault_is_printed_once_where_no_log_is_kept_and_never_where_one_is() {
     assert!(!printed.iter().any(|line| line.starts_with("blastema: ")), "{printed:?}");
 }
 
-/// The fault of the journal, once it is found.
-async fn journal_fault(node: &Node) -> String {
+/// A robot with its journal at this path, and what is found wrong with that.
+async fn start_with_journal(path: &Path) -> (Node, String) {
+    let mut builder = robot("module1").journal(path);
+    let mut faults = builder.fault_events();
+    let node = builder.start().await.expect("it starts all the same");
     let found = async {
-        loop {
-            let record = node.faults().await;
-            let of_journal = |place: &blastema::Place| place.to_string().ends_with("chain/journal");
-            if let Some(entry) = record.entries.iter().find(|entry| of_journal(&entry.fault.place))
-            {
-                assert_ne!(entry.status(), FaultStatus::Closed);
-                return entry.fault.detail.clone();
+        while let Some(FaultEvent { fault, turn, .. }) = faults.next().await {
+            let of_journal = fault.place.to_string().ends_with("chain/journal");
+            if of_journal && turn == FaultTransition::Found {
+                return fault.detail;
             }
-            tokio::time::sleep(Duration::from_millis(10)).await;
         }
+        panic!("the node has ended");
     };
-    tokio::time::timeout(TIMEOUT, found).await.expect("it is found")
+    let detail = tokio::time::timeout(TIMEOUT, found).await.expect("it is found");
+    (node, detail)
 }
 
 #[test]
@@ -203,9 +255,7 @@ fn a_journal_that_cannot_be_written_is_a_fault_and_the_node_goes_on() {
         let occupied = folder.path().join("occupied");
         fs::create_dir(&occupied).expect("a folder");
         for path in [nowhere, occupied] {
-            let node =
-                robot("module1").journal(&path).start().await.expect("it starts all the same");
-            let detail = journal_fault(&node).await;
+            let (node, detail) = start_with_journal(&path).await;
             assert!(detail.contains(text(&path)) && detail.contains("goes on without"), "{detail}");
             assert_eq!(node.state(), NodeState::Running);
             node.shutdown().await;
@@ -222,18 +272,11 @@ fn a_damaged_journal_is_set_aside_and_the_next_faults_are_kept() {
         let mut bytes = fs::read(&path).expect("a journal");
         bytes[100..].fill(0x5a); // behind the header
         fs::write(&path, &bytes).expect("it is ours");
-        let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
+        let (node, detail) = start_with_journal(&path).await;
 
-        let detail = journal_fault(&node).await;
         assert!(detail.contains("damaged") && detail.contains("faults.damaged-1"), "{detail}");
         assert!(folder.path().join("faults.damaged-1").exists());
-        let kept = || blastema::journal::read(&path).is_ok_and(|kept| kept.len() == 3);
-        let written = async {
-            while !kept() {
-                tokio::time::sleep(Duration::from_millis(10)).await;
-            }
-        };
-        tokio::time::timeout(TIMEOUT, written).await.expect("it is written");
+        until(|| rows(&["--all", "--journal", text(&path)]).len() == 3);
         node.shutdown().await;
         let ended = blastema::journal::read(&path).expect("it is a journal");
         assert!(ended.iter().all(|entry| !entry.status.stands()), "{ended:?}");

@@ -8,7 +8,7 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::Observed;
 use blastema_contract::monitor::{
-    IsolationReported, LinkReported, NodeReported, ReadTable, Register, Unregister,
+    IsolationReported, LinkReported, NodeEnding, NodeReported, ReadTable, Register, Unregister,
 };
 use blastema_contract::reports::{
     Alive, AreYouAlive, DeclaredFaultCleared, Exited, FaultDeclared, LivenessReported,
@@ -232,6 +232,14 @@ impl Handler<NodeReported> for MonitorActor {
         let NodeReported { node, incarnation, condition } = message;
         self.machine.handle_node(node, incarnation, condition, platform::now());
         self.drive(context);
+    }
+}
+
+impl Handler<NodeEnding> for MonitorActor {
+    type Result = ();
+
+    fn handle(&mut self, _: NodeEnding, _: &mut Context<Self>) {
+        self.machine.handle_ending();
     }
 }
 

@@ -1,7 +1,7 @@
 //! What stands in a journal.
 
 use super::lock;
-use super::store::{APPLICATION, ENDED_WITH_PROCESS, VERSION, version_of};
+use super::store::{APPLICATION, ENDED_WITH_PROCESS, NODE_ENDED, VERSION, version_of};
 use crate::platform::wall_time::WallTime;
 use rusqlite::{Connection, OpenFlags, Row};
 use std::fmt;
@@ -42,7 +42,8 @@ pub enum ReadError {
     },
 }
 
-/// One fault of a journal, and what became of it.
+/// One fault of a journal, and what became of it; or, with the code [`NODE_ENDED`], when and why the
+/// node ended, unless its process was killed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JournalEntry {
@@ -58,7 +59,7 @@ pub struct JournalEntry {
     pub code: String,
     /// Its kind.
     pub kind: String,
-    /// How bad it is: `warning`, `error` or `critical`.
+    /// How bad it is: `warning`, `error` or `critical`; `note` for the end of a node.
     pub severity: String,
     /// Where it is.
     pub place: String,
@@ -189,8 +190,9 @@ fn entry(row: &Row<'_>, written: bool) -> rusqlite::Result<JournalEntry> {
     let repaired = moment("repaired_us", "repaired_ns")?;
     let given_up: Option<String> = row.get("given_up")?;
     let (ended, is_last): (Option<String>, bool) = (row.get("ended")?, row.get("is_last")?);
+    let code: String = row.get("code")?;
     let status = match ended.as_deref() {
-        _ if repaired.is_some() => JournalStatus::Closed,
+        _ if repaired.is_some() || code == NODE_ENDED => JournalStatus::Closed,
         Some(ended) if ended != ENDED_WITH_PROCESS => JournalStatus::EndedInOrder,
         None if written && is_last => match (&recovered, &given_up) {
             (Some(_), _) => JournalStatus::Recovered,
@@ -204,7 +206,7 @@ fn entry(row: &Row<'_>, written: bool) -> rusqlite::Result<JournalEntry> {
         node: row.get("node")?,
         node_incarnation: unsigned(row.get("node_incarnation")?),
         id: unsigned(row.get("id")?),
-        code: row.get("code")?,
+        code,
         kind: row.get("kind")?,
         severity: row.get("severity")?,
         place: row.get("place")?,

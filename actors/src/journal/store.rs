@@ -74,7 +74,16 @@ const PUT: &str =
      given_up = CASE WHEN excluded.recovered_us IS NULL
          THEN coalesce(excluded.given_up, given_up) END";
 
-/// The run ended in order.
+/// The end of a run as an entry of its own, after all of its faults: those are numbered from 1.
+const PUT_END: &str = "INSERT INTO fault
+     (run, id, code, kind, severity, place, incarnation, detail, count, found_us, found_ns)
+ SELECT run, 0, ?2, 'node ended', 'note', node, incarnation, ?3, 1, ?4, ?5 FROM run WHERE run = ?1
+ ON CONFLICT (run, id) DO NOTHING";
+
+/// The code of the entry that says when and why a node ended. No fault has it.
+pub const NODE_ENDED: &str = "B00";
+
+/// The node of the run ended, and its journal was closed.
 pub(super) const ENDED_IN_ORDER: &str = "in order";
 /// The process of the run ended without a word.
 pub(super) const ENDED_WITH_PROCESS: &str = "with the process";
@@ -206,10 +215,13 @@ impl Store {
         Ok(())
     }
 
-    /// The run ends in order.
-    pub(super) fn end(self) -> Result<(), StoreError> {
+    /// The run ends, for this reason.
+    pub(super) fn end(self, cause: &str, at: Moment) -> Result<(), StoreError> {
         let ended = "UPDATE run SET ended = ?1 WHERE run = ?2";
         self.connection.execute(ended, params![ENDED_IN_ORDER, self.run])?;
+        let (wall, monotonic) = (at.wall.as_micros(), number(at.monotonic.as_nanos()));
+        let entry = params![self.run, NODE_ENDED, shortened(cause), wall, monotonic];
+        self.connection.execute(PUT_END, entry)?;
         self.connection.close().map_err(|(_, error)| error.into())
     }
 }

@@ -3,7 +3,7 @@
 use super::lock::{JournalLock, LockError};
 use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
 use super::writer::set_aside;
-use super::{JournalEntry, JournalStatus, ReadError, WallTime, read};
+use super::{JournalEntry, JournalStatus, NODE_ENDED, ReadError, WallTime, read};
 use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, NodeName, Place};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -99,8 +99,13 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
     second.write(&[line(1, moment(4, 4))]).unwrap();
     let open_again = (1, JournalStatus::Open);
     assert_eq!(statuses(&path), [with_process, (2, JournalStatus::Closed), open_again]);
-    second.end().unwrap();
-    assert_eq!(statuses(&path).last(), Some(&(1, JournalStatus::EndedInOrder)));
+    second.end("the program shut it down", moment(5, 6)).unwrap();
+    let entries = read(&path).unwrap();
+    let [.., fault, end] = entries.as_slice() else { panic!("{entries:?}") };
+    assert_eq!((fault.id, fault.status), (1, JournalStatus::EndedInOrder));
+    let told = (end.code.as_str(), end.place.as_str(), end.detail.as_str(), end.status);
+    assert_eq!(told, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
+    assert_eq!((end.found_at, end.node_incarnation), (WallTime::from_micros(6), 2));
 }
 
 #[test]

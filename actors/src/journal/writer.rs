@@ -11,10 +11,8 @@ use blastema_contract::detector::{FaultEvent, ReadRecord};
 use blastema_core::detection::{FaultEntry, FaultTransition};
 use blastema_core::{Incarnation, Instant, NodeName};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{fs, io};
 
@@ -48,7 +46,7 @@ enum Work {
     Step(Box<Line>),
     /// All that the node remembers.
     Record(Vec<Line>),
-    /// The node ends in order.
+    /// The node ends.
     End,
 }
 
@@ -86,13 +84,22 @@ pub(crate) struct JournalActor {
 /// Ends the thread when dropped, once it has written what it was given.
 pub(crate) struct JournalGuard {
     queue: SyncSender<Work>,
-    ends: Arc<AtomicBool>,
+    /// Why the node ends, once it does.
+    ends: Arc<OnceLock<String>>,
     ended: Receiver<()>,
+}
+
+impl JournalGuard {
+    /// The node ends for this reason, which is the last entry.
+    pub(crate) fn end(self, cause: &str) {
+        // Only a drop sets it too, and that follows.
+        let _ = self.ends.set(cause.to_owned());
+    }
 }
 
 impl Drop for JournalGuard {
     fn drop(&mut self) {
-        self.ends.store(true, Relaxed);
+        self.ends.get_or_init(|| "the node did not come to be".to_owned());
         // In a full queue is enough work for the thread to see the flag.
         let _ = self.queue.try_send(Work::End);
         let _ = self.ended.recv_timeout(LAST_STEPS);
@@ -105,7 +112,7 @@ struct Writer {
     author: Author,
     limits: StoreLimits,
     work: Receiver<Work>,
-    ends: Arc<AtomicBool>,
+    ends: Arc<OnceLock<String>>,
     /// Dropped at the end, which the guard waits for.
     ended: SyncSender<()>,
     /// Given back at the end.
@@ -118,7 +125,7 @@ impl JournalActor {
         let JournalSetup { path, lock, node, incarnation, record, reports } = setup;
         let (queue, work) = sync_channel(QUEUE);
         let (ended, awaited) = sync_channel(1);
-        let ends = Arc::new(AtomicBool::new(false));
+        let ends = Arc::<OnceLock<String>>::default();
         let guard = JournalGuard { queue: queue.clone(), ends: ends.clone(), ended: awaited };
         let author = Author { node, incarnation, started: platform::wall_clock() };
         let limits = StoreLimits::default();
@@ -297,7 +304,7 @@ impl Writer {
                 match self.work.try_recv() {
                     Ok(next) => over = self.gather(next, &mut lines, &mut whole),
                     Err(TryRecvError::Empty | TryRecvError::Disconnected) => {
-                        over = self.ends.load(Relaxed);
+                        over = self.ends.get().is_some();
                         break;
                     }
                 }
@@ -307,9 +314,10 @@ impl Writer {
                 break;
             }
         }
-        if let Some(store) = store {
+        if let (Some(store), Some(cause)) = (store, self.ends.get()) {
+            let now = Now::read();
             // What cannot be written now shows as the end of the process.
-            let _ = store.end();
+            let _ = store.end(cause, now.moment(now.monotonic));
         }
         drop((self.lock, self.ended));
     }

@@ -93,6 +93,8 @@ pub(super) struct LinksActor {
     /// What came from addresses that no link leads to.
     strangers: Refusals,
     complaints: RefusalAlarms<Option<LinkId>>,
+    /// Links at whose other end is a node of our name, until another one is.
+    namesakes: BTreeSet<LinkId>,
 }
 
 impl LinksActor {
@@ -111,6 +113,7 @@ impl LinksActor {
             unheard: BTreeSet::new(),
             strangers: Refusals::default(),
             complaints: RefusalAlarms::default(),
+            namesakes: BTreeSet::new(),
         };
         links.build(platform::now());
         links
@@ -211,9 +214,14 @@ impl LinksActor {
         self.tell_router(number);
         self.tell_discovery(number, state);
         match state {
-            LinkState::Up => self.tell_monitor(number, LinkCondition::Up),
+            LinkState::Up => {
+                self.forget_namesake(number);
+                self.tell_monitor(number, LinkCondition::Up);
+            }
             LinkState::Down => {
-                self.tell_monitor(number, LinkCondition::Down { reason: reason.into() });
+                let refusal = self.bundle.get(number).and_then(Link::refusal);
+                let reason = refusal.map_or_else(|| reason.to_owned(), ToString::to_string);
+                self.tell_monitor(number, LinkCondition::Down { reason });
             }
             // Nothing is torn down on a suspicion, and nobody is told who could act on it.
             LinkState::Connecting | LinkState::Suspect => {}
@@ -303,10 +311,22 @@ impl LinksActor {
         self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
-    fn refused(&self, number: LinkId, refusal: &PeerRefusal) {
+    /// The link has another neighbour, or is no more.
+    fn forget_namesake(&mut self, number: LinkId) {
+        if self.namesakes.remove(&number) && self.namesakes.is_empty() {
+            self.wiring.faults.mend(FaultKind::NameTaken);
+        }
+    }
+
+    fn refused(&mut self, number: LinkId, refusal: &PeerRefusal) {
         let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
         error!(network = %self.wiring.network, %link, "{refusal}");
         self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
+        if let PeerRefusal::NameTaken { .. } | PeerRefusal::NumberTaken { .. } = refusal {
+            self.namesakes.insert(number);
+            let detail = format!("{refusal}, at the other end of {link}: give one another name");
+            self.wiring.faults.declare(FaultKind::NameTaken, detail);
+        }
     }
 }
 

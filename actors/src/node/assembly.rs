@@ -59,7 +59,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 impl NodeBuilder {
@@ -354,6 +354,7 @@ impl NodeAssembly {
             plan: self.plan,
             systemd,
             safe: AtomicBool::new(false),
+            last_record: OnceLock::new(),
         };
         StartingNode { node: Node(Arc::new(shared)), keeper }
     }

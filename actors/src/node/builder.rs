@@ -294,9 +294,9 @@ impl NodeBuilder {
         self
     }
 
-    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs or actuators
-    /// handles them: the safe outputs are applied, and the process ends with the status 128 and the
-    /// signal's number. Where [`Node::run_until_signal`] waits, it shuts the node down instead.
+    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs, actuators or a
+    /// journal handles them: the safe outputs are applied, the journal is told, and the process ends
+    /// with the status 128 and the signal's number. Where [`Node::run_until_signal`] waits, it shuts the node down instead.
     pub fn without_signal_handling(mut self) -> Self {
         self.handles_signals = false;
         self

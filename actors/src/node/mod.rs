@@ -81,7 +81,7 @@ use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::warn;
@@ -91,7 +91,8 @@ use tracing::warn;
 ///
 /// Where the last clone is dropped without a shutdown, as where `main` returns an error or panics,
 /// the [safe outputs](NodeBuilder::safe_outputs) are applied, actuators get their safe commands,
-/// and a line on standard error and in the log says so.
+/// and a line on standard error and in the log says so. To other nodes such a node is lost; one
+/// that was shut down has left.
 ///
 /// ```
 /// use blastema::prelude::*;
@@ -128,6 +129,8 @@ struct Shared {
     systemd: Option<Systemd>,
     /// The safe outputs were applied without the fault chain.
     safe: AtomicBool,
+    /// What stood in the record of faults when the node was shut down.
+    last_record: OnceLock<FaultRecord>,
 }
 
 /// What the node asks of its root supervisor.
@@ -352,10 +355,10 @@ impl Node {
     }
 
     /// The record of faults: roots in the order in which they were found, each followed by its
-    /// symptoms.
+    /// symptoms. After a shutdown it is the record as it stood then.
     pub async fn faults(&self) -> FaultRecord {
-        let chain = &self.0.chain;
-        chain.answer(chain.record.send(ReadRecord)).await.unwrap_or_default()
+        let last = || self.0.last_record.get().cloned();
+        self.0.read_record().await.or_else(last).unwrap_or_default()
     }
 
     /// Every step in the history of every fault, from now on.
@@ -518,19 +521,29 @@ impl Node {
     }
 
     /// Stops all components in the reverse of their start order, and then everything else. What was
-    /// accepted for other nodes until the last component has ended is delivered; from then on
-    /// senders say [`DeliveryError::Stopped`] at once, also to those who wait in `deliver`.
+    /// accepted for other nodes until the last component has ended is delivered, and they are told
+    /// that the node leaves; from then on senders say [`DeliveryError::Stopped`] at once, also to
+    /// those who wait in `deliver`.
     pub async fn shutdown(&self) {
+        self.shut_down_because("the program shut it down").await;
+    }
+
+    async fn shut_down_because(&self, cause: &str) {
         self.0.tell_systemd("STOPPING=1");
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
             // The fault chain stands, and no component can be stopped.
             self.0.become_safe("the fault chain does not answer to the shutdown");
         }
+        self.0.chain.expect_end();
         if let Some(networks) = &self.0.networks {
             networks.leave().await;
         }
-        self.0.stop_threads(stopped.is_some());
+        if let Some(record) = self.0.read_record().await {
+            // Of several callers that shut it down at once, each reads the same.
+            let _ = self.0.last_record.set(record);
+        }
+        self.0.stop_threads(cause, stopped.is_some());
     }
 }
 
@@ -546,22 +559,40 @@ impl Shared {
         }
     }
 
-    /// Ends all threads of the node. Where that is not in order, the watchdogs of the process may
-    /// fire.
-    fn stop_threads(&self, in_order: bool) {
+    /// The record of faults; `None` where the fault chain has ended, or stands.
+    async fn read_record(&self) -> Option<FaultRecord> {
+        self.chain.answer(self.chain.record.send(ReadRecord)).await
+    }
+
+    /// Ends all threads of the node, for this reason. Where that is not in order, the watchdogs of
+    /// the process may fire.
+    fn stop_threads(&self, cause: &str, in_order: bool) {
         self.environment.arbiters.stop();
         if let Some(networks) = &self.networks {
             networks.stop();
         }
-        self.chain.stop(in_order);
+        self.chain.stop(cause, in_order);
+    }
+
+    /// The node ends otherwise than in order, for this reason, from whichever thread this is.
+    fn end(&self, cause: &str) {
+        self.chain.expect_end();
+        self.become_safe(cause);
+        self.stop_threads(cause, false);
     }
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        self.become_safe("the node was dropped while it ran");
+        let meanwhile = match &*self.state.borrow() {
+            NodeState::Starting => "it started",
+            NodeState::Running => "it ran",
+            NodeState::InSafeState { .. } => "it was in the safe state",
+            NodeState::Stopped => "it was shut down",
+        };
+        let panic = if std::thread::panicking() { "by a panic " } else { "" };
         // Whoever lets go of the last reference without a shutdown still leaves no thread behind.
-        self.stop_threads(false);
+        self.end(&format!("the node was dropped {panic}while {meanwhile}"));
     }
 }
 

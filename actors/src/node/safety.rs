@@ -22,8 +22,8 @@ use tracing::{info, warn};
 /// How often it is looked whether the outputs are safe.
 const LOOK: Duration = Duration::from_millis(1);
 
-/// The nodes of this process whose safe outputs signals apply: those that have any, and have not
-/// ended.
+/// The nodes of this process that signals end: those that have safe outputs or a journal, and have
+/// not ended.
 static NODES: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 /// Who waits in [`Node::run_until_signal`] for the first signal.
 static WAITING: AtomicUsize = AtomicUsize::new(0);
@@ -34,23 +34,38 @@ fn nodes() -> MutexGuard<'static, Vec<Weak<Shared>>> {
 }
 
 impl Shared {
-    /// Applies the safe outputs and cuts the actuators off, from whichever thread this is, and says
-    /// so; once. Nothing
-    /// is done for a node that has none, has stopped, or is at rest.
+    /// Applies the safe outputs and cuts the actuators off, from whichever thread this is; once.
+    /// Says on standard error and in the log that the node ends otherwise than in order, for this
+    /// cause, and what came of its outputs. Nothing is done, or said, for a node that has stopped
+    /// or is in the safe state, nor for one without outputs that never came to work.
     pub(super) fn become_safe(&self, cause: &str) {
-        let outputs = &self.chain.safe_outputs;
+        let has_outputs = self.has_outputs();
+        let ends = match *self.state.borrow() {
+            NodeState::Starting => has_outputs,
+            NodeState::Running => true,
+            NodeState::InSafeState { .. } | NodeState::Stopped => false,
+        };
+        if !ends || self.safe.swap(true, SeqCst) {
+            return;
+        }
+        let said = if has_outputs { self.apply_outputs(cause) } else { "it has no safe outputs" };
+        // A node that runs on one thread belongs to a test, which has its own output.
+        if self.chain.callbacks.have_threads() {
+            platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));
+        }
+        warn!(node = %self.name, cause, "{said}");
+    }
+
+    fn has_outputs(&self) -> bool {
+        self.chain.safe_outputs.are_declared() || !self.environment.actuators().is_empty()
+    }
+
+    /// What is to be said of the outputs, once they are safe or have taken longer than they may.
+    fn apply_outputs(&self, cause: &str) -> &'static str {
         let actuators = self.environment.actuators();
-        let works = matches!(*self.state.borrow(), NodeState::Starting | NodeState::Running);
-        let has_none = !outputs.are_declared() && actuators.is_empty();
-        if !works || has_none {
-            return;
-        }
-        if self.safe.swap(true, SeqCst) {
-            return;
-        }
         let now = platform::now();
         let fault = Fault::of_node(self.name.clone(), FaultKind::NodeAtRest, cause.into(), now);
-        let mut applied = outputs.rest(&fault);
+        let mut applied = self.chain.safe_outputs.rest(&fault);
         actuators.rest();
         let mut left = self.chain.callbacks.limit().unwrap_or_default();
         let mut known = Err(NOT_RETURNED);
@@ -72,12 +87,7 @@ impl Shared {
             platform::wait(LOOK);
             left = left.saturating_sub(LOOK);
         };
-        let said = said.err().unwrap_or("safe outputs applied");
-        // A node that runs on one thread belongs to a test, which has its own output.
-        if self.chain.callbacks.have_threads() {
-            platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));
-        }
-        warn!(node = %self.name, cause, "{said}");
+        said.err().unwrap_or("safe outputs applied")
     }
 }
 
@@ -87,7 +97,7 @@ fn handle_signal(signal: Termination, is_first: bool) {
         return; // Who waits shuts the node down in order.
     }
     let alive: Vec<_> = nodes().iter().filter_map(Weak::upgrade).collect();
-    alive.iter().for_each(|node| node.become_safe(signal.name()));
+    alive.iter().for_each(|node| node.end(signal.name()));
     platform::end_process(signal.exit_code())
 }
 
@@ -109,10 +119,9 @@ fn handle_signals() -> io::Result<()> {
 }
 
 impl Node {
-    /// Has SIGTERM and SIGINT apply the safe outputs, if this node has any.
+    /// Has SIGTERM and SIGINT apply the safe outputs and close the journal, if this node has any.
     pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
-        let outputs = self.0.chain.safe_outputs.are_declared();
-        if !outputs && self.0.environment.actuators().is_empty() {
+        if !self.0.has_outputs() && !self.0.chain.keeps_journal() {
             return Ok(());
         }
         let mut nodes = nodes();
@@ -159,7 +168,7 @@ impl Node {
         tokio::select! {
             signal = terminations.next() => {
                 info!(node = %self.0.name, signal = signal.name(), "the node is shut down");
-                self.shutdown().await;
+                self.shut_down_because(&format!("{} shut it down", signal.name())).await;
             }
             // Also where nobody is left who could say so.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => {}

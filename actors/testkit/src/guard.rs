@@ -1,9 +1,8 @@
 //! Ends a test that a component has brought to a standstill, and says which.
 
 use blastema::program::Running;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::Relaxed;
+use std::convert::Infallible;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::Duration;
 
@@ -19,31 +18,25 @@ const FAILED: i32 = 101;
 /// thread of its test, and the virtual clock with it: nothing on that thread can end the test any
 /// more.
 pub(crate) struct Guard {
-    ended: Arc<AtomicBool>,
-}
-
-impl Drop for Guard {
-    fn drop(&mut self) {
-        self.ended.store(true, Relaxed);
-    }
+    /// Its end is the guard's.
+    _lives: Sender<Infallible>,
 }
 
 impl Guard {
     pub(crate) fn of(running: Running) -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let (told, test) = (ended.clone(), thread::current().name().map(str::to_owned));
-        let look_after = move || watch(&told, &running, test.as_deref().unwrap_or("a test"));
+        let (lives, ended) = channel();
+        let test = thread::current().name().map(str::to_owned);
+        let look_after = move || watch(&ended, &running, test.as_deref().unwrap_or("a test"));
         // Where there is no thread left, a test that hangs is not named; all others are as they
         // were.
         let _ = thread::Builder::new().name("test guard".into()).spawn(look_after);
-        Guard { ended }
+        Guard { _lives: lives }
     }
 }
 
-fn watch(ended: &AtomicBool, running: &Running, test: &str) {
+fn watch(ended: &Receiver<Infallible>, running: &Running, test: &str) {
     let (mut seen, mut looks) = (running.components(), 0);
-    while !ended.load(Relaxed) {
-        thread::sleep(LOOK);
+    while ended.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
         let now = running.components();
         match now.iter().find(|component| seen.contains(component)) {
             Some((object, during, _)) if looks >= LIMIT => end(test, object, during),

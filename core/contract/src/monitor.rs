@@ -3,7 +3,8 @@
 //! ```text
 //! node ──Register, Unregister──►┐
 //! link, router ──LinkReported, NodeReported──► Monitor ──Observed──► Detector
-//! supervisor ──IsolationReported──►┘     ▲
+//! supervisor ──IsolationReported──►┤     ▲
+//! node ──NodeEnding──►──────────────┘     │
 //! anyone ──ReadTable─────────────────────┘
 //! ```
 //! What guards, components and the watch thread tell it stands in [`reports`](crate::reports).
@@ -39,6 +40,11 @@ pub struct Unregister {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "Vec<MonitorRow>")]
 pub struct ReadTable;
+
+/// This node ends: what goes away from now on goes with it, and is no fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct NodeEnding;
 
 /// An object's sending and receiving was forbidden, or allowed again.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]

@@ -158,6 +158,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::CommanderGone
         | FaultKind::Unprotected
         | FaultKind::StateLost
+        | FaultKind::NodePaused
         | FaultKind::Custom(_) => false,
     }
 }

@@ -48,6 +48,8 @@ pub struct Detector {
     reminders: DecisionTimeouts,
     conduct: OffenceWindow,
     crash_loops: CrashLoops,
+    /// This node was paused, and until when links and nodes may suffer from it.
+    pause: Option<(FaultId, Instant)>,
     handover: ConfirmedQueue<FaultNotice>,
     told: VecDeque<DetectorOutput>,
     last_number: u64,
@@ -77,6 +79,9 @@ pub struct DetectorLimits {
     /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
+    /// After a pause of this node, links and other nodes have so long to be there again. What is
+    /// still down then is a fault of its own. Longer blames the pause for more.
+    pub after_pause: Duration,
     /// The hand-over to the notifier.
     pub handover: ConfirmedQueueLimits,
 }
@@ -101,6 +106,9 @@ impl Default for DetectorLimits {
             crash_loop_restarts: 3,
             // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
             crash_loop_period: Duration::from_secs(60),
+            // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
+            // routes and sessions follow.
+            after_pause: Duration::from_secs(5),
             handover: ConfirmedQueueLimits::default(),
         }
     }
@@ -185,6 +193,7 @@ impl Detector {
             reminders: DecisionTimeouts::default(),
             conduct: OffenceWindow::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
+            pause: None,
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             told: VecDeque::new(),
             last_number: 0,
@@ -275,7 +284,8 @@ impl Detector {
         let id = match known {
             Some(id) if is_behind || !self.unhanded.remove(&id) => return id,
             Some(id) => {
-                self.find_anew(id, scene.at);
+                // What was a symptom has outlived its root.
+                self.explain(&[id], None, scene.at);
                 id
             }
             None => self.record(scene, kind, detail, cause),
@@ -291,14 +301,6 @@ impl Detector {
         self.hand_over(FaultNotice::Found(fault), scene.at);
         self.explain_by(id, scene.at);
         id
-    }
-
-    /// What was a symptom has outlived its root.
-    fn find_anew(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry_mut(id) else { return };
-        entry.fault.symptom_of = None;
-        let fault = entry.fault.clone();
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Explained });
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
@@ -390,15 +392,16 @@ impl Detector {
             })
             .map(|fault| fault.id)
             .collect();
-        for symptom in explained {
-            let entry = self.chronicle.entry_mut(symptom).expect("it was just found there");
-            entry.fault.symptom_of = Some(root);
-            let fault = entry.fault.clone();
-            self.told.push_back(DetectorOutput::Tell {
-                fault,
-                at,
-                turn: FaultTransition::Explained,
-            });
+        self.explain(&explained, Some(root), at);
+    }
+
+    /// It has turned out what these are symptoms of, or that they are roots.
+    fn explain(&mut self, faults: &[FaultId], root: Option<FaultId>, at: Instant) {
+        for id in faults {
+            let Some(entry) = self.chronicle.entry_mut(*id) else { continue };
+            entry.fault.symptom_of = root;
+            let (fault, turn) = (entry.fault.clone(), FaultTransition::Explained);
+            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -517,9 +520,9 @@ impl Machine for Detector {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let parts =
-            [self.handover.poll_timeout(), self.reminders.next(), self.crash_loops.poll_timeout()];
-        parts.into_iter().flatten().min()
+        let pause = self.pause.map(|(_, until)| until);
+        let others = [self.reminders.next(), self.crash_loops.poll_timeout(), pause];
+        others.into_iter().chain([self.handover.poll_timeout()]).flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
@@ -529,6 +532,9 @@ impl Machine for Detector {
         }
         while let Some(node) = self.crash_loops.pop_over(now) {
             self.end_crash_loop(node, now);
+        }
+        if let Some((pause, _)) = self.pause.take_if(|(_, until)| *until <= now) {
+            self.end_pause(pause, now);
         }
     }
 }

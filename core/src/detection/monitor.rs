@@ -13,6 +13,7 @@ use crate::{
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
@@ -31,8 +32,9 @@ pub struct Monitor {
     inquiry: PingMonitor,
     handover: ConfirmedQueue<Observation>,
     asks: VecDeque<ObjectName>,
+    /// The node ends.
+    ending: bool,
     stale: u64,
-    stalls: u64,
     refused: u64,
 }
 
@@ -41,6 +43,9 @@ pub struct Monitor {
 pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
+    /// From this length on, that no thread of the node ran is a fault. Shorter tells of each spell
+    /// of an overloaded computer.
+    pub pause: Duration,
     /// The hand-over to the detector.
     pub handover: ConfirmedQueueLimits,
 }
@@ -52,6 +57,8 @@ impl Default for MonitorLimits {
         // At start every object is enrolled at once, and some of them have more to tell.
         MonitorLimits {
             rows,
+            // Requests expire after as long, unless they say otherwise, and links are down before.
+            pause: Duration::from_secs(1),
             handover: ConfirmedQueueLimits { capacity: 4 * rows, ..Default::default() },
         }
     }
@@ -92,8 +99,8 @@ impl Monitor {
             inquiry: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
+            ending: false,
             stale: 0,
-            stalls: 0,
             refused: 0,
         }
     }
@@ -295,6 +302,12 @@ impl Monitor {
         }
     }
 
+    /// The node ends, in order or not. Threads, links and sessions go with it: from now on only
+    /// what a component says itself, or dies of, is handed to the detector.
+    pub fn handle_ending(&mut self) {
+        self.ending = true;
+    }
+
     /// An object's sending and receiving was forbidden, or allowed again.
     pub fn handle_isolation(&mut self, object: &ObjectName, isolated: bool) {
         if let Some(entry) = self.objects.get_mut(object) {
@@ -324,11 +337,6 @@ impl Monitor {
     /// How often something came from a life that is over.
     pub fn stale(&self) -> u64 {
         self.stale
-    }
-
-    /// How often the watch, or the whole process, was found to have stood still.
-    pub fn stalls(&self) -> u64 {
-        self.stalls
     }
 
     /// How many reports came from strangers for whom the table had no room.
@@ -424,6 +432,9 @@ impl Monitor {
     }
 
     fn observe(&mut self, place: Place, incarnation: Incarnation, finding: Finding, now: Instant) {
+        if self.ending && !finding.is_own_doing() {
+            return;
+        }
         // One rank for all: the detector is told things in the order in which they happened.
         self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
     }

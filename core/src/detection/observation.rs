@@ -108,6 +108,16 @@ pub enum Finding {
     Node(NodeCondition),
 }
 
+impl Finding {
+    /// Whether a component did this itself, so that the end of its node does not explain it.
+    pub(super) fn is_own_doing(&self) -> bool {
+        matches!(
+            self,
+            Finding::Exited { exit: ExitReason::Panicked { .. }, .. } | Finding::Declared { .. }
+        )
+    }
+}
+
 /// How a life ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExitReason {
@@ -191,6 +201,11 @@ pub enum NodeCondition {
     },
     /// It says that it is at work again.
     AtWork,
+    /// This node itself: none of its threads ran.
+    Paused {
+        /// For how long.
+        span: Duration,
+    },
     /// It said that it ends in order: that it is silent from now on is no fault, and its return is
     /// an ordinary one.
     Left,

@@ -149,6 +149,8 @@ impl Default for Plan {
             FaultKind::NodeAtRest => observe.clone(),
             // Who starts its process again is for the robot's service manager to say.
             FaultKind::CrashLoop => observe.clone(),
+            // It is over when it is found.
+            FaultKind::NodePaused => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
             // Its nodes elect somebody by themselves as soon as they can.

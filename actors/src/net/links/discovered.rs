@@ -108,6 +108,7 @@ impl Handler<RemoveDiscoveredLink> for LinksActor {
         }
         self.tell_monitor(number, LinkCondition::Forgotten);
         self.bundle.remove(number);
+        self.forget_namesake(number);
         if let Some(spec) = self.specs.remove(&number) {
             self.by_remote.remove(&spec.remote);
         }

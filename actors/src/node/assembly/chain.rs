@@ -24,7 +24,7 @@ use crate::runtime::guardian::{Guardian, own_arbiter};
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
 use blastema_contract::detector::{ReadRecord, Subscribe};
-use blastema_contract::monitor::{ReadTable, Register, Unregister};
+use blastema_contract::monitor::{NodeEnding, ReadTable, Register, Unregister};
 use blastema_contract::notifier::AddPort;
 use blastema_contract::recoverer::Recover;
 use blastema_contract::reports::AreYouAlive;
@@ -45,6 +45,7 @@ pub(in crate::node) struct FaultChain {
     pub(in crate::node) subscribe: Recipient<Subscribe>,
     pub(super) enrol: Recipient<Register>,
     dismiss: Recipient<Unregister>,
+    ending: Recipient<NodeEnding>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// Where its actors answer.
     pub(super) inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
@@ -101,18 +102,35 @@ impl FaultChain {
         }
     }
 
-    /// Ends its threads; in order, unless the process is not to be thought of as well.
-    pub(in crate::node) fn stop(&self, in_order: bool) {
+    /// The node ends: what goes away with it from now on is no fault.
+    pub(in crate::node) fn expect_end(&self) {
+        self.ending.do_send(NodeEnding);
+    }
+
+    /// Ends its threads for this reason; in order, unless the process is not to be thought of as
+    /// well.
+    #[cfg_attr(not(feature = "journal"), expect(unused_variables, reason = "nothing keeps it"))]
+    pub(in crate::node) fn stop(&self, cause: &str, in_order: bool) {
         self.look_out(None);
         let outside = self.outside.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(outside) = outside {
             outside.end(in_order);
         }
         #[cfg(feature = "journal")]
-        self.journal.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(journal) = self.journal.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            journal.end(cause);
+        }
         if let Some(arbiter) = &self.arbiter {
             arbiter.stop();
         }
+    }
+
+    /// Whether its faults are kept in a file, which is to be told how the node ends.
+    pub(in crate::node) fn keeps_journal(&self) -> bool {
+        #[cfg(feature = "journal")]
+        return self.journal.lock().unwrap_or_else(PoisonError::into_inner).is_some();
+        #[cfg(not(feature = "journal"))]
+        false
     }
 
     #[cfg(feature = "journal")]
@@ -240,6 +258,7 @@ pub(super) fn make_chain(
         subscribe: detector.recipient(),
         enrol: monitor.clone().recipient(),
         dismiss: monitor.clone().recipient(),
+        ending: monitor.clone().recipient(),
         arbiter,
         inquiries,
         lookout: Mutex::default(),

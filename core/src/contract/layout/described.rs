@@ -250,6 +250,6 @@ describe! {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
         NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unprotected,
-        StateLost, NotServed, Unavailable, CrashLoop, Custom(Arc<str>),
+        StateLost, NotServed, Unavailable, CrashLoop, NodePaused, Custom(Arc<str>),
     }
 }

@@ -2,9 +2,9 @@
 //! that stood still.
 
 use super::Monitor;
-use crate::detection::Finding;
 use crate::detection::hang::{OverloadFigures, QueueReading};
-use crate::{Incarnation, Instant, ObjectName};
+use crate::detection::{Finding, NodeCondition};
+use crate::{Incarnation, Instant, ObjectName, Place};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -133,10 +133,14 @@ impl Monitor {
     }
 
     /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
-    /// void.
+    /// void. A long one is a fault of the node.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
-        self.stalls += 1;
         self.inquiry.handle_stall(gap, now);
+        if gap >= self.limits.pause {
+            let (place, life) = (Place::Node(self.node.clone()), Incarnation::default());
+            let finding = Finding::Node(NodeCondition::Paused { span: gap });
+            self.observe(place, life, finding, now);
+        }
         self.settle(now);
     }
 

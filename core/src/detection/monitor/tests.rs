@@ -465,7 +465,9 @@ fn a_stall_of_the_monitor_itself_condemns_nobody() {
 
     let told = run(&mut monitor, 60_100);
     assert!(told.iter().all(|(_, text)| text != "m:laser Silent"), "{told:?}");
-    assert_eq!(monitor.stalls(), 1);
+    assert!(told.iter().any(|(_, text)| text == "m Node"), "a long one is a fault: {told:?}");
+    monitor.handle_stall(Duration::from_millis(900), at(61_000));
+    assert!(seen(&mut monitor, 61_000).iter().all(|text| text != "m Node"));
 }
 
 #[test]
@@ -504,4 +506,19 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn what_goes_with_its_node_is_not_handed_over_and_what_a_component_dies_of_is() {
+    let mut monitor = watched(Liveness::Guard);
+    let down = LinkCondition::Down { reason: "closed".into() };
+    let lost = NodeCondition::Lost { reason: "no path".into() };
+    monitor.handle_ending();
+
+    monitor.handle_link(node("m"), "eth".into(), Some(node("n")), down, at(1));
+    monitor.handle_node(node("n"), ONE, lost, at(1));
+    monitor.handle_exited(&object("laser"), TWO, ExitReason::Aborted, None, at(1));
+    monitor.handle_exited(&object("arm"), ONE, panicked(), None, at(1));
+
+    assert_eq!(seen(&mut monitor, 1), ["m:arm Exited"]);
 }

@@ -170,6 +170,12 @@ impl Link {
         self.neighbour.as_ref().map(|heard| &heard.neighbour)
     }
 
+    /// Which node is at the other end instead of the neighbour, once that was told: more than that
+    /// the neighbour is not heard.
+    pub fn refusal(&self) -> Option<&PeerRefusal> {
+        self.refused.as_ref()
+    }
+
     /// How good it is.
     pub fn quality(&self) -> Quality {
         self.gauge.quality()
@@ -460,6 +466,10 @@ impl Link {
             return;
         }
         self.expected_by = None;
+        // Who is there instead was told, and says more.
+        if self.refused.is_some() {
+            return;
+        }
         let heard = self.neighbour.is_some();
         self.outputs.push_back(LinkOutput::Missing { heard });
     }

@@ -102,6 +102,43 @@ fn a_neighbour_that_never_comes_is_told_as_missing_once() {
 }
 
 #[test]
+fn a_wrong_neighbour_stays_the_reason_and_is_not_told_as_missing() {
+    let arm = Some(NodeName::new("arm").unwrap());
+    let left = LinkConfig { expected: arm, ..config("left", 1) };
+    let mut cable = Cable::new(left, config("right", 1));
+
+    cable.run_until(10_000);
+
+    let of_left: Vec<_> = cable.told.iter().filter(|told| told.1 == 0).collect();
+    let [(at, _, LinkOutput::Refused(PeerRefusal::WrongNeighbour { .. }))] = of_left[..] else {
+        panic!("{of_left:?}")
+    };
+    assert!(*at < 5_000, "before the neighbour was missing");
+    let of_right: Vec<_> = cable.told.iter().filter(|told| told.1 == 1).collect();
+    assert!(matches!(of_right[..], [(_, _, LinkOutput::Missing { heard: true })]), "{of_right:?}");
+}
+
+#[test]
+fn who_takes_the_place_of_a_neighbour_is_known_when_the_link_goes_down_and_forgotten_with_it() {
+    let mut cable = running();
+    cable.cut = [true; 2];
+    let hello = Frame::decode(cable.said.iter().rfind(|said| said.0 == 1).unwrap().1.clone());
+    let Ok(Frame::Hello(hello)) = hello else { panic!("{hello:?}") };
+    let wrong = Frame::Hello(Hello { node: NodeName::new("leg").unwrap(), ..hello }).encode();
+    for _ in 0..2 {
+        cable.ends[0].handle_frame(wrong.clone(), at(cable.now));
+    }
+
+    cable.run_until(200);
+    assert_eq!(cable.ends[0].state(), LinkState::Down);
+    assert!(matches!(cable.ends[0].refusal(), Some(PeerRefusal::WrongNeighbour { .. })));
+
+    cable.cut = [false; 2];
+    cable.run_until(400);
+    assert_eq!((cable.ends[0].state(), cable.ends[0].refusal()), (LinkState::Up, None));
+}
+
+#[test]
 fn a_cut_cable_is_suspect_after_two_intervals_and_down_after_three_and_a_half() {
     let mut cable = running();
 

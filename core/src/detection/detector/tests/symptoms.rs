@@ -173,3 +173,63 @@ fn who_is_still_silent_when_the_overload_is_over_is_a_fault_of_its_own() {
     bench.see("safety", ONE, Finding::Spoke);
     assert_eq!(bench.said(), ["Cleared 2", "-2"]);
 }
+
+fn paused() -> Finding {
+    Finding::Node(NodeCondition::Paused { span: Duration::from_secs(3) })
+}
+
+#[test]
+fn what_links_and_nodes_suffer_from_a_pause_of_this_node_is_its_symptom() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, exited(panicked()));
+    bench.see("-old-k", ONE, down());
+    bench.now = at(10_000);
+    bench.see("-eth-n", ONE, down()); // its thread ran before that of the watch
+    bench.said();
+
+    bench.see("@m", ONE, paused());
+    assert_eq!(bench.said(), ["Found 4", "Recovered 4", "Explained 3"]);
+    bench.see("@n", ONE, lost());
+    bench.see("map", ONE, exited(panicked()));
+
+    let kind = |id| (bench.fault(id).kind, bench.fault(id).symptom_of);
+    let of_pause = Some(FaultId(4));
+    assert_eq!(kind(2), (FaultKind::LinkDown, None), "it was down long before");
+    assert_eq!(kind(3), (FaultKind::LinkDown, of_pause));
+    assert_eq!(kind(4), (FaultKind::NodePaused, None));
+    assert_eq!(kind(5), (FaultKind::NodeLost, of_pause));
+    assert_eq!(kind(6), (FaultKind::Panic, None), "a panic is its own cause");
+    assert!(bench.detector.chronicle.stands(FaultId(4)));
+}
+
+#[test]
+fn what_outlives_the_time_after_a_pause_is_a_fault_of_its_own() {
+    let mut bench = Bench::new();
+    bench.see("@m", ONE, paused());
+    bench.see("-eth-n", ONE, down());
+    bench.see("-usb-k", ONE, down());
+    bench.see("-usb-k", ONE, Finding::Link(LinkCondition::Up));
+
+    let said = bench.run_until(6_000);
+    assert!(said.ends_with(&["Cleared 1".into(), "Explained 2".into()]), "{said:?}");
+    bench.see("@n", ONE, lost());
+
+    let roots = [2, 4].map(|id| (bench.fault(id).kind, bench.fault(id).symptom_of));
+    assert_eq!(roots, [(FaultKind::LinkDown, None), (FaultKind::NodeLost, None)]);
+    assert_eq!(bench.fault(3).symptom_of, Some(FaultId(1)), "it was over before");
+}
+
+#[test]
+fn a_second_pause_soon_after_the_first_is_counted() {
+    let mut bench = Bench::new();
+    bench.see("@m", ONE, paused());
+    bench.run_until(4_000);
+    bench.see("@m", ONE, paused());
+    bench.run_until(8_000);
+    assert!(bench.detector.chronicle.stands(FaultId(1)));
+
+    bench.run_until(9_000);
+
+    assert_eq!((bench.entries().len(), bench.fault(1).count), (1, 2));
+    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+}
