@@ -290,9 +290,7 @@ fn a_file_that_is_no_journal_is_left_alone_and_the_fault_says_what_to_do() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("photograph.jpg");
         fs::write(&path, "no database at all, but a photograph").expect("a file");
-        let node = robot("module1").journal(&path).start().await.expect("it starts all the same");
-
-        let detail = journal_fault(&node).await;
+        let (node, detail) = start_with_journal(&path).await;
 
         assert!(detail.contains("give the journal another path"), "{detail}");
         node.shutdown().await;

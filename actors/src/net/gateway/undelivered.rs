@@ -2,7 +2,6 @@
 
 use super::GatewayActor;
 use super::peer::GatewayPeer;
-use super::subscriptions::Forwarded;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::topic::TopicKey;
 use blastema_core::delivery::dead_letters::DeadReason;
@@ -100,10 +99,11 @@ impl GatewayActor {
     /// Ends a subscription that the peer has not ended: what is lost of it is counted until the
     /// peer's next session is open.
     pub(super) fn retire(&mut self, forward: (NodeId, u32), why: &DeliveryError) {
-        if let Some(Forwarded { by, losses, .. }) = self.end_forward(forward)
+        if let Some(ended) = self.end_forward(forward)
             && self.past.len() < PAST_MAX
         {
-            let past = EndedSubscription { number: by.0, losses, reason: why.into() };
+            let past =
+                EndedSubscription { number: ended.by.0, losses: ended.losses, reason: why.into() };
             self.past.insert(forward, past);
         }
     }

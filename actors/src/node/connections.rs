@@ -1,0 +1,77 @@
+//! What a node says of its networks.
+
+use super::Node;
+use super::network::Cable;
+use blastema_contract::link::LinkRow;
+use blastema_contract::naming::NodeRow;
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::SessionRow;
+use blastema_core::NodeName;
+use blastema_core::net::{Refusals, Route};
+use std::time::Duration;
+
+impl Node {
+    /// Waits until messages can be sent to the node of this name and a path leads there, and says
+    /// whether that came to be within the time. A link needs a few hellos to come up, also after
+    /// both nodes have started.
+    pub async fn connected(&self, node: &str, within: Duration) -> bool {
+        let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
+            return false;
+        };
+        tokio::time::timeout(within, networks.handle.connected(&node)).await.is_ok()
+    }
+
+    /// All links, in the order in which they were described; none without a network.
+    pub async fn links(&self) -> Vec<LinkRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_links().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// Every node that can be reached from here, and over which link.
+    pub async fn routes(&self) -> Vec<Route> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_routes().await.routes,
+            None => Vec::new(),
+        }
+    }
+
+    /// What was not passed on, and why: what could not be understood, announcements that were old
+    /// or forged, copies whose way is not there any more.
+    pub async fn not_routed(&self) -> Refusals {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_routes().await.refusals,
+            None => Refusals::default(),
+        }
+    }
+
+    /// The sessions with other nodes: whether they stand, how much is under way, and what was lost,
+    /// repeated, late or refused.
+    pub async fn sessions(&self) -> Vec<SessionRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_sessions().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// Every other node that a session is open with, and its objects.
+    pub async fn neighbourhood(&self) -> Vec<NodeRow> {
+        match &self.0.networks {
+            Some(networks) => networks.handle.read_names().await,
+            None => Vec::new(),
+        }
+    }
+
+    /// The cable of a network that was described [`with_faults`](crate::Network::with_faults).
+    pub fn cable(&self, network: &str) -> Option<Cable> {
+        self.0.networks.as_ref()?.cables.get(network).cloned()
+    }
+
+    /// Makes this node's router panic, for demonstrations and tests; nothing without a network.
+    pub fn panic_router(&self) {
+        if let Some(networks) = &self.0.networks {
+            networks.handle.router().do_send(InjectPanic);
+        }
+    }
+}
