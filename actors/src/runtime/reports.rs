@@ -24,7 +24,6 @@ impl FaultReports {
     }
 
     /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
-    #[cfg(feature = "unix")]
     pub(crate) fn mend(&self, object: &str) {
         if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
             let (incarnation, kind) = (guardian::alive().incarnation, FaultKind::CheckFailed);
