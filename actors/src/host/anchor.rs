@@ -21,7 +21,7 @@ use crate::topic::Subscriptions;
 use crate::{panics, platform};
 use actix::Addr;
 use blastema_contract::child::RestartGrant;
-use blastema_contract::reports::FaultDeclared;
+use blastema_contract::reports::{ExitReason, Exited, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::global_name::ClaimRequest;
@@ -63,6 +63,9 @@ pub(crate) struct CellCore {
     service: Mutex<MessageInService>,
     quarantine: Mutex<Quarantine>,
     order: Mutex<Option<RestartGrant>>,
+    /// Ends of lives that the monitor has not been told of. They stand here and not with the pump,
+    /// so that they are told also where what follows an end blocks.
+    untold: Mutex<Vec<Exited>>,
     /// The names of the whole robot that it claims while it is at work, each with the claim's
     /// number.
     claims: OnceLock<Box<[(ClaimRequest, u64)]>>,
@@ -121,6 +124,7 @@ impl CellCore {
             service: Mutex::default(),
             quarantine: Mutex::default(),
             order: Mutex::default(),
+            untold: Mutex::default(),
             claims: OnceLock::new(),
         }
     }
@@ -188,6 +192,35 @@ impl CellCore {
 
     pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
         *lock(&self.order) = order;
+    }
+
+    /// A life has ended; the monitor is told so by [`tell_exits`](Self::tell_exits).
+    pub(crate) fn keep_exit(&self, incarnation: Incarnation, exit: ExitReason) {
+        let object = self.name.clone();
+        lock(&self.untold).push(Exited { object, incarnation, exit, restarted_as: None });
+    }
+
+    /// Its guard has begun another one in its place.
+    pub(crate) fn set_restarted(&self, incarnation: Incarnation, next: Incarnation) {
+        let mut untold = lock(&self.untold);
+        let exited = untold.iter_mut().find(|exited| exited.incarnation == incarnation);
+        if let Some(exited) = exited {
+            exited.restarted_as = Some(next);
+        }
+    }
+
+    /// That life had been given up before it ended: its end is no news.
+    pub(crate) fn forget_exit(&self, incarnation: Incarnation) {
+        lock(&self.untold).retain(|exited| exited.incarnation != incarnation);
+    }
+
+    /// Tells the monitor of the lives up to this one that have ended.
+    pub(crate) fn tell_exits(&self, until: Incarnation) {
+        let ended = |exited: &mut Exited| exited.incarnation <= until;
+        let told: Vec<Exited> = lock(&self.untold).extract_if(.., ended).collect();
+        if let Some(exits) = &self.environment.reports.exits {
+            told.into_iter().for_each(|exited| exits.do_send(exited));
+        }
     }
 
     #[inline]

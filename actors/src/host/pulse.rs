@@ -3,7 +3,6 @@
 //! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.
 
-use super::arbiters::LoopGuard;
 use crate::platform;
 use crate::reply::Cancel;
 use blastema_core::{DeliveryError, Instant};
@@ -101,17 +100,11 @@ impl ArbiterHeartbeat {
     }
 
     /// Gives this fresh thread a pulse that somebody already holds.
-    pub(crate) fn adopt(self: &Arc<Self>, loan: Option<LoopGuard>) {
+    pub(crate) fn adopt(self: &Arc<Self>) {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
         self.clone().start_beating();
-        if let Some(loan) = loan {
-            actix_rt::spawn(async move {
-                let _loan = loan;
-                std::future::pending::<()>().await;
-            });
-        }
     }
 
     fn start_beating(self: Arc<Self>) {

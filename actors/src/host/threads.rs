@@ -36,7 +36,7 @@ pub struct ThreadRow {
 pub enum ThreadKind {
     /// Any component.
     Shared,
-    /// One component, which asked for it.
+    /// One component, which asked for it, or whose life before had kept another thread.
     Own,
     /// Components and the rest of the application: it is the one that started the node.
     Starter,

@@ -324,6 +324,7 @@ impl Actuator {
         let Some(cut_off) = self.cut_off.clone() else { return };
         let actuator = self.clone();
         callbacks.call(
+            &self.object,
             move || cut_off(),
             move |outcome| {
                 let detail = match outcome {

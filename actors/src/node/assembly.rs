@@ -23,7 +23,7 @@ use super::window::{InspectionActor, StartInspection};
 use super::{Node, Root, Shared};
 use crate::chain::strategy::StrategyTable;
 use crate::chain::supervisor::SupervisorChild;
-use crate::host::arbiters::{ABANDONED_LIMIT, ArbiterPool};
+use crate::host::arbiters::{ArbiterPool, CULPRITS_LIMIT};
 use crate::host::environment::{ComponentEnvironment, KEPT_VARIABLES};
 use crate::host::spec::SpecError;
 use crate::host::watch as lookout;
@@ -410,18 +410,22 @@ fn named(name: &str) -> ObjectName {
     ObjectName::new(name).expect("the middleware's own names are well formed")
 }
 
-/// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
+/// A thread that hangs cannot be ended. When several culprits keep some, only a new process helps.
 fn rest_when_threads_run_out(
     threads: &ArbiterPool,
     node: &NodeName,
     rest: Recipient<EnterSafeState>,
 ) {
     let node = node.clone();
-    threads.on_abandoned(Box::new(move |count| {
-        if count < ABANDONED_LIMIT {
+    threads.on_abandoned(Box::new(move |lost| {
+        if lost.len() < CULPRITS_LIMIT {
             return;
         }
-        let reason = format!("{count} threads hang for good; begin the process anew");
+        let count: usize = lost.values().sum();
+        let culprits: Vec<String> = lost.keys().map(ToString::to_string).collect();
+        let culprits = culprits.join(", ");
+        let reason =
+            format!("{count} threads hang for good, kept by {culprits}; restart the process");
         let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
         rest.do_send(EnterSafeState { fault, reason });
     }));

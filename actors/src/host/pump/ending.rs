@@ -10,7 +10,7 @@ use crate::host::life::{DeferredCommands, IncarnationState};
 use crate::host::pump::outbox::DeferredReport;
 use crate::{panics, platform};
 use blastema_contract::child::{ChildEvent, RestartGrant};
-use blastema_contract::reports::{ExitReason, Exited};
+use blastema_contract::reports::ExitReason;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
@@ -52,6 +52,8 @@ impl<C: Component> ComponentExecutor<C> {
                 .record
                 .record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
         }
+        // Before what is the user's is dropped, which may block.
+        self.anchor.record.keep_exit(incarnation, exit.clone());
         self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
@@ -59,10 +61,12 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.anchor.lane.leave(incarnation),
         };
         if !mine {
+            self.anchor.record.forget_exit(incarnation);
             return self.leave(); // It had been given up before; nobody waits for its report.
         }
         match restarted_as {
             Some(next) => {
+                self.anchor.record.set_restarted(incarnation, next);
                 self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
                 self.course = IncarnationLifecycle::new(self.course.is_starting());
                 self.start_failed = false;
@@ -72,7 +76,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
             None => self.over = true,
         }
-        self.report_exit(incarnation, exit, restarted_as);
+        self.report_exit(incarnation, &exit, restarted_as);
     }
 
     /// Draws on the standing order, if there is one.
@@ -98,7 +102,7 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
-        exit: ExitReason,
+        exit: &ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.anchor.record;
@@ -106,9 +110,9 @@ impl<C: Component> ComponentExecutor<C> {
             record.withdraw_names();
         }
         let object = record.name.clone();
-        let ending = Ending::from(&exit);
-        record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
-        let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
+        let ending = Ending::from(exit);
+        record.mourners.tell(&Down { object, node: None, incarnation, ending });
+        let event = match (exit, self.course.is_starting() && restarted_as.is_none()) {
             (ExitReason::Stopped, _) => ChildEvent::Stopped,
             (ExitReason::Panicked { text, at, .. }, true) => {
                 ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
@@ -117,7 +121,7 @@ impl<C: Component> ComponentExecutor<C> {
         };
         // A life of which the supervisor knows that it never began does not die in addition.
         let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
-        let exited = DeferredReport::Exited(Exited { object, incarnation, exit, restarted_as });
+        let exited = DeferredReport::Exited(incarnation);
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
@@ -150,7 +154,8 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);
-        self.report_exit(incarnation, exit, None);
+        self.anchor.record.keep_exit(incarnation, exit.clone());
+        self.report_exit(incarnation, &exit, None);
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
@@ -213,7 +218,8 @@ impl<C: Component> ComponentExecutor<C> {
         self.anchor.record.record_fatal_message(incarnation);
         self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
-        self.report_exit(incarnation, ExitReason::Aborted, None);
+        self.anchor.record.keep_exit(incarnation, ExitReason::Aborted);
+        self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
     }
 }
