@@ -361,9 +361,17 @@ impl<C: Component> ComponentCell<C> {
         self.lane.hold(isolated);
     }
 
-    /// Closes the queue until the next life; what was in it is returned or counted.
-    pub(crate) fn close(&self, why: &DeliveryError) {
-        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, why.clone()));
+    /// Closes the queue until the next life; what was in it is returned or counted. Its `Drop` is
+    /// the user's and may block, and the caller is a supervisor.
+    pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
+        let left = self.lane.stop();
+        if left.is_empty() {
+            return;
+        }
+        let (cell, why) = (self.clone(), why.clone());
+        let give_back =
+            move || left.into_iter().for_each(|mail| cell.return_mail(mail, why.clone()));
+        self.record.environment.arbiters.run_apart("returns", give_back);
     }
 
     /// The same, by the life that ends; without effect when it was given up and another has begun.

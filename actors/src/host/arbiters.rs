@@ -18,6 +18,7 @@ use std::fmt;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
+use tracing::error;
 
 /// Threads that one component, strategy or other culprit may keep: each holds its stack, and
 /// whatever its handler had taken, for ever. As many as an intensity of three restarts spends.
@@ -336,6 +337,16 @@ impl ArbiterPool {
     /// Everything lives on the arbiter that started it.
     pub(crate) fn are_here(&self) -> bool {
         self.0.shared == 0
+    }
+
+    /// Runs what is the user's, and may block, on a thread of its own; right here where everything
+    /// lives here. Where the system has no thread left, it is dropped.
+    pub(crate) fn run_apart(&self, name: &str, run: impl FnOnce() + Send + 'static) {
+        if self.are_here() {
+            run();
+        } else if let Err(error) = platform::start_thread(name, run) {
+            error!(%error, "no thread is left for {name}");
+        }
     }
 
     /// All threads that were begun here and have not ended.

@@ -190,7 +190,7 @@ impl<C: Component> Drop for ComponentChild<C> {
 
 impl<C: Component> ComponentCell<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
-    pub(crate) fn end(&self) {
+    pub(crate) fn end(self: &Arc<Self>) {
         self.close(&DeliveryError::Stopped);
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }

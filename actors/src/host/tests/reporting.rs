@@ -236,3 +236,55 @@ fn a_panic_is_reported_though_the_factory_of_the_next_life_blocks() {
         stage.environment.arbiters.stop();
     });
 }
+
+thread_local! {
+    /// This thread is the one that keeps the component, as a supervisor's does.
+    static KEEPS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+/// How many of them were dropped on the thread that keeps the component, and on others.
+static KEEPER_DROPS: AtomicU64 = AtomicU64::new(0);
+static OTHER_DROPS: AtomicU64 = AtomicU64::new(0);
+
+/// Counts on which thread it is dropped.
+#[derive(Clone, Debug, Event)]
+struct Remnant(u64);
+
+impl Drop for Remnant {
+    fn drop(&mut self) {
+        let count = if KEEPS.get() { &KEEPER_DROPS } else { &OTHER_DROPS };
+        count.fetch_add(1, Relaxed);
+    }
+}
+
+struct Hoard;
+
+impl Component for Hoard {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Remnant>();
+    }
+}
+
+impl Handle<Remnant> for Hoard {
+    async fn handle(&mut self, _: Remnant, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn what_waited_for_a_life_that_was_given_up_is_dropped_on_no_thread_of_its_supervisor() {
+    actix_rt::System::new().block_on(async {
+        KEEPS.set(true);
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
+        child.abandon();
+        (0..3).for_each(|n| hoard.tell(Remnant(n)).unwrap());
+
+        child.stop();
+
+        while OTHER_DROPS.load(Relaxed) < 3 {
+            assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+        stage.environment.arbiters.stop();
+    });
+}
