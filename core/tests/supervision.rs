@@ -148,6 +148,11 @@ impl World {
                         assert_eq!(self.lives.get(&child).map(|&(life, _)| life), Some(life));
                     }
                 }
+                SupervisorOutput::Waits { ticket, child, incarnation } => {
+                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                    let life = self.lives.get(&child).map(|&(life, _)| life);
+                    assert_eq!(life, Some(incarnation));
+                }
                 SupervisorOutput::GaveUp { ticket, .. } => {
                     assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
                 }

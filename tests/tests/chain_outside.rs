@@ -6,7 +6,7 @@ use blastema::{ActuatorSpec, FaultTransition, NodeBuilder, RecoveryStrategy, Str
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::{Receiver, Sender as Hold, channel};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -170,6 +170,43 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         assert_eq!(node.abandoned_threads(), 0);
         leak(&node, "joint1").await;
         until(async || (life(&node, "joint1").await == Some(3)).then_some(())).await;
+        node.shutdown().await;
+    });
+}
+
+/// Blocks each time that it is called, until the other end is dropped.
+struct Rusty(Arc<Mutex<Receiver<()>>>);
+
+impl RecoveryStrategy for Rusty {
+    async fn carry_out(
+        &self,
+        order: &RecoveryOrder,
+        tools: &StrategyContext,
+    ) -> Result<RecoveryDone, RecoveryFailed> {
+        let _ = self.0.lock().unwrap_or_else(PoisonError::into_inner).recv();
+        tools.restart(&order.fault).await
+    }
+}
+
+#[test]
+fn a_strategy_that_blocks_again_and_again_is_not_called_any_more_and_the_node_goes_on() {
+    blastema::run(async {
+        let (hold, held) = channel();
+        let held = Arc::new(Mutex::new(held));
+        let rusty = RecoveryAction::Custom("rusty".into());
+        let ladder = Ladder::first(rusty).times(6).then(RecoveryAction::Restart);
+        let builder = robot(ladder).recovery("rusty", move || Rusty(held.clone()));
+        let node = builder.start().await.unwrap();
+
+        leak(&node, "joint1").await;
+
+        until(async || (life(&node, "joint1").await == Some(2)).then_some(())).await;
+        assert_eq!(node.abandoned_threads(), 4, "two more attempts were refused a thread");
+        assert_eq!(node.state(), NodeState::Running);
+        assert_eq!(life(&node, "joint2").await, Some(1));
+        let named = until(async || fault_of(&node, "chain/strategy/rusty").await).await;
+        assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
+        drop(hold);
         node.shutdown().await;
     });
 }

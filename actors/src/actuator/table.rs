@@ -324,8 +324,9 @@ impl ActuatorTable {
         let Some(cut_off) = actuator.cut_off.clone() else {
             return lock(&actuator.lease).handle_cut_off_returned();
         };
-        let actuator = actuator.clone();
+        let (actuator, object) = (actuator.clone(), actuator.object.clone());
         self.callbacks.call(
+            &object,
             move || cut_off(),
             move |outcome| {
                 if !matches!(outcome, CallOutcome::Blocked(_)) {

@@ -96,17 +96,12 @@ impl ArbiterHeartbeat {
         pulse
     }
 
-    /// Gives this fresh thread a heartbeat that another one reads already. The guard is dropped
-    /// with the thread's event loop.
-    pub(crate) fn adopt(self: &Arc<Self>, guard: impl Sized + 'static) {
+    /// Gives this fresh thread a heartbeat that another one reads already.
+    pub(crate) fn adopt(self: &Arc<Self>) {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
         self.clone().start_beating();
-        actix_rt::spawn(async move {
-            let _guard = guard;
-            std::future::pending::<()>().await;
-        });
     }
 
     fn start_beating(self: Arc<Self>) {

@@ -1,22 +1,29 @@
 //! Where components live: arbiters that they share, one per core, or one of their own.
 //!
 //! A thread that hangs cannot be killed. It is given up, another takes its place, and the given-up
-//! ones are counted: too many, and the process itself has to be begun anew.
+//! ones are counted by their culprits: a culprit that keeps too many gets no more, and where too
+//! many culprits keep some, the process itself has to be restarted.
+//!
+//! Lives are placed on threads that answer only, and one that waits on a thread which does not
+//! answer any more is moved to another before it begins. A life that follows a hang has a thread
+//! for itself, so that a component that hangs again keeps no other.
 
 use super::heartbeat::ArbiterHeartbeat;
+use crate::platform;
 use actix_rt::{Arbiter, ArbiterHandle, System};
-use blastema_core::ObjectName;
-use std::fmt;
-use std::sync::atomic::AtomicUsize;
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use blastema_core::{Instant, ObjectName};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Duration;
+use std::{fmt, io};
+use tracing::error;
 
 /// Who may live on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThreadKind {
     /// Any component.
     Shared,
-    /// One component, which asked for it.
+    /// One component, which asked for it, or whose incarnation before had kept another thread.
     Own,
     /// Components and the rest of the application: it is the one that started the node.
     Starter,
@@ -32,9 +39,20 @@ impl fmt::Display for ThreadKind {
     }
 }
 
-/// Threads that may be given up before that is told: each holds its stack, and whatever its handler
-/// had taken, for ever.
-pub(crate) const ABANDONED_LIMIT: usize = 4;
+/// Threads that one component, strategy or other culprit may keep: each holds its stack, and
+/// whatever its handler had taken, for ever. As many as an intensity of three restarts spends.
+pub(crate) const THREADS_OF_ONE: usize = 4;
+
+/// So many culprits that keep lost threads, and the process should be restarted: what strikes so
+/// many of them is none of them.
+pub(crate) const CULPRITS_LIMIT: usize = 4;
+
+/// Shared threads beyond those that were asked for, while none of these answers.
+const SPARE: usize = 4;
+
+/// A thread whose last beat is older does not answer: ten beats, more than a handler of 30 ms of
+/// each of two neighbours takes.
+const ANSWERS_WITHIN: Duration = Duration::from_millis(100);
 
 /// An arbiter that a component was given.
 #[derive(Clone)]
@@ -47,7 +65,13 @@ pub(crate) struct ArbiterSlot {
 impl ArbiterSlot {
     /// Another life of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
-        !self.own_thread && !self.pulse.is_fenced() && self.handle.alive()
+        !self.own_thread && !self.pulse.is_fenced() && self.answers(platform::now())
+    }
+
+    /// Its event loop turns, or is about to for the first time.
+    fn answers(&self, now: Instant) -> bool {
+        let beats = self.pulse.last_beat().is_none_or(|at| now - at <= ANSWERS_WITHIN);
+        beats && self.handle.alive()
     }
 
     fn kind(&self) -> ThreadKind {
@@ -70,8 +94,14 @@ impl ArbiterSlot {
     }
 }
 
-/// Is called with the number of threads that are given up now, whenever one more is.
-pub(crate) type OnAbandoned = Box<dyn Fn(usize) + Send + Sync>;
+/// A life that is to begin on the arbiter that it is given.
+pub(crate) type Boarding = Box<dyn FnOnce(ArbiterSlot) + Send>;
+
+/// How many threads each culprit has kept for good.
+pub(crate) type LostThreads = BTreeMap<ObjectName, usize>;
+
+/// Is called with the threads that are lost now, whenever one more is.
+pub(crate) type OnAbandoned = Box<dyn Fn(&LostThreads) + Send + Sync>;
 
 /// The threads of a node's components. Clones share them.
 #[derive(Clone)]
@@ -83,7 +113,6 @@ struct Inner {
     /// A thread that starts an arbiter must know to which system it belongs.
     system: Option<System>,
     pool: Mutex<Pool>,
-    abandoned: Arc<AtomicUsize>,
     on_abandoned: Mutex<Option<OnAbandoned>>,
 }
 
@@ -93,43 +122,54 @@ struct Pool {
     next: usize,
     /// Threads that components have for themselves, to be ended with the node.
     own: Vec<ArbiterSlot>,
-    /// Those that were given up and have not come back, and whose handler keeps them.
-    lost: Vec<(ArbiterSlot, ObjectName)>,
-    /// The node has ended: a life that begins anew because its arbiter went finds no place.
+    /// Threads that were given up and have not come back.
+    kept: Vec<KeptThread>,
+    /// Lives that were sent to a shared thread and may still wait there.
+    boarding: Vec<(ArbiterSlot, Weak<Mutex<Option<Boarding>>>)>,
+    /// The node has ended: a next life whose arbiter went finds no place.
     stopped: bool,
+}
+
+/// A thread that was given up, and its culprit.
+struct KeptThread {
+    culprit: ObjectName,
+    /// Where it is one of these; what the fault chain called, and blocks, is elsewhere.
+    seat: Option<ArbiterSlot>,
+}
+
+impl KeptThread {
+    fn is_kept(&self) -> bool {
+        self.seat.as_ref().is_none_or(|seat| seat.pulse.is_fenced() && seat.handle.alive())
+    }
+
+    fn is_lost(&self) -> bool {
+        self.seat.as_ref().is_none_or(|seat| seat.pulse.is_lost() && seat.handle.alive())
+    }
 }
 
 /// A thread that was begun here and has not ended.
 pub(crate) struct ArbiterThread {
     pub(crate) kind: ThreadKind,
     pub(crate) pulse: Arc<ArbiterHeartbeat>,
-    /// The culprit, if it is given up.
+    /// The culprit, if it is lost.
     pub(crate) lost_to: Option<ObjectName>,
 }
 
 impl Pool {
-    /// At [`ABANDONED_LIMIT`] the process is begun anew; threads that came back are forgotten.
-    fn note_lost(&mut self, pulse: &ArbiterHeartbeat, culprit: &ObjectName) {
-        self.lost.retain(|(seat, _)| seat.handle.alive());
+    /// Forgets threads that came back, or are lost, as places.
+    fn tidy(&mut self) {
+        self.kept.retain(KeptThread::is_kept);
         for seats in [&mut self.seats, &mut self.own] {
-            let gone = seats.extract_if(.., |seat| seat.pulse.id() == pulse.id());
-            self.lost.extend(gone.map(|seat| (seat, culprit.clone())));
+            seats.retain(|seat| !seat.pulse.is_lost() && seat.handle.alive());
         }
     }
-}
 
-/// Lives as long as an arbiter's event loop turns. Dropped after the arbiter was lost, it says that
-/// the thread has come back after all.
-pub(crate) struct LoopGuard {
-    pulse: Arc<ArbiterHeartbeat>,
-    abandoned: Arc<AtomicUsize>,
-}
-
-impl Drop for LoopGuard {
-    fn drop(&mut self) {
-        if self.pulse.is_lost() {
-            let _ = self.abandoned.fetch_update(Relaxed, Relaxed, |count| count.checked_sub(1));
+    fn lost(&self) -> LostThreads {
+        let mut lost = LostThreads::new();
+        for thread in self.kept.iter().filter(|thread| thread.is_lost()) {
+            *lost.entry(thread.culprit.clone()).or_default() += 1;
         }
+        lost
     }
 }
 
@@ -154,13 +194,8 @@ impl ArbiterPool {
     }
 
     fn with(shared: usize, system: Option<System>) -> Self {
-        ArbiterPool(Arc::new(Inner {
-            shared,
-            system,
-            pool: Mutex::default(),
-            abandoned: Arc::default(),
-            on_abandoned: Mutex::default(),
-        }))
+        let (pool, on_abandoned) = (Mutex::default(), Mutex::default());
+        ArbiterPool(Arc::new(Inner { shared, system, pool, on_abandoned }))
     }
 
     fn pool_of(&self) -> MutexGuard<'_, Pool> {
@@ -170,36 +205,98 @@ impl ArbiterPool {
     /// A place for a component.
     ///
     /// # Errors
-    /// The operating system has no thread left, or the node has ended.
-    pub(crate) fn place(&self, own_thread: bool) -> std::io::Result<ArbiterSlot> {
+    /// It keeps too many threads, the operating system has none left, or the node has ended.
+    pub(crate) fn place(&self, object: &ObjectName, own_thread: bool) -> io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
             let pulse = ArbiterHeartbeat::enrol_here();
             return Ok(ArbiterSlot { handle: Arbiter::current(), pulse, own_thread: false });
         }
-        let mut pool = self.pool_of();
+        self.check_share(object)?;
+        self.place_in(&mut self.pool_of(), own_thread)
+    }
+
+    fn place_in(&self, pool: &mut Pool, own_thread: bool) -> io::Result<ArbiterSlot> {
         if pool.stopped {
-            return Err(std::io::Error::other("the node has ended"));
+            return Err(io::Error::other("the node has ended"));
         }
-        pool.own.retain(|seat| seat.handle.alive());
+        pool.tidy();
         if own_thread {
             let seat = self.start(true)?;
             pool.own.push(seat.clone());
             return Ok(seat);
         }
-        pool.seats.retain(|seat| !seat.pulse.is_lost() && seat.handle.alive());
-        let turning = |seat: &&ArbiterSlot| !seat.pulse.is_fenced();
-        let free = pool.seats.iter().filter(turning).count();
-        if free < self.0.shared {
+        let now = platform::now();
+        let turning = || pool.seats.iter().filter(|seat| !seat.pulse.is_fenced());
+        let answering: Vec<&ArbiterSlot> = turning().filter(|seat| seat.answers(now)).collect();
+        let wanted = self.0.shared + if answering.is_empty() { SPARE } else { 0 };
+        if turning().count() < wanted {
             let seat = self.start(false)?;
             pool.seats.push(seat.clone());
             return Ok(seat);
         }
+        let among = if answering.is_empty() { turning().collect() } else { answering };
         pool.next += 1;
-        let seat = pool.seats.iter().filter(turning).nth(pool.next % free);
-        Ok(seat.expect("there are as many as were counted").clone())
+        Ok(among[pool.next % among.len()].clone())
     }
 
-    fn start(&self, own_thread: bool) -> std::io::Result<ArbiterSlot> {
+    /// Whether a culprit may have one more thread.
+    ///
+    /// # Errors
+    /// It keeps its share already.
+    pub(crate) fn check_share(&self, culprit: &ObjectName) -> io::Result<()> {
+        let mut pool = self.pool_of();
+        pool.tidy();
+        let kept = pool.kept.iter().filter(|thread| thread.culprit == *culprit).count();
+        if kept < THREADS_OF_ONE {
+            return Ok(());
+        }
+        let reason = format!("{culprit} keeps {kept} threads in calls that do not return");
+        Err(io::Error::other(reason))
+    }
+
+    /// Has a life begin on `seat`; on another shared thread if that one does not answer.
+    pub(crate) fn board(&self, seat: ArbiterSlot, life: Boarding) {
+        let waiting = Arc::new(Mutex::new(Some(life)));
+        if !seat.own_thread && self.0.shared > 0 {
+            self.pool_of().boarding.push((seat.clone(), Arc::downgrade(&waiting)));
+        }
+        let handle = seat.handle.clone();
+        handle.spawn_fn(move || {
+            let life = waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
+            if let Some(life) = life {
+                life(seat);
+            }
+        });
+    }
+
+    /// Moves the lives that wait on threads which do not answer.
+    pub(crate) fn move_boarding(&self, now: Instant) {
+        let mut pool = self.pool_of();
+        if pool.boarding.is_empty() {
+            return;
+        }
+        let waiting = std::mem::take(&mut pool.boarding);
+        let mut moved = Vec::new();
+        for (seat, life) in waiting {
+            let Some(kept) = life.upgrade() else { continue };
+            let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+            if kept.is_none() {
+                continue;
+            }
+            if seat.answers(now) {
+                pool.boarding.push((seat, life));
+                continue;
+            }
+            match self.place_in(&mut pool, false) {
+                Ok(other) => moved.extend(kept.take().map(|life| (other, life))),
+                Err(_) => pool.boarding.push((seat, life)),
+            }
+        }
+        drop(pool);
+        moved.into_iter().for_each(|(seat, life)| self.board(seat, life));
+    }
+
+    fn start(&self, own_thread: bool) -> io::Result<ArbiterSlot> {
         if let (None, Some(system)) = (System::try_current(), &self.0.system) {
             System::set_current(system.clone());
         }
@@ -208,35 +305,52 @@ impl ArbiterPool {
         })?;
         let handle = arbiter.handle();
         let pulse = Arc::new(ArbiterHeartbeat::default());
-        let loan = LoopGuard { pulse: pulse.clone(), abandoned: self.0.abandoned.clone() };
         let adopted = pulse.clone();
-        handle.spawn_fn(move || adopted.adopt(loan));
+        handle.spawn_fn(move || adopted.adopt());
         Ok(ArbiterSlot { handle, pulse, own_thread })
+    }
+
+    /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.
+    pub(crate) fn fence(&self, seat: &ArbiterSlot, culprit: &ObjectName) {
+        let mut pool = self.pool_of();
+        // One that came back and is kept again has one culprit.
+        let is_another = |kept: &ArbiterSlot| kept.pulse.id() != seat.pulse.id();
+        pool.kept.retain(|thread| thread.seat.as_ref().is_none_or(is_another));
+        seat.pulse.fence();
+        pool.kept.push(KeptThread { culprit: culprit.clone(), seat: Some(seat.clone()) });
     }
 
     /// The grace time of this arbiter is over. Says whether it is really lost, or has just come
     /// back.
-    pub(crate) fn mark_lost(&self, pulse: &ArbiterHeartbeat, culprit: &ObjectName) -> bool {
-        if !pulse.lose() {
-            return false;
+    pub(crate) fn mark_lost(&self, pulse: &ArbiterHeartbeat) -> bool {
+        let lost = pulse.lose();
+        if lost {
+            self.tell_abandoned();
         }
-        self.pool_of().note_lost(pulse, culprit);
-        self.note_abandoned();
-        true
+        lost
     }
 
     /// One more thread is abandoned that is none of these, because the fault chain called what
     /// blocks it.
-    pub(crate) fn note_abandoned(&self) {
-        let count = self.0.abandoned.fetch_add(1, Relaxed) + 1;
-        if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
-            tell(count);
-        }
+    pub(crate) fn note_abandoned(&self, culprit: &ObjectName) {
+        self.pool_of().kept.push(KeptThread { culprit: culprit.clone(), seat: None });
+        self.tell_abandoned();
     }
 
     /// Such a thread has come back.
-    pub(crate) fn note_returned(&self) {
-        let _ = self.0.abandoned.fetch_update(Relaxed, Relaxed, |count| count.checked_sub(1));
+    pub(crate) fn note_returned(&self, culprit: &ObjectName) {
+        let kept = &mut self.pool_of().kept;
+        let is_its = |thread: &KeptThread| thread.seat.is_none() && thread.culprit == *culprit;
+        if let Some(at) = kept.iter().position(is_its) {
+            kept.swap_remove(at);
+        }
+    }
+
+    fn tell_abandoned(&self) {
+        let lost = self.lost();
+        if let Some(tell) = &*self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) {
+            tell(&lost);
+        }
     }
 
     /// Everything lives on the arbiter that started it.
@@ -244,26 +358,42 @@ impl ArbiterPool {
         self.0.shared == 0
     }
 
+    /// Runs what is the user's, and may block, on a thread of its own; right here where everything
+    /// lives here. Where the system has no thread left, it is dropped.
+    pub(crate) fn run_apart(&self, name: &str, run: impl FnOnce() + Send + 'static) {
+        if self.are_here() {
+            run();
+        } else if let Err(error) = platform::start_thread(name, run) {
+            error!(%error, "no thread is left for {name}");
+        }
+    }
+
     /// All threads that were begun here and have not ended.
     pub(crate) fn threads(&self) -> Vec<ArbiterThread> {
-        let pool = self.pool_of();
+        let mut pool = self.pool_of();
+        pool.tidy();
         let usable = pool.seats.iter().chain(&pool.own).map(|seat| (seat, None));
-        let lost = pool.lost.iter().map(|(seat, culprit)| (seat, Some(culprit.clone())));
-        let there = usable.chain(lost).filter(|(seat, _)| seat.handle.alive());
+        let lost = pool.kept.iter().filter(|thread| thread.is_lost());
+        let lost = lost.filter_map(|lost| Some((lost.seat.as_ref()?, Some(lost.culprit.clone()))));
         let thread = |(seat, lost_to): (&ArbiterSlot, _)| {
             let (kind, pulse) = (seat.kind(), seat.pulse.clone());
             ArbiterThread { kind, pulse, lost_to }
         };
-        there.map(thread).collect()
+        usable.chain(lost).map(thread).collect()
     }
 
-    /// How many threads are given up now and have not come back.
+    /// How many threads each culprit keeps for good now.
+    pub(crate) fn lost(&self) -> LostThreads {
+        self.pool_of().lost()
+    }
+
+    /// How many threads are lost now and have not come back.
     pub(crate) fn abandoned(&self) -> usize {
-        self.0.abandoned.load(Relaxed)
+        self.lost().values().sum()
     }
 
-    /// From now on calls `tell` whenever one more thread is given up; at [`ABANDONED_LIMIT`] the
-    /// process should be begun anew.
+    /// From now on calls `tell` whenever one more thread is lost; at [`CULPRITS_LIMIT`] the process
+    /// should be restarted.
     pub(crate) fn on_abandoned(&self, tell: OnAbandoned) {
         *self.0.on_abandoned.lock().unwrap_or_else(PoisonError::into_inner) = Some(tell);
     }
@@ -272,8 +402,8 @@ impl ArbiterPool {
     pub(crate) fn stop(&self) {
         let ended = Pool { stopped: true, ..Pool::default() };
         let pool = std::mem::replace(&mut *self.pool_of(), ended);
-        let lost = pool.lost.iter().map(|(seat, _)| seat);
-        for seat in pool.seats.iter().chain(&pool.own).chain(lost) {
+        let kept = pool.kept.iter().filter_map(|thread| thread.seat.as_ref());
+        for seat in pool.seats.iter().chain(&pool.own).chain(kept) {
             seat.handle.stop();
         }
     }
@@ -282,17 +412,132 @@ impl ArbiterPool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::mpsc::{Receiver, Sender, channel};
+
+    /// For threads of a busy computer.
+    const PATIENCE: Duration = Duration::from_secs(30);
+
+    fn name(text: &str) -> ObjectName {
+        text.parse().unwrap()
+    }
+
+    fn place(arbiters: &ArbiterPool) -> ArbiterSlot {
+        arbiters.place(&name("arm"), false).expect("a thread")
+    }
+
+    /// Keeps a thread until the sender is dropped.
+    fn keep(seat: &ArbiterSlot) -> Sender<()> {
+        let (hold, held) = channel::<()>();
+        let (begun, begins) = channel();
+        seat.handle.spawn_fn(move || {
+            begun.send(()).unwrap();
+            let _ = held.recv();
+        });
+        begins.recv_timeout(PATIENCE).expect("it begins");
+        hold
+    }
+
+    /// Boards a life that says on which thread it begins.
+    fn board(arbiters: &ArbiterPool, seat: &ArbiterSlot) -> Receiver<u64> {
+        let (begun, begins) = channel();
+        let life = move |seat: ArbiterSlot| begun.send(seat.pulse.id()).unwrap();
+        arbiters.board(seat.clone(), Box::new(life));
+        begins
+    }
+
+    /// Waits until the thread does not answer any more.
+    async fn until_silent(seat: &ArbiterSlot) {
+        while seat.answers(platform::now()) {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
 
     #[test]
     fn arbiters_that_were_stopped_start_no_thread_again() {
         System::new().block_on(async {
             let arbiters = ArbiterPool::pool(1);
-            arbiters.place(true).expect("a thread");
+            arbiters.place(&name("arm"), true).expect("a thread");
 
             arbiters.stop();
 
-            assert!(arbiters.place(true).is_err());
-            assert!(arbiters.place(false).is_err());
+            assert!(arbiters.place(&name("arm"), true).is_err());
+            assert!(arbiters.place(&name("arm"), false).is_err());
+        });
+    }
+
+    #[test]
+    fn a_thread_that_does_not_answer_is_no_place_and_no_more_than_some_are_started_for_it() {
+        System::new().block_on(async {
+            let arbiters = ArbiterPool::pool(1);
+            let mut holds = Vec::new();
+            let mut ids = Vec::new();
+            for _ in 0..=SPARE {
+                let seat = place(&arbiters);
+                holds.push(keep(&seat));
+                until_silent(&seat).await;
+                ids.push(seat.pulse.id());
+            }
+            assert!(ids.is_sorted_by(|a, b| a < b), "each on a fresh thread: {ids:?}");
+
+            let last = place(&arbiters);
+            assert!(ids.contains(&last.pulse.id()), "none is left that could be started");
+            holds.pop();
+            arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_life_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
+        System::new().block_on(async {
+            let arbiters = ArbiterPool::pool(1);
+            let seat = place(&arbiters);
+            let hold = keep(&seat);
+            let begins = board(&arbiters, &seat);
+            arbiters.move_boarding(seat.pulse.last_beat().expect("it has beaten"));
+            until_silent(&seat).await;
+            assert!(begins.try_recv().is_err(), "it waits");
+
+            arbiters.move_boarding(platform::now());
+
+            let begun = begins.recv_timeout(PATIENCE).expect("it begins");
+            assert_ne!(begun, seat.pulse.id());
+            drop(hold);
+            let after = board(&arbiters, &seat);
+            assert_eq!(after.recv_timeout(PATIENCE), Ok(seat.pulse.id()));
+            assert!(begins.try_recv().is_err(), "once");
+            arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_culprit_that_keeps_its_share_gets_no_more_and_others_do() {
+        System::new().block_on(async {
+            let arbiters = ArbiterPool::pool(1);
+            let (arm, leg) = (name("arm"), name("leg"));
+            let mut holds = Vec::new();
+            for _ in 0..THREADS_OF_ONE {
+                let seat = arbiters.place(&arm, true).expect("a thread");
+                holds.push(keep(&seat));
+                arbiters.fence(&seat, &arm);
+                assert_eq!(arbiters.abandoned(), 0, "it may come back");
+            }
+
+            let refused = arbiters.place(&arm, true).err().expect("it keeps its share");
+            assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
+            let seat = arbiters.place(&leg, true).expect("a thread for another");
+            arbiters.fence(&seat, &leg);
+            let kept: Vec<_> = arbiters.pool_of().own.iter().map(|s| s.pulse.clone()).collect();
+            assert!(kept.iter().filter(|pulse| arbiters.mark_lost(pulse)).count() >= 4);
+            assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
+
+            holds.clear();
+            while arbiters.lost().contains_key(&arm) {
+                let kept = &arbiters.pool_of().kept;
+                kept.iter().filter_map(|kept| kept.seat.as_ref()).for_each(|s| s.return_late());
+                std::thread::yield_now();
+            }
+            arbiters.place(&arm, true).expect("its threads came back");
+            arbiters.stop();
         });
     }
 }

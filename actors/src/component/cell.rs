@@ -26,7 +26,7 @@ use crate::platform;
 use crate::platform::panics;
 use actix::Recipient;
 use blastema_contract::child::RestartGrant;
-use blastema_contract::reports::FaultDeclared;
+use blastema_contract::reports::{ExitReason, Exited, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
@@ -68,6 +68,9 @@ pub(crate) struct CellCore {
     quarantine: Mutex<Quarantine>,
     order: Mutex<Option<RestartGrant>>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
+    /// Ends of incarnations that the monitor has not been told of. They stand here and not with the
+    /// executor, so that they are told also where what follows an end blocks.
+    untold: Mutex<Vec<Exited>>,
 }
 
 /// Where a component stands, and where it lives.
@@ -130,6 +133,7 @@ impl CellCore {
             quarantine: Mutex::default(),
             order: Mutex::default(),
             listeners: Mutex::default(),
+            untold: Mutex::default(),
         }
     }
 
@@ -205,6 +209,35 @@ impl CellCore {
 
     pub(crate) fn set_order(&self, order: Option<RestartGrant>) {
         *lock(&self.order) = order;
+    }
+
+    /// A life has ended; the monitor is told so by [`tell_exits`](Self::tell_exits).
+    pub(crate) fn keep_exit(&self, incarnation: Incarnation, exit: ExitReason) {
+        let object = self.name.clone();
+        lock(&self.untold).push(Exited { object, incarnation, exit, restarted_as: None });
+    }
+
+    /// Its guard has begun another one in its place.
+    pub(crate) fn set_restarted(&self, incarnation: Incarnation, next: Incarnation) {
+        let mut untold = lock(&self.untold);
+        let exited = untold.iter_mut().find(|exited| exited.incarnation == incarnation);
+        if let Some(exited) = exited {
+            exited.restarted_as = Some(next);
+        }
+    }
+
+    /// That life had been given up before it ended: its end is no news.
+    pub(crate) fn forget_exit(&self, incarnation: Incarnation) {
+        lock(&self.untold).retain(|exited| exited.incarnation != incarnation);
+    }
+
+    /// Tells the monitor of the lives up to this one that have ended.
+    pub(crate) fn tell_exits(&self, until: Incarnation) {
+        let ended = |exited: &mut Exited| exited.incarnation <= until;
+        let told: Vec<Exited> = lock(&self.untold).extract_if(.., ended).collect();
+        if let Some(exits) = &self.environment.reports.exits {
+            told.into_iter().for_each(|exited| exits.do_send(exited));
+        }
     }
 
     #[inline]
@@ -345,9 +378,17 @@ impl<C: Component> ComponentCell<C> {
         self.lane.hold(isolated);
     }
 
-    /// Closes the queue until the next life; what was in it is returned or counted.
-    pub(crate) fn close(&self, why: &DeliveryError) {
-        self.lane.stop().into_iter().for_each(|mail| self.return_mail(mail, why.clone()));
+    /// Closes the queue until the next life; what was in it is returned or counted. Its `Drop` is
+    /// the user's and may block, and the caller is a supervisor.
+    pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
+        let left = self.lane.stop();
+        if left.is_empty() {
+            return;
+        }
+        let (cell, why) = (self.clone(), why.clone());
+        let give_back =
+            move || left.into_iter().for_each(|mail| cell.return_mail(mail, why.clone()));
+        self.record.environment.arbiters.run_apart("returns", give_back);
     }
 
     /// The same, by the life that ends; without effect when it was given up and another has begun.

@@ -7,10 +7,10 @@
 //! lost, and everything that was under way is sent again.
 //!
 //! On their thread runs no code of the application but the subscriber of `tracing` that it has
-//! installed: its
-//! strategies, safe outputs and cut-offs are [called elsewhere](callbacks), and [a thread of its
-//! own](outside) looks
-//! whether the chain answers.
+//! installed, and the `Drop` of what the factory of a removed component had captured: its
+//! strategies, safe outputs and cut-offs are [called elsewhere](callbacks), what waited for a
+//! component that has ended is dropped elsewhere, and [a thread of its own](outside) looks whether
+//! the chain answers. So the chain needs no other thread to go to.
 
 pub(crate) mod detector;
 pub(crate) mod directory;

@@ -152,6 +152,7 @@ fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
             RecoveryOutcome::Decided { measure: RecoveryAction::Observe.to_string() }
         }
         FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
+        FaultResolution::Waits => RecoveryOutcome::Waits,
         FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
         FaultResolution::Contained { measure } => RecoveryOutcome::GaveUp {
             reason: format!("contained by {measure}; service is not restored"),

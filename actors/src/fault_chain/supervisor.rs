@@ -238,7 +238,11 @@ impl MachineActor for SupervisorActor {
                 }
             }
             SupervisorOutput::Recovered { ticket, child, incarnation } => {
-                self.answer(ticket, Ok(Recovered { object: child, incarnation }));
+                self.answer(ticket, Ok(Recovered { object: child, incarnation, waits: false }));
+            }
+            SupervisorOutput::Waits { ticket, child, incarnation } => {
+                let incarnation = Some(incarnation);
+                self.answer(ticket, Ok(Recovered { object: child, incarnation, waits: true }));
             }
             SupervisorOutput::GaveUp { ticket, child, why } => {
                 self.answer(ticket, Err(GaveUp { object: child, why }));

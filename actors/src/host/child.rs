@@ -28,13 +28,16 @@ pub(crate) struct ComponentChild<C: Component> {
     seat: Option<ArbiterSlot>,
     /// It was moved, or began so.
     own_thread: bool,
+    /// The last life was given up while it kept its thread: the next one has a thread for itself,
+    /// so that it keeps no other component if it hangs too.
+    kept_thread: bool,
 }
 
 impl<C: Component> ComponentChild<C> {
     pub(crate) fn new(anchor: Arc<ComponentCell<C>>) -> Self {
         crate::platform::panics::install_hook();
         let own_thread = anchor.record.limits.own_thread;
-        ComponentChild { anchor, report: None, seat: None, own_thread }
+        ComponentChild { anchor, report: None, seat: None, own_thread, kept_thread: false }
     }
 
     /// A life is there, or on its way.
@@ -66,8 +69,11 @@ impl<C: Component> Child for ComponentChild<C> {
         self.report = Some(report.clone());
         let record = &self.anchor.record;
         record.set_state(Lifecycle::Created);
-        let known = self.seat.take().filter(ArbiterSlot::is_usable);
-        let place = || record.environment.arbiters.place(self.own_thread);
+        let apart =
+            std::mem::take(&mut self.kept_thread) && !record.environment.arbiters.are_here();
+        let known = self.seat.take().filter(|seat| !apart && seat.is_usable());
+        let arbiters = &record.environment.arbiters;
+        let place = || arbiters.place(&record.name, self.own_thread || apart);
         let seat = match known.map_or_else(place, Ok) {
             Ok(seat) => seat,
             Err(error) => {
@@ -82,15 +88,15 @@ impl<C: Component> Child for ComponentChild<C> {
         record.set_incarnation(incarnation);
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
         self.anchor.set_control(Some(Addr::new(sender).recipient()));
-        let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, seat, report };
-        let handle = boarding.seat.handle.clone();
-        self.seat = Some(boarding.seat.clone());
-        handle.spawn_fn(move || {
-            if let Some(pump) = boarding.enter() {
+        let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, report };
+        self.seat = Some(seat.clone());
+        let life = move |seat| {
+            if let Some(pump) = boarding.enter(seat) {
                 let context = actix::Context::with_receiver(receiver);
                 actix_rt::spawn(context.into_future(Host::new(pump)));
             }
-        });
+        };
+        arbiters.board(seat, Box::new(life));
         incarnation
     }
 
@@ -117,6 +123,7 @@ impl<C: Component> Child for ComponentChild<C> {
         let record = &self.anchor.record;
         let Some(incarnation) = self.anchor.lane.owner() else { return };
         self.anchor.lane.leave(incarnation);
+        record.tell_exits(incarnation);
         if let Some(seated) = record.take_seat() {
             seated.token.end();
             record.environment.watch_list.leave(seated.slot.index);
@@ -128,7 +135,8 @@ impl<C: Component> Child for ComponentChild<C> {
             record.record_fatal_message(incarnation);
             let pulse = &seated.seat.pulse;
             if pulse.running() == Some(seated.slot.index) && !pulse.is_here() {
-                pulse.fence();
+                record.environment.arbiters.fence(&seated.seat, &record.name);
+                self.kept_thread = true;
             }
         }
         // A handler that awaits is dropped by its own pump, which sees that it has been given up.
@@ -183,7 +191,7 @@ impl<C: Component> Drop for ComponentChild<C> {
 
 impl<C: Component> ComponentCell<C> {
     /// Nobody starts the component again for now: its queue and its subscriptions end.
-    pub(crate) fn end(&self) {
+    pub(crate) fn end(self: &Arc<Self>) {
         self.close(&DeliveryError::Stopped);
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
@@ -229,22 +237,21 @@ impl<C: Component> Watchable for ComponentCell<C> {
 struct Boarding<C: Component> {
     anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
-    seat: ArbiterSlot,
     report: Recipient<ChildReport>,
 }
 
 impl<C: Component> Boarding<C> {
     /// The pump of the life, unless that has been given up meanwhile.
-    fn enter(mut self) -> Option<SharedExecutor<C>> {
+    fn enter(mut self, seat: ArbiterSlot) -> Option<SharedExecutor<C>> {
         let anchor = self.anchor.take()?;
         if anchor.lane.owner() != Some(self.incarnation) {
-            self.seat.vacate();
+            seat.vacate();
             return None;
         }
         for subscription in anchor.subscriptions().iter() {
             subscription.attach(&anchor);
         }
-        let (incarnation, seat) = (self.incarnation, self.seat.clone());
+        let incarnation = self.incarnation;
         Some(SharedExecutor::new(ComponentExecutor::new(
             anchor,
             incarnation,

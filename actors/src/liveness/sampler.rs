@@ -403,6 +403,7 @@ impl Eyes {
             *self.list.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner) = seen;
         }
         self.looks += 1;
+        self.arbiters.move_boarding(now);
         while let Some(sighting) = self.scanner.poll_output() {
             if let Some(sighted) = self.translate(sighting) {
                 self.monitor.do_send(sighted);
@@ -489,7 +490,7 @@ impl Eyes {
             }
             LivenessEvent::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then nobody has to move.
-                if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?, &culprit) {
+                if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?) {
                     return None;
                 }
                 LivenessReported::Lost { culprit, victims: victims.into() }

@@ -25,7 +25,7 @@ use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
 use crate::actuator::ActuatorTable;
-use crate::arbiter::pool::{ABANDONED_LIMIT, ArbiterPool};
+use crate::arbiter::pool::{ArbiterPool, CULPRITS_LIMIT};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
@@ -451,18 +451,22 @@ fn named(name: &str) -> ObjectName {
     ObjectName::new(name).expect("the middleware's own names are well formed")
 }
 
-/// A thread that hangs cannot be ended. When several have been given up, only a new process helps.
+/// A thread that hangs cannot be ended. When several culprits keep some, only a new process helps.
 fn rest_when_threads_run_out(
     threads: &ArbiterPool,
     node: &NodeName,
     rest: Recipient<EnterSafeState>,
 ) {
     let node = node.clone();
-    threads.on_abandoned(Box::new(move |count| {
-        if count < ABANDONED_LIMIT {
+    threads.on_abandoned(Box::new(move |lost| {
+        if lost.len() < CULPRITS_LIMIT {
             return;
         }
-        let reason = format!("{count} threads hang for good; begin the process anew");
+        let count: usize = lost.values().sum();
+        let culprits: Vec<String> = lost.keys().map(ToString::to_string).collect();
+        let culprits = culprits.join(", ");
+        let reason =
+            format!("{count} threads hang for good, kept by {culprits}; restart the process");
         let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), platform::now());
         rest.do_send(EnterSafeState { fault, reason });
     }));

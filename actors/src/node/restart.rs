@@ -2,7 +2,7 @@
 
 use super::Node;
 use super::controller::{NodeState, RestartRefused, RestartRoot};
-use crate::arbiter::pool::ABANDONED_LIMIT;
+use crate::arbiter::pool::CULPRITS_LIMIT;
 use blastema_contract::supervisor::{GaveUp, Recovered, RestartChild};
 use blastema_core::recovery::GiveUpReason;
 use blastema_core::{Incarnation, ObjectName};
@@ -21,7 +21,8 @@ pub enum RestartError {
     /// The node was shut down, and its threads have ended. Build another one.
     #[error("the node was shut down: build another one")]
     ShutDown,
-    /// Threads hang in handlers that never return, and cannot be ended. Begin the process anew.
+    /// Four components or more keep threads in handlers that never return, which cannot be ended.
+    /// Begin the process anew.
     #[error("{count} threads hang for good: only a new process helps")]
     ThreadsHang {
         /// How many.
@@ -75,9 +76,9 @@ impl Node {
     /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where
     /// that would not help; [`RestartError::GaveUp`] where it came to rest again.
     pub async fn restart(&self) -> Result<(), RestartError> {
-        let count = self.abandoned_threads();
-        if count >= ABANDONED_LIMIT {
-            return Err(RestartError::ThreadsHang { count });
+        let lost = self.0.environment.arbiters.lost();
+        if lost.len() >= CULPRITS_LIMIT {
+            return Err(RestartError::ThreadsHang { count: lost.values().sum() });
         }
         match self.0.restart.send(RestartRoot).await {
             Ok(Ok(())) => Ok(()),

@@ -11,10 +11,11 @@
 //! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
 //! are asked for.
 
-use crate::arbiter::pool::{ABANDONED_LIMIT, ArbiterPool};
+use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
 use crate::platform::panics;
 use crate::runtime::reports::FaultReports;
+use blastema_core::ObjectName;
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -31,8 +32,8 @@ pub(crate) enum CallOutcome {
     Done,
     /// It panicked, with this text.
     Panicked(String),
-    /// It has taken longer than this limit and still runs, or so many calls before it do that it
-    /// was not made.
+    /// It has taken longer than this limit and still runs, or so many calls of the same object do
+    /// that it was not made.
     Blocked(Duration),
     /// It blocked, and has returned after all.
     ReturnedLate,
@@ -78,11 +79,11 @@ struct Queue {
     /// The thread that makes the calls; none while none waits.
     thread: Option<u64>,
     started: u64,
-    /// Threads that were abandoned here and have not come back.
-    blocked: usize,
 }
 
 struct Job {
+    /// Whose code it is.
+    object: ObjectName,
     run: Box<dyn FnOnce() + Send>,
     outcome: Outcome,
 }
@@ -164,44 +165,44 @@ impl Callbacks {
     }
 
     /// One more thread is abandoned to `object`, whose code blocks it.
-    pub(crate) fn abandon_thread(&self, object: &str, detail: String) {
+    pub(crate) fn abandon_thread(&self, object: &ObjectName, detail: String) {
         let Some(threads) = &self.0 else { return };
         if let Some(reports) = threads.reports.get() {
-            reports.declare(object, detail);
+            reports.declare(object.as_str(), detail);
         }
-        threads.arbiters.note_abandoned();
+        threads.arbiters.note_abandoned(object);
+    }
+
+    /// Whether code of this object may be called once more.
+    ///
+    /// # Errors
+    /// It keeps its share of threads already.
+    pub(crate) fn check_share(&self, object: &ObjectName) -> std::io::Result<()> {
+        self.0.as_ref().map_or(Ok(()), |threads| threads.arbiters.check_share(object))
     }
 
     /// The code that blocked a thread has returned.
-    pub(crate) fn take_back_thread(&self, object: &str) {
+    pub(crate) fn take_back_thread(&self, object: &ObjectName) {
         let Some(threads) = &self.0 else { return };
-        threads.arbiters.note_returned();
+        threads.arbiters.note_returned(object);
         if let Some(reports) = threads.reports.get() {
-            reports.mend(object);
+            reports.mend(object.as_str());
         }
     }
 
-    /// Counts, without a report, as [`abandon_thread`](Self::abandon_thread) and
-    /// [`take_back_thread`](Self::take_back_thread) do.
-    fn count(threads: &Threads, outcome: &CallOutcome) {
-        match outcome {
-            CallOutcome::Blocked(_) => threads.arbiters.note_abandoned(),
-            CallOutcome::ReturnedLate => threads.arbiters.note_returned(),
-            CallOutcome::Done | CallOutcome::Panicked(_) => {}
-        }
-    }
-
-    /// Has this function called, behind those that wait already. `outcome` is told what became of
-    /// it.
+    /// Has this function of the object called, behind those that wait already. `outcome` is told
+    /// what became of it.
     pub(crate) fn call(
         &self,
+        object: &ObjectName,
         run: impl FnOnce() + Send + 'static,
         outcome: impl Fn(CallOutcome) + Send + 'static,
     ) {
         let Some(threads) = &self.0 else {
             return outcome(guarded(run));
         };
-        let job = Job { run: Box::new(run), outcome: Box::new(outcome) };
+        let object = object.clone();
+        let job = Job { object, run: Box::new(run), outcome: Box::new(outcome) };
         lock(&threads.queue).waiting.push_back(job);
         threads.clone().serve();
     }
@@ -222,14 +223,6 @@ impl Threads {
         let mut queue = lock(&self.queue);
         if queue.thread.is_some() || queue.waiting.is_empty() {
             return;
-        }
-        if queue.blocked >= ABANDONED_LIMIT {
-            // Each further call would keep one more thread for ever.
-            let refused = std::mem::take(&mut queue.waiting);
-            drop(queue);
-            return refused
-                .into_iter()
-                .for_each(|job| (job.outcome)(CallOutcome::Blocked(self.limit)));
         }
         queue.started += 1;
         let number = queue.started;
@@ -253,18 +246,19 @@ impl Threads {
                 }
                 next
             };
-            let Some(Job { run, outcome }) = next else { return };
+            let Some(Job { object, run, outcome }) = next else { return };
+            if self.arbiters.check_share(&object).is_err() {
+                // Each further call would keep one more thread for ever.
+                outcome(CallOutcome::Blocked(self.limit));
+                continue;
+            }
             let outcome = Arc::new(Mutex::new(outcome));
-            let (threads, told) = (self.clone(), outcome.clone());
+            let (threads, told, culprit) = (self.clone(), outcome.clone(), object.clone());
             let call = Callbacks(Some(self.clone())).enter(move |limit| {
-                let mut queue = lock(&threads.queue);
-                queue.blocked += 1;
-                queue.thread.take_if(|thread| *thread == number);
-                drop(queue);
-                let blocked = CallOutcome::Blocked(limit);
-                lock(&told)(blocked.clone());
+                lock(&threads.queue).thread.take_if(|thread| *thread == number);
+                threads.arbiters.note_abandoned(&culprit);
+                lock(&told)(CallOutcome::Blocked(limit));
                 threads.clone().serve();
-                Callbacks::count(&threads, &blocked);
             });
             let result = guarded(run);
             if call.is_some_and(RunningCall::end) {
@@ -272,8 +266,7 @@ impl Threads {
                 continue;
             }
             // Another thread makes the calls now.
-            lock(&self.queue).blocked -= 1;
-            Callbacks::count(&self, &CallOutcome::ReturnedLate);
+            self.arbiters.note_returned(&object);
             return lock(&outcome)(CallOutcome::ReturnedLate);
         }
     }
@@ -282,6 +275,7 @@ impl Threads {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::arbiter::pool::THREADS_OF_ONE;
     use std::sync::mpsc::{Receiver, Sender, channel};
 
     const LIMIT: Duration = Duration::from_millis(100);
@@ -303,8 +297,13 @@ mod tests {
         }
 
         fn call(&self, number: u32, run: impl FnOnce() + Send + 'static) {
+            self.call_of("arm", number, run);
+        }
+
+        fn call_of(&self, object: &str, number: u32, run: impl FnOnce() + Send + 'static) {
             let told = self.told.0.clone();
-            self.callbacks.call(run, move |outcome| told.send((number, outcome)).unwrap());
+            let outcome = move |outcome| told.send((number, outcome)).unwrap();
+            self.callbacks.call(&object.parse().unwrap(), run, outcome);
         }
 
         /// Blocks until the sender is dropped.
@@ -363,10 +362,10 @@ mod tests {
     }
 
     #[test]
-    fn calls_that_block_one_after_the_other_do_not_use_up_all_threads() {
+    fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
         let rig = Rig::new();
         let mut holds = Vec::new();
-        for number in 0..ABANDONED_LIMIT as u32 {
+        for number in 0..THREADS_OF_ONE as u32 {
             holds.push(rig.block(number));
             rig.callbacks.look(2 * LIMIT);
             assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
@@ -375,8 +374,11 @@ mod tests {
         rig.call(9, || panic!("it is not called"));
         assert_eq!(rig.told(), (9, CallOutcome::Blocked(LIMIT)));
 
+        rig.call_of("leg", 8, || {});
+        assert_eq!(rig.told(), (8, CallOutcome::Done));
+
         holds.clear();
-        for _ in 0..ABANDONED_LIMIT {
+        for _ in 0..THREADS_OF_ONE {
             assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
         }
         rig.call(10, || {});

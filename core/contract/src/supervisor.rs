@@ -22,6 +22,8 @@ pub struct Recovered {
     /// The life that is now at work; `None` for a child whose end is final: a temporary one, or a
     /// transient one that had ended in order.
     pub incarnation: Option<Incarnation>,
+    /// That life waits for something that is not there yet, and tries again by itself.
+    pub waits: bool,
 }
 
 /// A supervisor did not bring a child back.

@@ -43,7 +43,8 @@ pub struct Detector {
     explicable: BTreeSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
     handed: BTreeSet<FaultId>,
-    /// Symptoms that stand behind what keeps their thread, and were only told.
+    /// Faults that stand and that no recoverer treats: symptoms behind what keeps their thread,
+    /// which were only told, and those whose next life is on its way already.
     unhanded: BTreeSet<FaultId>,
     reminders: DecisionTimeouts,
     conduct: OffenceWindow,
@@ -240,6 +241,9 @@ impl Detector {
                 self.handed.remove(&id);
                 self.recover(id, at);
             }
+            RecoveryOutcome::Waits => {
+                self.unhanded.insert(id);
+            }
             RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
     }
@@ -280,9 +284,17 @@ impl Detector {
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
         let known = self.chronicle.standing(&scene.place, &kind);
+        let life = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
-            Some(id) if is_behind || !self.unhanded.remove(&id) => return id,
+            Some(id) if is_behind || !self.unhanded.remove(&id) => {
+                if self.handed.contains(&id) && life < Some(scene.incarnation) {
+                    // What was done about it has not helped.
+                    let fault = self.chronicle.entry(id).expect("it stands").fault.clone();
+                    self.hand_over(FaultNotice::Found(fault), scene.at);
+                }
+                return id;
+            }
             Some(id) => {
                 // What was a symptom has outlived its root.
                 self.explain(&[id], None, scene.at);

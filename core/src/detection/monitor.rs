@@ -180,6 +180,15 @@ impl Monitor {
         if exit == ExitReason::Stopped && !self.objects.contains_key(object) {
             return;
         }
+        let is_older = |entry: &MonitoredObject| incarnation < entry.incarnation;
+        if self.objects.get(object).is_some_and(is_older)
+            && matches!(exit, ExitReason::Panicked { .. })
+        {
+            // That it panicked is told in every case; of the present life it says nothing.
+            let finding = Finding::Exited { exit, restarted_as };
+            self.observe_object(object, incarnation, finding, now);
+            return self.settle(now);
+        }
         let Some(entry) = self.admit(object, incarnation, now) else { return };
         if matches!(entry.end, Some(LastExit::Stopped | LastExit::Died)) {
             self.stale += 1;

@@ -229,7 +229,7 @@ impl Lane {
         match notice {
             // The recoverer behind this port was not told of it: there is nothing to take back.
             FaultNotice::Cleared { .. } if waited => {}
-            FaultNotice::Found(_) if self.handover.under_way().map(FaultNotice::id) == Some(id) => {
+            FaultNotice::Found(_) if self.handover.under_way() == Some(notice) => {
                 self.suppressed += 1;
             }
             notice => self.handover.hand(notice.rank(), notice.clone(), now),

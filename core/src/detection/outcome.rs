@@ -14,6 +14,9 @@ pub enum RecoveryOutcome {
     },
     /// Service is restored.
     Recovered,
+    /// Nothing more is done: the life that a measure has begun waits for something that is not
+    /// there yet. The fault stands until it is at work.
+    Waits,
     /// Nothing more will be tried; what is left is safe state.
     GaveUp {
         /// Why.

@@ -59,6 +59,11 @@ impl Case {
     }
 }
 
+/// The life that it struck does not answer.
+fn is_stuck(fault: &Fault) -> bool {
+    matches!(fault.kind, FaultKind::Hang | FaultKind::Silence)
+}
+
 fn ids(faults: &[Fault]) -> Vec<FaultId> {
     faults.iter().map(|fault| fault.id).collect()
 }
@@ -141,8 +146,13 @@ impl Recoverer {
     /// A fault was found, or is reported once more.
     pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
         let id = fault.id;
-        let has_it = |case: &Case| case.faults.iter().any(|noted| noted.fault.id == id);
-        if self.cases.get(&fault.place).is_some_and(has_it) {
+        if let Some(case) = self.cases.get_mut(&fault.place)
+            && let Some(noted) = case.faults.iter_mut().find(|noted| noted.fault.id == id)
+        {
+            if fault.incarnation > noted.fault.incarnation {
+                *noted = Noted { fault: fault.clone(), since: self.orders, over: false };
+                self.handle_struck_again(&fault, now);
+            }
             return;
         }
         if !self.is_ours(&fault) {
@@ -197,6 +207,16 @@ impl Recoverer {
         match outcome {
             Ok(done) => self.settle_case(&place, &measure, done, now),
             Err(RecoveryFailed { reason }) => self.climb(&place, reason, now),
+        }
+    }
+
+    /// The life that a measure has begun has the fault too. Where it does not answer, no other part
+    /// finds out that the measure has failed.
+    fn handle_struck_again(&mut self, fault: &Fault, now: Instant) {
+        let case = &self.cases[&fault.place];
+        if is_stuck(fault) && matches!(case.progress, Progress::Acting { .. }) {
+            self.close_order(case.order, now);
+            self.climb(&fault.place, "its next life does not answer either".into(), now);
         }
     }
 
@@ -320,11 +340,10 @@ impl Recoverer {
         let (measure, attempt, within) = (step.measure.clone(), case.attempt, step.within);
         case.order = number;
         case.progress = Progress::Acting { due: now + within };
-        let stuck =
-            |noted: &Noted| matches!(noted.fault.kind, FaultKind::Hang | FaultKind::Silence);
         let newest = case.faults.iter().map(|noted| noted.fault.incarnation).max();
         let of_newest = || case.faults.iter().filter(|n| Some(n.fault.incarnation) == newest);
-        let telling = of_newest().find(|noted| stuck(noted)).or_else(|| of_newest().next());
+        let telling =
+            of_newest().find(|noted| is_stuck(&noted.fault)).or_else(|| of_newest().next());
         let telling = telling.expect("a case has its first fault");
         let telling = telling.fault.clone();
         for fault in case.known() {
@@ -359,10 +378,10 @@ impl Recoverer {
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
         for fault in &cured {
-            let settled = if contained {
-                FaultResolution::Contained { measure: measure.clone() }
-            } else {
-                FaultResolution::Recovered { incarnation: done.incarnation }
+            let settled = match contained {
+                true => FaultResolution::Contained { measure: measure.clone() },
+                false if done.waits => FaultResolution::Waits,
+                false => FaultResolution::Recovered { incarnation: done.incarnation },
             };
             self.tell(fault, settled);
         }

@@ -232,11 +232,15 @@ async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
     let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
 
     node.await_fault(FaultKind::Panic, "camera").await;
-    node.await_recovered(FaultKind::Panic, "camera").await;
     node.advance(Duration::from_secs(5)).await;
-    assert_eq!(node.tree().await.unwrap().children[0].incarnation, Incarnation(2));
+    let camera = node.tree().await.unwrap().children[0].clone();
+    assert_eq!((camera.incarnation, camera.state), (Incarnation(2), ChildState::Unavailable));
+    let both = [FaultKind::Panic, FaultKind::Unavailable];
+    assert_eq!(standing(&node).await, both, "the next life waits, and has not recovered");
     strings.cut_all();
     node.restart_child("camera").await.expect("it is stopped, and begins anew");
+    node.await_recovered(FaultKind::Panic, "camera").await;
+    assert_eq!(standing(&node).await, []);
     assert_eq!(life(&node, "camera").await, 3);
     strings.pull("camera", "on_initialize", Pull::Unavailable("no camera"));
     node.shutdown().await;

@@ -1,7 +1,8 @@
 //! Whole nodes and what strikes them, through the public interface and the whole fault chain.
 //!
-//! Everything but `hangs` runs in virtual time on one thread. Each scenario says what was done to
-//! the robot, and what its record of faults, its table and its tree show afterwards.
+//! Everything but `hangs` and `starving` runs in virtual time on one thread. Each scenario says
+//! what was done to the robot, and what its record of faults, its table and its tree show
+//! afterwards.
 
 mod chain;
 mod chaos;
@@ -29,6 +30,7 @@ mod retries;
 mod sending;
 mod services;
 mod silence;
+mod starving;
 mod strategies;
 mod throwers;
 mod topics;

@@ -89,6 +89,7 @@ impl Chain {
             told.push(match what {
                 RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
                 RecoveryOutcome::Recovered => format!("{id} recovered"),
+                RecoveryOutcome::Waits => format!("{id} waits"),
                 RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
             });
         }

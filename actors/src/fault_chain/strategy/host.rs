@@ -43,13 +43,13 @@ impl StrategyThread {
                 "the recovery strategy {} has blocked its thread for {limit:?}: the thread is abandoned",
                 thread.object.as_str().rsplit('/').next().unwrap_or_default()
             );
-            thread.callbacks.abandon_thread(thread.object.as_str(), detail);
+            thread.callbacks.abandon_thread(&thread.object, detail);
         })
     }
 
     /// It has returned, long after another thread took its place.
     fn end_late(&self) {
-        self.callbacks.take_back_thread(self.object.as_str());
+        self.callbacks.take_back_thread(&self.object);
         Arbiter::current().stop();
     }
 }

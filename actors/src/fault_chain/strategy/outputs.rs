@@ -2,7 +2,7 @@
 
 use crate::runtime::callbacks::{CallOutcome, Callbacks};
 use crate::runtime::reports::FaultReports;
-use blastema_core::Fault;
+use blastema_core::{Fault, ObjectName};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -73,6 +73,7 @@ impl SafeOutputs {
         };
         let (fault, reports, done) = (fault.clone(), self.reports.clone(), Mutex::new(Some(done)));
         self.callbacks.call(
+            &ObjectName::new(SAFE_OUTPUTS).expect("this name is well formed"),
             move || apply(&fault),
             move |outcome| {
                 let applied = match outcome {

@@ -104,7 +104,7 @@ impl StrategyTable {
     /// application's own on a thread that it has for itself, unless all of the node runs on one.
     ///
     /// # Errors
-    /// There is none, or no thread is left for it.
+    /// There is none, it keeps its share of threads already, or no thread is left for it.
     pub(crate) fn make(
         &self,
         measure: &RecoveryAction,
@@ -119,7 +119,9 @@ impl StrategyTable {
             let orders = make((guardian, None), object, tools, None);
             return Ok(EngagedStrategy { orders, own: None });
         }
-        let arbiter = own_arbiter()
+        let arbiter = callbacks
+            .check_share(&object)
+            .and_then(|()| own_arbiter())
             .map_err(|error| format!("there is no thread for the strategy {measure}: {error}"))?;
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));

@@ -176,7 +176,7 @@ fn judge(
     answer: Result<Result<Recovered, GaveUp>, MailboxError>,
 ) -> Result<RecoveryDone, RecoveryFailed> {
     match answer {
-        Ok(Ok(Recovered { incarnation, .. })) => Ok(RecoveryDone { incarnation }),
+        Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(RecoveryDone { incarnation, waits }),
         Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
         Err(_) => Err("the supervisor did not answer".into()),
     }

@@ -16,7 +16,7 @@ fn restart(bench: &Bench, child: &str, kind: FaultKind, life: u64) -> RestartChi
 }
 
 fn recovered(child: &str, life: u64) -> Outcome {
-    Ok(Recovered { object: object(child), incarnation: Some(Incarnation(life)) })
+    Ok(Recovered { object: object(child), incarnation: Some(Incarnation(life)), waits: false })
 }
 
 #[test]
@@ -185,7 +185,7 @@ fn children_come_and_go_and_are_found_by_name() {
         assert!(bench.directory.keeper_of(&object("b")).is_some());
 
         let removed = root.removals().send(RemoveChild { object: object("b") }).await;
-        let gone = Recovered { object: object("b"), incarnation: None };
+        let gone = Recovered { object: object("b"), incarnation: None, waits: false };
         assert_eq!(removed.expect("it lives"), Ok(gone));
         assert!(bench.directory.keeper_of(&object("b")).is_none());
         assert_eq!(bench.script.done(), ["start b", "stop b"]);

@@ -11,7 +11,7 @@ use crate::messaging::death_watch::{Down, Ending};
 use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
-use blastema_contract::reports::{ExitReason, Exited};
+use blastema_contract::reports::ExitReason;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
@@ -53,6 +53,8 @@ impl<C: Component> ComponentExecutor<C> {
                 .record
                 .record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
         }
+        // Before what is the user's is dropped, which may block.
+        self.anchor.record.keep_exit(incarnation, exit.clone());
         self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
@@ -60,10 +62,12 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.anchor.lane.leave(incarnation),
         };
         if !mine {
+            self.anchor.record.forget_exit(incarnation);
             return self.leave(); // It had been given up before; nobody waits for its report.
         }
         match restarted_as {
             Some(next) => {
+                self.anchor.record.set_restarted(incarnation, next);
                 self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
                 self.course = IncarnationLifecycle::new(self.course.is_starting());
                 self.start_failed = false;
@@ -73,7 +77,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
             None => self.over = true,
         }
-        self.report_exit(incarnation, exit, restarted_as);
+        self.report_exit(incarnation, &exit, restarted_as);
     }
 
     /// Draws on the standing order, if there is one.
@@ -99,7 +103,7 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
-        exit: ExitReason,
+        exit: &ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
         let record = &self.anchor.record;
@@ -107,9 +111,9 @@ impl<C: Component> ComponentExecutor<C> {
             record.announce(|listener| listener.deactivated());
         }
         let object = record.name.clone();
-        let ending = Ending::from(&exit);
-        record.mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
-        let event = match (&exit, self.course.is_starting() && restarted_as.is_none()) {
+        let ending = Ending::from(exit);
+        record.mourners.tell(&Down { object, node: None, incarnation, ending });
+        let event = match (exit, self.course.is_starting() && restarted_as.is_none()) {
             (ExitReason::Stopped, _) => ChildEvent::Stopped,
             (ExitReason::Panicked { text, at, .. }, true) => {
                 ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
@@ -118,7 +122,7 @@ impl<C: Component> ComponentExecutor<C> {
         };
         // A life of which the supervisor knows that it never began does not die in addition.
         let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
-        let exited = DeferredReport::Exited(Exited { object, incarnation, exit, restarted_as });
+        let exited = DeferredReport::Exited(incarnation);
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
@@ -151,7 +155,8 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);
-        self.report_exit(incarnation, exit, None);
+        self.anchor.record.keep_exit(incarnation, exit.clone());
+        self.report_exit(incarnation, &exit, None);
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
@@ -214,7 +219,8 @@ impl<C: Component> ComponentExecutor<C> {
         self.anchor.record.record_fatal_message(incarnation);
         self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
-        self.report_exit(incarnation, ExitReason::Aborted, None);
+        self.anchor.record.keep_exit(incarnation, ExitReason::Aborted);
+        self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
     }
 }

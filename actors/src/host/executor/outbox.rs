@@ -4,12 +4,12 @@ use super::ComponentExecutor;
 use crate::component::Component;
 use actix::Recipient;
 use blastema_contract::child::{ChildEvent, ChildReport};
-use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
+use blastema_contract::reports::{FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 
 /// Told when the poll is over, so that the replacement's first message does not wait for it.
 pub(super) enum DeferredReport {
-    Exited(Exited),
+    Exited(Incarnation),
     State(StateReported),
     Declared(FaultDeclared),
     Child(ChildEvent, Incarnation),
@@ -24,7 +24,7 @@ impl<C: Component> ComponentExecutor<C> {
         let reports = &record.environment.reports;
         for notice in self.outbox.drain(..) {
             match notice {
-                DeferredReport::Exited(exited) => tell(reports.exits.as_ref(), exited),
+                DeferredReport::Exited(incarnation) => record.tell_exits(incarnation),
                 DeferredReport::State(state) => tell(reports.states.as_ref(), state),
                 DeferredReport::Declared(declared) => tell(reports.faults.as_ref(), declared),
                 DeferredReport::Child(event, incarnation) => {
@@ -39,7 +39,7 @@ impl<C: Component> ComponentExecutor<C> {
 impl DeferredReport {
     pub(super) fn is_of_after(&self, incarnation: Incarnation) -> bool {
         match self {
-            DeferredReport::Exited(exited) => exited.incarnation > incarnation,
+            DeferredReport::Exited(of) => *of > incarnation,
             DeferredReport::State(state) => state.incarnation > incarnation,
             DeferredReport::Declared(declared) => declared.incarnation > incarnation,
             DeferredReport::Child(_, of) => *of > incarnation,
@@ -48,7 +48,7 @@ impl DeferredReport {
 
     /// A life before this one ended by itself.
     pub(super) fn is_death_before(&self, incarnation: Incarnation) -> bool {
-        matches!(self, DeferredReport::Exited(exited) if exited.incarnation < incarnation)
+        matches!(self, DeferredReport::Exited(of) if *of < incarnation)
     }
 }
 

@@ -6,6 +6,10 @@ use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
 use blastema_doubles::{paused, settle};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::Duration;
 
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Sample(u64);
@@ -126,5 +130,161 @@ fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_tu
 
         let exited = stage.exits.expect().await;
         assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
+    });
+}
+
+/// Panics on each sample; what was left of its first life blocks until the test lets it go.
+struct Clingy {
+    held: Option<Arc<Held>>,
+}
+
+/// Where a thread waits for the test.
+struct Held {
+    gate: Mutex<mpsc::Receiver<()>>,
+    waits: AtomicU64,
+}
+
+impl Held {
+    fn new() -> (mpsc::Sender<()>, Arc<Held>) {
+        let (open, gate) = mpsc::channel();
+        (open, Arc::new(Held { gate: Mutex::new(gate), waits: AtomicU64::new(0) }))
+    }
+
+    fn wait(&self) {
+        self.waits.fetch_add(1, Relaxed);
+        let _ = self.gate.lock().unwrap().recv();
+    }
+
+    async fn until_a_thread_waits(&self) {
+        while self.waits.load(Relaxed) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+}
+
+impl Component for Clingy {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Sample>();
+    }
+}
+
+impl Handle<Sample> for Clingy {
+    async fn handle(&mut self, Sample(n): Sample, _: &mut Context<Self>) {
+        panic!("{n} breaks it");
+    }
+}
+
+impl Drop for Clingy {
+    fn drop(&mut self) {
+        if let Some(held) = self.held.take() {
+            held.wait();
+        }
+    }
+}
+
+#[test]
+fn a_panic_whose_drop_blocks_is_reported_when_the_life_is_given_up_and_once() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (open, held) = Held::new();
+        let first = Mutex::new(Some(held.clone()));
+        let spec = ChildSpec::new("clingy", move || Clingy { held: first.lock().unwrap().take() });
+        let (mut child, clingy) = stage.start(spec).await;
+
+        clingy.tell(Sample(7)).unwrap();
+        held.until_a_thread_waits().await;
+        child.abandon();
+
+        let exited = stage.exits.expect().await;
+        let ExitReason::Panicked { text, .. } = &exited.exit else { panic!("{exited:?}") };
+        assert_eq!((text.as_str(), exited.incarnation), ("7 breaks it", Incarnation(1)));
+        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        drop(open);
+        clingy.tell(Sample(8)).unwrap();
+        let next = stage.exits.expect().await;
+        assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
+        stage.environment.arbiters.stop();
+    });
+}
+
+#[test]
+fn a_panic_is_reported_though_the_factory_of_the_next_life_blocks() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let ((_open, held), lives) = (Held::new(), AtomicU64::new(0));
+        let blocks = held.clone();
+        let spec = ChildSpec::new("clingy", move || {
+            if lives.fetch_add(1, Relaxed) == 1 {
+                blocks.wait();
+            }
+            Clingy { held: None }
+        });
+        let (mut child, clingy) = stage.start(spec).await;
+        child.standing_order(order(1));
+
+        clingy.tell(Sample(7)).unwrap();
+        held.until_a_thread_waits().await;
+        child.abandon();
+
+        let exited = stage.exits.expect().await;
+        assert_eq!(exited.restarted_as, Some(Incarnation(2)));
+        assert!(matches!(exited.exit, ExitReason::Panicked { .. }), "{exited:?}");
+        // Told before, where the panic had used the turn up.
+        stage.reports.drain();
+        assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
+        assert_eq!(stage.exits.drain(), []);
+        stage.environment.arbiters.stop();
+    });
+}
+
+thread_local! {
+    /// This thread is the one that keeps the component, as a supervisor's does.
+    static KEEPS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+/// How many of them were dropped on the thread that keeps the component, and on others.
+static KEEPER_DROPS: AtomicU64 = AtomicU64::new(0);
+static OTHER_DROPS: AtomicU64 = AtomicU64::new(0);
+
+/// Counts on which thread it is dropped.
+#[derive(Clone, Debug, Event)]
+struct Remnant(u64);
+
+impl Drop for Remnant {
+    fn drop(&mut self) {
+        let count = if KEEPS.get() { &KEEPER_DROPS } else { &OTHER_DROPS };
+        count.fetch_add(1, Relaxed);
+    }
+}
+
+struct Hoard;
+
+impl Component for Hoard {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Remnant>();
+    }
+}
+
+impl Handle<Remnant> for Hoard {
+    async fn handle(&mut self, _: Remnant, _: &mut Context<Self>) {}
+}
+
+#[test]
+fn what_waited_for_a_life_that_was_given_up_is_dropped_on_no_thread_of_its_supervisor() {
+    actix_rt::System::new().block_on(async {
+        KEEPS.set(true);
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
+        child.abandon();
+        (0..3).for_each(|n| hoard.tell(Remnant(n)).unwrap());
+
+        child.stop();
+
+        while OTHER_DROPS.load(Relaxed) < 3 {
+            assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+        stage.environment.arbiters.stop();
     });
 }

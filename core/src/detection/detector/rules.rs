@@ -21,12 +21,16 @@ impl Detector {
         let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
         if scene.incarnation < seen.incarnation {
-            self.stale += 1;
-            return;
+            let is_active = seen.state == Lifecycle::Active;
+            return self.judge_late(&scene, finding, is_active);
         }
-        if scene.incarnation > seen.incarnation {
+        let is_newer = scene.incarnation > seen.incarnation;
+        if is_newer {
             *seen = fresh;
             self.behind.remove(object);
+        }
+        if is_newer || ends_waiting(&finding) {
+            self.end_kind(&scene, &FaultKind::Unavailable);
         }
         match finding {
             Finding::Enrolled { may_end, depends_on } => {
@@ -86,6 +90,28 @@ impl Detector {
                 self.find(&scene, FaultKind::Hang, detail, cause);
             }
             Finding::Dismissed | Finding::Link(_) | Finding::Node(_) => {}
+        }
+    }
+
+    /// What is seen of a life that is over changes nothing; but that it panicked is told in every
+    /// case. Its report comes late where what the panic left behind has blocked its thread.
+    fn judge_late(&mut self, scene: &Scene, finding: Finding, is_active: bool) {
+        let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
+        else {
+            self.stale += 1;
+            return;
+        };
+        if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Panic) {
+            let entry = self.chronicle.entry_mut(id).expect("it stands");
+            entry.fault.count = entry.fault.count.saturating_add(1);
+            return;
+        }
+        let detail = describe_panic(&text, &at, during);
+        let id = self.record(scene, FaultKind::Panic, detail, Cause::Itself);
+        if is_active {
+            self.recover(id, scene.at);
+        } else {
+            self.unhanded.insert(id);
         }
     }
 
@@ -153,7 +179,7 @@ impl Detector {
         };
         let (kind, detail) = match exit {
             ExitReason::Panicked { text, at, during } => {
-                (FaultKind::Panic, format!("{text}, at {at}, in {during}"))
+                (FaultKind::Panic, describe_panic(&text, &at, during))
             }
             ExitReason::Returned if !over && !self.may_end.contains(object) => {
                 // A life that ends itself in order is finalized before its guard says how it ended.
@@ -175,8 +201,11 @@ impl Detector {
             return;
         };
         *seen = Seen::new(next);
-        let id = self.record(scene, kind, detail, Cause::Itself);
-        self.recover(id, scene.at);
+        let known = self.chronicle.standing(&scene.place, &kind);
+        let known = known.filter(|&id| self.repeat(id, scene, &detail));
+        let id = known.unwrap_or_else(|| self.record(scene, kind, detail, Cause::Itself));
+        // It is over when the next life is at work; a recoverer hears of it if that one dies too.
+        self.unhanded.insert(id);
     }
 
     fn judge_state(
@@ -380,6 +409,23 @@ impl Detector {
                 .min()
         };
         behind.map(Cause::Behind).unwrap_or_else(|| own().map_or(Cause::Above, Cause::Known))
+    }
+}
+
+fn describe_panic(text: &str, at: &str, during: &str) -> String {
+    format!("{text}, at {at}, in {during}")
+}
+
+/// Whether a life of which this was seen does not wait any more for what was not there yet. One
+/// that is at work has recovered besides.
+fn ends_waiting(finding: &Finding) -> bool {
+    match finding {
+        Finding::Exited { .. } | Finding::Hangs { .. } | Finding::Waits { .. } => true,
+        Finding::Declared { kind, .. } => *kind == FaultKind::InitializationFailed,
+        Finding::State { state, .. } => {
+            matches!(state, Lifecycle::Error | Lifecycle::Fatal | Lifecycle::Finalized)
+        }
+        _ => false,
     }
 }
 

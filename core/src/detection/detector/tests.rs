@@ -148,6 +148,10 @@ fn declared() -> Finding {
     Finding::Declared { kind: FaultKind::CheckFailed, detail: "speed is 9".into() }
 }
 
+fn unavailable() -> Finding {
+    Finding::Declared { kind: FaultKind::Unavailable, detail: "no device".into() }
+}
+
 fn down() -> Finding {
     Finding::Link(LinkCondition::Down { reason: "no hello".into() })
 }

@@ -42,7 +42,7 @@ fn symptom(id: u64, object: &str, root: u64) -> Fault {
 }
 
 fn works(life: u64) -> Result<RecoveryDone, RecoveryFailed> {
-    Ok(RecoveryDone { incarnation: Some(Incarnation(life)) })
+    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), waits: false })
 }
 
 fn fails() -> Result<RecoveryDone, RecoveryFailed> {
@@ -73,6 +73,7 @@ impl Rig {
                         format!("{id} recovered {life}")
                     }
                     FaultResolution::Recovered { incarnation: None } => format!("{id} recovered"),
+                    FaultResolution::Waits => format!("{id} waits"),
                     FaultResolution::GaveUp { reason } => format!("{id} given up: {reason}"),
                     FaultResolution::Contained { measure } => {
                         format!("{id} contained by {measure}")
@@ -137,6 +138,34 @@ fn a_fault_that_is_reported_again_is_treated_once() {
     assert_eq!(rig.find(panic_of(1, "laser", 1)), [""; 0]);
     assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2"]);
     assert_eq!(rig.outcome(1, works(2)), [""; 0]);
+}
+
+#[test]
+fn a_restart_whose_life_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    let waits = RecoveryDone { incarnation: Some(Incarnation(2)), waits: true };
+
+    assert_eq!(rig.outcome(1, Ok(waits)), ["1 waits"]);
+
+    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0], "it may take for ever");
+    assert_eq!(rig.find(panic_of(1, "laser", 2)), ["#2 restart here:laser against panic, 1"]);
+}
+
+#[test]
+fn a_restart_whose_life_hangs_too_has_failed() {
+    let mut rig = Rig::new();
+    let hang = |life| fault(1, FaultKind::Hang, at("laser"), life);
+    assert_eq!(rig.find(hang(1)), ["#1 restart here:laser against hang, 1"]);
+    assert_eq!(rig.find(hang(1)), [""; 0], "the same life");
+
+    rig.find(hang(2));
+    assert_eq!(rig.pass_to_due(), ["#2 restart here:laser against hang, 2"]);
+    assert_eq!(rig.outcome(1, works(2)), [""; 0], "that order is closed");
+    rig.find(hang(3));
+    assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against hang, 3"]);
+    assert_eq!(rig.outcome(3, works(4)), ["1 recovered #4"]);
 }
 
 #[test]

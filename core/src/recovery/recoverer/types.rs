@@ -25,6 +25,9 @@ pub struct RecoveryOrder {
 pub struct RecoveryDone {
     /// The life that is at work because of it, if it began one.
     pub incarnation: Option<Incarnation>,
+    /// That life waits for something that is not there yet, such as a device, and tries again by
+    /// itself. It has recovered when it is at work.
+    pub waits: bool,
 }
 
 /// A measure has not worked.
@@ -58,6 +61,9 @@ pub enum FaultResolution {
         /// The life that is at work now, if a new one began.
         incarnation: Option<Incarnation>,
     },
+    /// Nothing more is done: the new life waits for something that is not there yet. Service is
+    /// restored when it is at work.
+    Waits,
     /// No measure helped. Safe stop follows.
     GaveUp {
         /// What the last measure said.

@@ -354,11 +354,8 @@ impl Supervisor {
             ChildPhase::Resetting { ticket, .. } => {
                 // It has taken its recovery into its own hands.
                 self.set_state(key, ChildPhase::Running);
-                self.outputs.push_back(SupervisorOutput::Recovered {
-                    ticket,
-                    child: name,
-                    incarnation: Some(incarnation),
-                });
+                let child = name;
+                self.outputs.push_back(SupervisorOutput::Waits { ticket, child, incarnation });
             }
             ChildPhase::Starting { .. } | ChildPhase::Running | ChildPhase::Unavailable => {}
         }

@@ -65,6 +65,9 @@ impl Supervisor {
         for Pending { ticket, key, child, wish } in pending {
             match self.outcome(key, wish) {
                 None => self.pending.push(Pending { ticket, key, child, wish }),
+                Some(Ok(Some(incarnation))) if self.is_unavailable(key) => {
+                    self.outputs.push_back(SupervisorOutput::Waits { ticket, child, incarnation });
+                }
                 Some(Ok(incarnation)) => {
                     if wish == Wish::Work && incarnation.is_none() {
                         let child = child.clone();
@@ -79,6 +82,10 @@ impl Supervisor {
                 Some(Err(why)) => self.answer_gave_up(ticket, child, why),
             }
         }
+    }
+
+    fn is_unavailable(&self, key: ChildKey) -> bool {
+        self.children.get(&key).is_some_and(|child| child.state == ChildPhase::Unavailable)
     }
 
     fn outcome(

@@ -91,6 +91,9 @@ impl Rig {
                 SupervisorOutput::Recovered { ticket, child, incarnation: None } => {
                     format!("{} let {child} go", ticket.0)
                 }
+                SupervisorOutput::Waits { ticket, child, incarnation } => {
+                    format!("{} {child} {incarnation} waits", ticket.0)
+                }
                 SupervisorOutput::GaveUp { ticket, child, why } => {
                     format!("{} gave {child} up: {why}", ticket.0)
                 }

@@ -112,7 +112,7 @@ pub enum SupervisorOutput {
         /// The decision.
         order: Option<RestartGrant>,
     },
-    /// The request is fulfilled.
+    /// The request is fulfilled: the child is at work, or let go.
     Recovered {
         /// Whose.
         ticket: CallId,
@@ -120,6 +120,16 @@ pub enum SupervisorOutput {
         child: ObjectName,
         /// The life at work; `None` where no life is wanted.
         incarnation: Option<Incarnation>,
+    },
+    /// The request is fulfilled as far as it can be: the new life waits for something that is not
+    /// there yet, and tries again by itself.
+    Waits {
+        /// Whose.
+        ticket: CallId,
+        /// The child.
+        child: ObjectName,
+        /// The life that waits.
+        incarnation: Incarnation,
     },
     /// The request is not going to be fulfilled.
     GaveUp {

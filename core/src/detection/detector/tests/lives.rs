@@ -41,21 +41,101 @@ fn a_component_that_was_reset_is_recovered_when_it_is_active_again() {
 }
 
 #[test]
-fn a_death_that_the_guard_has_mended_is_recorded_and_handed_to_nobody() {
+fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_life_is_at_work() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
 
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
-    assert_eq!(bench.said(), ["Found 1", "Recovered 1"]);
+    assert_eq!(bench.said(), ["Found 1"], "the next life has not started yet");
     assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
-    assert_eq!(bench.entries()[0].recovered_after(), Some(Duration::ZERO));
+    assert_eq!(bench.run_until(5), [""; 0]);
+    bench.see("arm", TWO, state(Lifecycle::Active));
+    assert_eq!(bench.said(), ["Recovered 1"]);
+    assert_eq!(bench.entries()[0].recovered_after(), Some(Duration::from_millis(5)));
     assert_eq!(bench.run_until(60_000), [""; 0]);
 }
 
 #[test]
+fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next_life() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
+    assert_eq!(bench.said(), ["Found 1"]);
+
+    bench.see("arm", TWO, exited(panicked()));
+
+    assert_eq!(bench.said(), ["Repeated 1", "+1"]);
+}
+
+#[test]
+fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    bench.see("arm", TWO, unavailable());
+    assert_eq!(bench.said(), ["Found 2", "+2"]);
+
+    bench.detector.handle_outcome(FaultId(1), at(0), RecoveryOutcome::Waits);
+
+    assert_eq!(bench.run_until(60_000), ["+2", "+2", "+2", "GaveUp 2"], "1 is not in treatment");
+    assert!(bench.entries()[0].stands());
+    bench.see("arm", TWO, state(Lifecycle::Active));
+    assert_eq!(bench.said(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
+
+    bench.see("arm", TWO, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 3", "+3"]);
+    bench.detector.handle_outcome(FaultId(3), at(60_000), RecoveryOutcome::Waits);
+    bench.see("arm", Incarnation(3), exited(panicked()));
+    assert_eq!(bench.said(), ["Repeated 3", "+3"], "its treatment had ended");
+}
+
+#[test]
+fn what_waits_no_more_is_not_unavailable_any_more() {
+    let ends = [
+        (ONE, exited(panicked()), "Panic"),
+        (ONE, exited(ExitReason::Stopped), ""),
+        (ONE, hangs(&[]), "Hang"),
+        (ONE, state(Lifecycle::Fatal), "InitializationFailed"),
+        (
+            ONE,
+            Finding::Declared { kind: FaultKind::InitializationFailed, detail: "late".into() },
+            "InitializationFailed",
+        ),
+        (TWO, state(Lifecycle::Created), ""),
+    ];
+    for (life, end, follows) in ends {
+        let mut bench = Bench::new();
+        bench.see("arm", ONE, unavailable());
+        assert_eq!(bench.said(), ["Found 1", "+1"]);
+
+        bench.see("arm", life, end);
+
+        let standing = bench.entries().into_iter().filter(|entry| entry.stands());
+        let standing: Vec<String> = standing.map(|e| format!("{:?}", e.fault.kind)).collect();
+        assert_eq!(standing.join(" "), follows);
+        let said = bench.said();
+        assert!(said.contains(&"Cleared 1".to_owned()), "{said:?}");
+    }
+}
+
+#[test]
+fn a_hang_of_the_life_that_was_to_end_a_hang_is_handed_over_again() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, hangs(&[]));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    bench.see("arm", ONE, hangs(&[]));
+    assert_eq!(bench.said(), ["Repeated 1"]);
+
+    bench.see("arm", TWO, hangs(&[]));
+
+    assert_eq!(bench.said(), ["+1"]);
+    assert_eq!(bench.fault(1).incarnation, TWO);
+}
+
+#[test]
 fn what_is_seen_of_an_older_life_is_ignored_and_counted() {
-    let findings = [exited(panicked()), silent(), declared(), state(Lifecycle::Error), hangs(&[])];
+    let ended = exited(ExitReason::Aborted);
+    let findings = [ended, silent(), declared(), state(Lifecycle::Error), hangs(&[])];
     for finding in findings {
         let mut bench = Bench::new();
         bench.see("arm", TWO, state(Lifecycle::Active));
@@ -65,6 +145,25 @@ fn what_is_seen_of_an_older_life_is_ignored_and_counted() {
         assert_eq!(bench.said(), [""; 0]);
         assert_eq!(bench.detector.stale(), 1);
     }
+}
+
+#[test]
+fn a_panic_of_an_older_life_is_told_late_and_changes_nothing_else() {
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, state(Lifecycle::Active));
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 1", "Recovered 1"]);
+    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Active)));
+
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, hangs(&[]));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
+    assert_eq!(bench.said(), ["Found 2"]);
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.fault(2).count, 2);
+    bench.see("arm", Incarnation(3), state(Lifecycle::Active));
+    assert_eq!(bench.said(), ["Recovered 2", "Recovered 1", "-1"]);
 }
 
 #[test]

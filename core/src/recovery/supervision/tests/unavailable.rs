@@ -23,14 +23,14 @@ fn those_behind_one_that_waits_are_started_unless_they_depend_on_it() {
 }
 
 #[test]
-fn a_restart_that_comes_to_wait_is_answered_and_costs_no_more() {
+fn a_restart_that_comes_to_wait_is_said_to_wait_and_costs_no_more() {
     for strategy in [Strategy::OneForOne, Strategy::RestForOne] {
         let mut rig = Rig::with(strategy, 1, &[("a", permanent())]);
         rig.begin();
         rig.started("a", 1);
         assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
 
-        assert_eq!(rig.unavailable("a", 2), ["1 recovered a #2"]);
+        assert_eq!(rig.unavailable("a", 2), ["1 a #2 waits"]);
         assert_eq!(rig.unavailable("a", 2), [""; 0]);
         assert_eq!(rig.machine.restarts_left(rig.now), 0, "the panic was counted, the wait not");
         assert_eq!(rig.started("a", 2), [""; 0]);
@@ -39,11 +39,11 @@ fn a_restart_that_comes_to_wait_is_answered_and_costs_no_more() {
 }
 
 #[test]
-fn a_reset_that_comes_to_wait_is_answered() {
+fn a_reset_that_comes_to_wait_is_said_to_wait() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     assert_eq!(rig.reset("a"), ["reset a"]);
 
-    assert_eq!(rig.unavailable("a", 1), ["1 recovered a #1"]);
+    assert_eq!(rig.unavailable("a", 1), ["1 a #1 waits"]);
 
     assert_eq!(rig.state("a"), ChildState::Unavailable);
     assert_eq!(rig.machine.poll_timeout(), None);
