@@ -296,7 +296,7 @@ impl Detector {
                 return id;
             }
             Some(id) => {
-                // What was a symptom has outlived its root.
+                // Where it was a symptom, it has outlived its root.
                 self.explain(&[id], None, scene.at);
                 id
             }
@@ -411,6 +411,9 @@ impl Detector {
     fn explain(&mut self, faults: &[FaultId], root: Option<FaultId>, at: Instant) {
         for id in faults {
             let Some(entry) = self.chronicle.entry_mut(*id) else { continue };
+            if entry.fault.symptom_of == root {
+                continue;
+            }
             entry.fault.symptom_of = root;
             let (fault, turn) = (entry.fault.clone(), FaultTransition::Explained);
             self.told.push_back(DetectorOutput::Tell { fault, at, turn });
