@@ -185,7 +185,7 @@ fn a_module_that_is_stopped_for_good_is_restarted_and_the_run_ends_as_broken() {
 
     let text = rest.join("\n");
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("module2 ended by itself: it said nothing for 3 s"), "{text}");
+    assert!(text.contains("module2 ended by itself"), "{text}");
     assert!(text.contains("module2 is ready"), "it was not restarted: {text}");
     run.assert_nothing_is_left();
 }
