@@ -342,7 +342,7 @@ mod tests {
 
         told(&mut accounting, 10, &[source(1, 100)], &[gap(20)]);
         assert!(!accounting.is_settled());
-        told(&mut accounting, 20, &[returned.clone()], &[gap(20)]);
+        told(&mut accounting, 20, std::slice::from_ref(&returned), &[gap(20)]);
         assert!(accounting.is_settled());
         assert_eq!(accounting.losses(), FlowLosses { returned: 20, ..FlowLosses::default() });
         told(&mut accounting, 30, &[returned], &[gap(23)]);

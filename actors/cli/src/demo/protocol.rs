@@ -293,8 +293,8 @@ pub(crate) struct SourceState {
     pub(crate) epoch: u64,
     /// The last number that the middleware has accepted; the first is 1.
     pub(crate) sent: u64,
-    /// Accepted messages that became dead letters of the source's node because there was no path.
-    /// Some of them may have arrived.
+    /// Accepted messages that became dead letters of the source's node, without those that perished
+    /// with the sink's process. Some of them may have arrived.
     pub(crate) returned: u64,
 }
 

@@ -59,11 +59,12 @@ pub(super) fn links_of(table: &[MonitorRow]) -> Vec<CableState> {
     table.iter().filter_map(link).collect()
 }
 
-/// Returns how many messages of a flow became dead letters because there was no path.
+/// Returns how many messages of a flow became dead letters here, without those that perished with
+/// the receiver's process.
 pub(super) fn returned_of(flow: &str, dead_letters: &[DeadLetterCount]) -> u64 {
     let Some(flow) = Flow::from_name(flow) else { return 0 };
     let is_returned = |dead: &&DeadLetterCount| {
-        dead.reason == DeadReason::Unreachable
+        dead.reason != DeadReason::PeerDied
             && dead.object.as_str() == flow.sink
             && dead.node.as_ref().is_some_and(|node| node.as_str() == flow.to.name())
     };
