@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Direction, Link, LinkRow, LinkState, Network};
+use blastema::{Direction, Link, LinkRow, LinkState, Network, Place};
 use std::f32::consts::FRAC_PI_2;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
@@ -90,10 +90,9 @@ impl Handle<HowWasIt> for Arm {
     }
 }
 
-/// One of two cables to `neighbour`, with hellos that find a silent one within some 10 ms.
+/// One of two cables to `neighbour`.
 fn cable(name: &str, own: SocketAddr, neighbour: &str, remote: SocketAddr) -> Network {
-    let link = Link::new(neighbour, remote).hello_every(Duration::from_millis(5));
-    Network::udp(name, own).link(link).with_faults(1)
+    Network::udp(name, own).link(Link::new(neighbour, remote)).with_faults(1)
 }
 
 #[blastema::main]
@@ -126,7 +125,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         node.cable("left").expect("it is faulty").cut(Direction::Both, true);
     }
     while let Some(event) = faults.next().await {
-        if event.fault.kind == FaultKind::LinkDown {
+        let Place::Link { link, .. } = &event.fault.place else { continue };
+        if event.fault.kind == FaultKind::LinkDown && link.as_ref() == "left" {
             println!("{}: {}", event.fault.kind, event.fault.place);
             break;
         }

@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Direction, FaultEvents, Link, LinkState, Network};
+use blastema::{Direction, FaultEvents, FaultTransition, Link, LinkState, Network, Place};
 use blastema_ptys::Cable;
 use std::net::UdpSocket;
 use std::path::Path;
@@ -73,7 +73,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         match order {
             100 => ethernet.cut(Direction::Both, false), // pulled behind a switch: no node is told
             200 => {
-                println!("{}", link_down(&mut faults).await);
+                println!("{}", link_down(&mut faults, "ethernet").await);
                 ethernet.restore();
                 all_links_up(&body).await;
                 line.inject(&line.left(), b"noise is nothing but noise");
@@ -84,7 +84,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         // Nothing is lost, and nothing done twice.
         assert_eq!(arm.ask_within(Move { by: 1 }, PATIENCE).await?, order);
     }
-    println!("{}", link_down(&mut faults).await);
+    println!("{}", link_down(&mut faults, "serial").await);
     println!("300 orders carried out, each once");
 
     line.plug();
@@ -95,11 +95,12 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Waits for the next link that fails, and says which.
-async fn link_down(faults: &mut FaultEvents) -> String {
+/// Waits until this link fails, and says so.
+async fn link_down(faults: &mut FaultEvents, name: &str) -> String {
     while let Some(event) = faults.next().await {
-        if event.fault.kind == FaultKind::LinkDown && event.turn == blastema::FaultTransition::Found
-        {
+        let Place::Link { link, .. } = &event.fault.place else { continue };
+        let found = event.turn == FaultTransition::Found && link.as_ref() == name;
+        if found && event.fault.kind == FaultKind::LinkDown {
             return format!("{}: {}", event.fault.kind, event.fault.place);
         }
     }

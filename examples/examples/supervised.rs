@@ -66,7 +66,7 @@ async fn main() -> Result<(), StartError> {
         .child(part("motors"));
     let node = Node::builder("module1")
         .supervisor(drive)
-        .child(ChildSpec::new("gremlin", || Gremlin).rate_hz(2.0))
+        .child(ChildSpec::new("gremlin", || Gremlin).rate_hz(1.0))
         // A drive that has given up is not restarted, and it is essential: the root gives up as
         // well.
         .intensity(0, Duration::from_secs(10))

@@ -4,6 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::sync_channel;
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use std::{fs, thread};
 
@@ -13,6 +14,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Examples that show what becomes of others when a node goes without a word.
 const DROPS_A_NODE: [&str; 1] = ["names"];
+/// Held while an example runs. Robots that share a machine slow each other down.
+static ONE_ROBOT: Mutex<()> = Mutex::new(());
 
 /// Where Cargo puts the example, beside the folder of this test.
 fn program(name: &str) -> PathBuf {
@@ -31,6 +34,7 @@ fn program(name: &str) -> PathBuf {
 
 /// What the example prints until it ends, which it must do in time and well.
 fn output(name: &str) -> String {
+    let _turn = ONE_ROBOT.lock().unwrap_or_else(PoisonError::into_inner);
     let mut child = Command::new(program(name))
         .stdin(Stdio::null())
         .stdout(Stdio::piped())

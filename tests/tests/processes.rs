@@ -238,7 +238,7 @@ struct Wheels(std::sync::mpsc::SyncSender<f32>);
 
 impl Component for Wheels {
     fn ports(ports: &mut Ports<Self>) {
-        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_millis(200)));
+        ports.actuator(ActuatorSpec::new(Drive(0.0)).lease(Duration::from_secs(2)));
     }
 }
 

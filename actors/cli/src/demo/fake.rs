@@ -31,6 +31,12 @@ pub(crate) enum Flaw {
     NeverTogether,
     StopsForGood,
     ComesLate,
+    /// Dead letters of an interruption that a session survives.
+    ReturnsEarly,
+    /// Dead letters of one that no session survives: no flaw.
+    ReturnsLate,
+    /// The computer is too busy: no flaw.
+    MissesRounds,
 }
 
 /// The simulated robot with its virtual time.
@@ -46,6 +52,7 @@ pub(crate) struct FakeRobot {
     watched: BTreeMap<Module, MachineInstant>,
     lost: u64,
     doubled: u64,
+    returned: u64,
     next_fault: u64,
 }
 
@@ -54,6 +61,7 @@ enum Happening {
     Says(Module, ModuleEvent),
     Exits(Module, Option<&'static str>),
     Returns(Module),
+    Reconnects(Vec<String>),
     Snapshots,
 }
 
@@ -71,6 +79,7 @@ impl FakeRobot {
             watched: BTreeMap::new(),
             lost: 0,
             doubled: 0,
+            returned: 0,
             next_fault: 1,
         }
     }
@@ -143,6 +152,9 @@ impl FakeRobot {
                 self.began.insert(module, self.now);
                 scenario.handle_event(module, &ModuleEvent::Ready, self.now);
             }
+            Happening::Reconnects(cables) => {
+                self.cut.retain(|name| !cables.iter().any(|cable| cable == name));
+            }
             Happening::Snapshots => {
                 for module in Module::ALL {
                     if !self.dead.contains(&module) {
@@ -194,10 +206,16 @@ impl FakeRobot {
                 }
                 let is_first = module == Module::Module1 && self.cut.len() == 1;
                 self.lost += u64::from(self.flaw == Flaw::LosesOne && is_first);
+                let returns = matches!(self.flaw, Flaw::ReturnsEarly | Flaw::ReturnsLate);
+                if returns && module == Module::Module1 && self.cut.len() == 2 {
+                    self.lost += 5;
+                    self.returned += 5;
+                }
                 self.done(module, order);
             }
             DirectorCommand::Restore { order, cables } => {
-                self.cut.retain(|name| !cables.iter().any(|cable| cable == name));
+                let after = if self.flaw == Flaw::ReturnsLate { 2_000 } else { 0 };
+                self.plan(after, Happening::Reconnects(cables));
                 self.done(module, order);
             }
             DirectorCommand::PanicRouter { order } => {
@@ -237,6 +255,10 @@ impl FakeRobot {
             return;
         }
         self.done(module, order);
+        if self.flaw == Flaw::MissesRounds {
+            let note = self.note(FaultKind::Overload, object(Module::Module1, "safety"), 1);
+            self.says(Module::Module1, 1, ModuleEvent::Found(note));
+        }
         if self.flaw == Flaw::DiesOfPanic && kind == FaultKind::Panic {
             self.die(module, Some("signal 6"));
         }
@@ -293,6 +315,7 @@ impl FakeRobot {
             flow: flow.name.into(),
             epoch: self.lives[&module],
             sent: self.sent(flow),
+            returned: if flow.name == FLOWS[0].name { self.returned } else { 0 },
         });
         let sinks = FLOWS.iter().filter(|flow| flow.to == module && self.passes(flow));
         Snapshot {

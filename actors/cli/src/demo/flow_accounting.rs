@@ -25,6 +25,9 @@ pub(crate) struct FlowLosses {
     pub(crate) doubled: u64,
     /// Lost with the killed process that held them, at most.
     pub(crate) perished: u64,
+    /// Accepted, not delivered, and reported as dead letters: there was no path for longer than a
+    /// session waits.
+    pub(crate) returned: u64,
 }
 
 impl Sub for FlowLosses {
@@ -36,6 +39,7 @@ impl Sub for FlowLosses {
             lost: self.lost.saturating_sub(earlier.lost),
             doubled: self.doubled.saturating_sub(earlier.doubled),
             perished: self.perished.saturating_sub(earlier.perished),
+            returned: self.returned.saturating_sub(earlier.returned),
         }
     }
 }
@@ -48,6 +52,10 @@ struct Account {
     closed: FlowLosses,
     /// The last number of the source's former process.
     old_epoch_sent: u64,
+    /// The dead letters of the source's former processes.
+    old_epochs_returned: u64,
+    /// The dead letters up to the sink's present process, which explain nothing in it.
+    spent: u64,
     settling: Settling,
 }
 
@@ -107,6 +115,7 @@ impl FlowAccounting {
             sum.lost += losses.lost;
             sum.doubled += losses.doubled;
             sum.perished += losses.perished;
+            sum.returned += losses.returned;
         }
         sum
     }
@@ -127,6 +136,7 @@ impl Account {
     fn handle_source(&mut self, source: &SourceState, at: MachineInstant) {
         if source.epoch != self.source.epoch {
             self.old_epoch_sent = self.source.sent;
+            self.old_epochs_returned += self.source.returned;
             // Messages of an ended process have arrived or are lost: they are not awaited.
             if let Settling::Until { .. } = self.settling {
                 self.settling = Settling::Until { epoch: source.epoch, number: 0 };
@@ -147,7 +157,11 @@ impl Account {
         }
         let old = &self.sink;
         if old.epoch != 0 && sink.process != old.process {
-            self.closed.lost += old.missing + old.missing_before;
+            let missing = old.missing + old.missing_before;
+            let returned = missing.min(self.returned());
+            self.closed.lost += missing - returned;
+            self.closed.returned += returned;
+            self.spent += self.returned();
             self.closed.doubled += old.doubled;
             if sink.epoch == old.epoch {
                 self.closed.perished += sink.first.saturating_sub(old.highest + 1);
@@ -168,7 +182,7 @@ impl Account {
             Settling::Asked { .. } => false,
             Settling::Until { epoch, number } => {
                 let arrived = self.sink.epoch == epoch && self.sink.highest >= number;
-                number == 0 || (arrived && self.sink.missing == 0)
+                number == 0 || (arrived && self.sink.missing <= self.returned())
             }
         }
     }
@@ -185,11 +199,19 @@ impl Account {
             Settling::Until { number, .. } => number,
             Settling::No | Settling::Asked { .. } => 0,
         };
+        let missing = self.sink.missing + self.sink.missing_before + tail;
+        let returned = missing.min(self.returned());
         FlowLosses {
-            lost: self.closed.lost + self.sink.missing + self.sink.missing_before + tail,
+            lost: self.closed.lost + missing - returned,
             doubled: self.closed.doubled + self.sink.doubled,
             perished: self.closed.perished,
+            returned: self.closed.returned + returned,
         }
+    }
+
+    /// The dead letters since the sink's present process began.
+    fn returned(&self) -> u64 {
+        (self.old_epochs_returned + self.source.returned).saturating_sub(self.spent)
     }
 
     fn received(&self) -> u64 {
@@ -205,7 +227,7 @@ mod tests {
     const FLOW: &str = "flow/2-3";
 
     fn source(epoch: u64, sent: u64) -> SourceState {
-        SourceState { flow: FLOW.into(), epoch, sent }
+        SourceState { flow: FLOW.into(), epoch, sent, returned: 0 }
     }
 
     fn sink(process: u64, epoch: u64, first: u64, highest: u64) -> SinkState {
@@ -260,7 +282,10 @@ mod tests {
         let torn = SinkState { missing: 3, doubled: 2, missing_before: 1, ..sink(1, 1, 1, 50) };
         told(&mut accounting, 10, &[source(1, 50)], &[torn]);
 
-        assert_eq!(accounting.losses(), FlowLosses { lost: 4, doubled: 2, perished: 0 });
+        assert_eq!(
+            accounting.losses(),
+            FlowLosses { lost: 4, doubled: 2, ..FlowLosses::default() }
+        );
     }
 
     #[test]
@@ -309,10 +334,57 @@ mod tests {
     }
 
     #[test]
-    fn only_what_came_later_counts_for_a_step() {
-        let before = FlowLosses { lost: 5, doubled: 1, perished: 0 };
-        let after = FlowLosses { lost: 3, doubled: 4, perished: 2 };
+    fn a_gap_that_was_reported_as_dead_letters_is_returned_and_what_exceeds_it_is_lost() {
+        let mut accounting = accounting();
+        accounting.settle(MachineInstant::from_millis(5));
+        let returned = SourceState { returned: 20, ..source(1, 100) };
+        let gap = |missing| SinkState { missing, ..sink(1, 1, 1, 100) };
 
-        assert_eq!(after - before, FlowLosses { lost: 0, doubled: 3, perished: 2 });
+        told(&mut accounting, 10, &[source(1, 100)], &[gap(20)]);
+        assert!(!accounting.is_settled());
+        told(&mut accounting, 20, std::slice::from_ref(&returned), &[gap(20)]);
+        assert!(accounting.is_settled());
+        assert_eq!(accounting.losses(), FlowLosses { returned: 20, ..FlowLosses::default() });
+        told(&mut accounting, 30, &[returned], &[gap(23)]);
+
+        assert!(!accounting.is_settled());
+        let losses = FlowLosses { lost: 3, returned: 20, ..FlowLosses::default() };
+        assert_eq!(accounting.losses(), losses);
+    }
+
+    #[test]
+    fn dead_letters_for_a_killed_process_excuse_no_later_loss() {
+        let mut accounting = accounting();
+        let returned = SourceState { returned: 15, ..source(1, 130) };
+        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        told(&mut accounting, 30, &[returned], &[sink(2, 1, 111, 130)]);
+        let perished = FlowLosses { perished: 15, ..FlowLosses::default() };
+        assert_eq!(accounting.losses(), perished);
+
+        let torn = SinkState { missing: 2, ..sink(2, 1, 111, 140) };
+        told(&mut accounting, 40, &[], &[torn]);
+
+        assert_eq!(accounting.losses(), FlowLosses { lost: 2, ..perished });
+    }
+
+    #[test]
+    fn what_a_killed_source_had_reported_stays_reported() {
+        let mut accounting = accounting();
+        let returned = SourceState { returned: 4, ..source(1, 100) };
+        let gap = SinkState { missing: 4, ..sink(1, 1, 1, 100) };
+        told(&mut accounting, 10, &[returned], &[gap]);
+        let gap = SinkState { missing_before: 4, ..sink(1, 2, 1, 9) };
+        told(&mut accounting, 30, &[source(2, 9)], &[gap]);
+
+        assert_eq!(accounting.losses(), FlowLosses { returned: 4, ..FlowLosses::default() });
+    }
+
+    #[test]
+    fn only_what_came_later_counts_for_a_step() {
+        let before = FlowLosses { lost: 5, doubled: 1, perished: 0, returned: 0 };
+        let after = FlowLosses { lost: 3, doubled: 4, perished: 2, returned: 1 };
+
+        let step = FlowLosses { lost: 0, doubled: 3, perished: 2, returned: 1 };
+        assert_eq!(after - before, step);
     }
 }

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 /// Raised with every change here: parent and child are the same executable unless it was replaced
 /// while the demonstration ran.
-pub(crate) const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 2;
 
 /// The longest line in bytes. A snapshot takes about 10 kB.
 pub(crate) const LINE_LIMIT: usize = 256 * 1024;
@@ -217,9 +217,10 @@ pub(crate) struct FaultNote {
 }
 
 impl FaultNote {
-    /// Returns whether it is a warning: on a busy machine hellos arrive late.
+    /// Returns whether it is a warning: on a busy machine hellos arrive late and rounds are missed,
+    /// which is not a fault of the robot.
     pub(crate) fn is_warning(&self) -> bool {
-        self.kind == FaultKind::LinkDegraded
+        matches!(self.kind, FaultKind::LinkDegraded | FaultKind::Overload)
     }
 }
 
@@ -292,6 +293,9 @@ pub(crate) struct SourceState {
     pub(crate) epoch: u64,
     /// The last number that the middleware has accepted; the first is 1.
     pub(crate) sent: u64,
+    /// Accepted messages that became dead letters of the source's node, without those that perished
+    /// with the sink's process. Some of them may have arrived.
+    pub(crate) returned: u64,
 }
 
 /// A flow where it ends.

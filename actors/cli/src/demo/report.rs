@@ -34,6 +34,8 @@ pub(crate) struct Report {
     pub(crate) late: u64,
     /// How many of them the sinks' last processes received.
     pub(crate) received: u64,
+    /// Overloads that were found where none was injected: the computer was too busy for the robot.
+    pub(crate) overloads: u64,
     /// ResponseTimes times between modules, ours and the paper's.
     pub(crate) responses: Vec<ResponseTimes>,
     /// DeliveryTimes of events within a module.
@@ -68,6 +70,8 @@ pub(crate) struct FaultRow {
     pub(crate) doubled: u64,
     /// Reliable messages that were lost with a killed process, at most.
     pub(crate) perished: u64,
+    /// Reliable messages that became dead letters because there was no path for too long.
+    pub(crate) returned: u64,
     /// Further faults that the modules reported as its consequences.
     pub(crate) symptoms: u64,
     /// The paper's figure in milliseconds, if it measured something like it.
@@ -175,7 +179,8 @@ pub(crate) const NOTES: [&str; 5] = [
      when the object answers again, or when messages sent after the fault arrive. A supervisor that \
      restarts an object at once is faster than the report of the fault. A cut cable is silent: its \
      medium reports nothing. Symptoms are faults that the modules reported as consequences.",
-    "r  from the return of the cables.  +p  at most so many messages were lost with the killed process.",
+    "r  from the return of the cables.  +p  at most so many messages were lost with the killed process. \
+     +d  so many became dead letters: there was no path for longer than a session waits, 2 s.",
     "a  Baek and Park 2008, table 2, for a panic: 11.1 (at most 12) from the detection of a dead \
      object among 100, with a sign of life every 100 ms, to its re-creation; mean of 1000.",
     "b  Ibid., for a cut cable: 12 (at most 13) from its detection, with a sign of life every 3 s, to \

@@ -12,7 +12,7 @@ use super::robot::{CABLES, Module};
 use super::robot_state::RobotState;
 use super::tone::LineTone;
 use super::trial::{FaultTrial, TrialOutput, TrialTimeouts};
-use blastema::core::Place;
+use blastema::core::{FaultKind, Place};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -52,6 +52,7 @@ pub(crate) struct Scenario {
     problems: Vec<String>,
     /// Faults that were found and not injected, unless they are reported as symptoms later.
     stray: BTreeMap<(Module, u64), String>,
+    overloads: u64,
     /// Faults found during the assembly.
     hindrances: BTreeMap<Place, String>,
     outputs: VecDeque<ScenarioOutput>,
@@ -131,6 +132,7 @@ impl Scenario {
             finished: false,
             problems: Vec::new(),
             stray: BTreeMap::new(),
+            overloads: 0,
             hindrances: BTreeMap::new(),
             outputs: VecDeque::new(),
             plan,
@@ -144,6 +146,7 @@ impl Scenario {
         match event {
             ModuleEvent::Explained { id, .. } => drop(self.stray.remove(&(from, *id))),
             ModuleEvent::Ready => self.say(LineTone::Remark, format!("{from} is ready")),
+            ModuleEvent::Found(note) => self.warn(from, note),
             _ => {}
         }
         match (&mut self.scene, event) {
@@ -289,6 +292,7 @@ impl Scenario {
             late: in_rows(|row| row.lost).saturating_sub(messages.lost),
             messages,
             received: self.robot.accounting.received(),
+            overloads: self.overloads,
             responses: Vec::new(),
             events: Vec::new(),
             notes: NOTES.into(),
@@ -432,6 +436,23 @@ impl Scenario {
             if self.stray.len() < PROBLEM_LIMIT {
                 self.stray.insert((from, note.id), text);
             }
+        }
+    }
+
+    /// Tells of an overload that was not injected.
+    fn warn(&mut self, from: Module, note: &FaultNote) {
+        let trial = match &self.scene {
+            Scene::Trying(trial) => Some(trial.injection()),
+            _ => None,
+        };
+        let is_injected = trial
+            .into_iter()
+            .chain(&self.last)
+            .any(|injection| injection.judge(note) == FaultMatch::Named);
+        if note.kind == FaultKind::Overload && note.symptom_of.is_none() && !is_injected {
+            self.overloads += 1;
+            let FaultNote { kind, place, detail, .. } = note;
+            self.say(LineTone::Remark, format!("{from} warns of {kind} in {place}: {detail}"));
         }
     }
 

@@ -51,8 +51,9 @@ fn faults(report: &Report, columns: u16) -> Table {
     }
     table.add_rows(report.rows.iter().map(|row| {
         let recovered = figure(row.recovered_after);
-        let perished =
-            if row.perished == 0 { String::new() } else { format!("+{}p ", row.perished) };
+        let besides = [(row.perished, 'p'), (row.returned, 'd')].into_iter();
+        let besides = besides.filter(|(count, _)| *count > 0);
+        let besides: String = besides.map(|(count, mark)| format!("+{count}{mark} ")).collect();
         [
             row.number.to_string(),
             row.fault.to_owned(),
@@ -60,7 +61,7 @@ fn faults(report: &Report, columns: u16) -> Table {
             row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
             figure(row.detected_after),
             if row.from_repair { format!("{recovered} r") } else { recovered },
-            format!("{perished}{}", row.lost),
+            format!("{besides}{}", row.lost),
             row.doubled.to_string(),
             row.symptoms.to_string(),
         ]
@@ -113,8 +114,19 @@ fn verdict(report: &Report) -> String {
         0 => String::new(),
         late => format!(" ({late} that a row counts as lost arrived late)"),
     };
+    let returned = match sum.returned {
+        0 => String::new(),
+        returned => format!(", {returned} returned as dead letters"),
+    };
+    let busy = match report.overloads {
+        0 => String::new(),
+        count => format!(
+            " The computer was too busy for the robot: {} found where none was injected.",
+            counted(count, "overload")
+        ),
+    };
     format!(
-        "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled.",
+        "{verdict}: {} in {:.1} s, seed {}; reliable messages: {} lost{late}, {} doubled{returned}.{busy}",
         counted(rows, "fault"),
         report.took.as_secs_f64(),
         report.seed,
@@ -187,6 +199,7 @@ mod tests {
             lost: 0,
             doubled: 0,
             perished: 0,
+            returned: 0,
             symptoms: 0,
             paper: paper_figure(fault),
             problems: vec![],
@@ -201,6 +214,7 @@ mod tests {
             row(4, "kill -9, rejoin", "module3", ("B13", "node lost")),
         ];
         rows[2].from_repair = true;
+        rows[2].returned = 240;
         rows[3].recovered_after = None;
         rows[3].lost = 2;
         rows[3].perished = 14;
@@ -225,9 +239,10 @@ mod tests {
             rows,
             rows_left_out: 3,
             problems: vec!["module2 named hang in module2:laser, where nothing was done".into()],
-            messages: FlowLosses { lost: 2, doubled: 0, perished: 14 },
+            messages: FlowLosses { lost: 2, doubled: 0, perished: 14, returned: 240 },
             late: 0,
             received: 9_000,
+            overloads: 3,
             responses: vec![],
             events: vec![],
             notes: NOTES.into(),

@@ -21,6 +21,10 @@ use super::tone::LineTone;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
+/// An interruption that no session may end in. A session waits for two seconds from the last sign of
+/// its peer, which on a busy machine comes before the cut by as much as a handler may keep its thread.
+const SESSIONS_LAST: Duration = Duration::from_millis(1_500);
+
 /// How long each phase may take before the promise counts as broken. The limits are generous: they
 /// end a run in which something is missing, and say nothing about speed.
 #[derive(Clone, Copy, Debug)]
@@ -217,6 +221,14 @@ impl FaultTrial {
         }
     }
 
+    /// Returns whether the two ends were parted for so long that a session may have ended.
+    fn may_end_sessions(&self, robot: &RobotState) -> bool {
+        let parted = matches!(self.injection, Injection::Blackout { .. });
+        let since = self.struck.map(|struck| struck.first);
+        let span = since.zip(self.back_at(robot)).map(|(since, back)| back - since);
+        parted && span.is_some_and(|span| span >= SESSIONS_LAST)
+    }
+
     /// The first report of the fault.
     fn root(&self) -> Option<(Module, u64)> {
         let first = self.named.iter().min_by_key(|(_, note)| note.found_at);
@@ -318,7 +330,8 @@ impl FaultTrial {
 
     /// Returns the row up to now.
     pub(crate) fn row(&self, robot: &RobotState) -> FaultRow {
-        let FlowLosses { lost, doubled, perished } = robot.accounting.losses() - self.before;
+        let losses = robot.accounting.losses() - self.before;
+        let FlowLosses { lost, doubled, perished, returned } = losses;
         let mut problems = self.problems.clone();
         for ((finder, _), FaultNote { kind, place, detail, .. }) in &self.foreign {
             problems.push(format!("{finder} named {kind} in {place}: {detail}"));
@@ -328,6 +341,11 @@ impl FaultTrial {
         }
         if doubled > 0 {
             problems.push(format!("{} doubled", counted(doubled, "reliable message")));
+        }
+        if returned > 0 && !self.may_end_sessions(robot) {
+            let returned = counted(returned, "reliable message");
+            problems
+                .push(format!("{returned} became dead letters, though a path was there in time"));
         }
         let first_named = self.named.values().min_by_key(|note| note.found_at);
         let struck = self.struck.map(|struck| struck.first);
@@ -344,6 +362,7 @@ impl FaultTrial {
             lost,
             doubled,
             perished,
+            returned,
             symptoms: self.symptoms(),
             paper: paper_figure(self.injection.title()),
             problems,

@@ -93,7 +93,7 @@ impl DemoView {
     }
 
     fn messages(&self) -> Line<'static> {
-        let FlowLosses { lost, doubled, perished } = self.messages;
+        let FlowLosses { lost, doubled, perished, .. } = self.messages;
         let count = |count: u64, what: &str| {
             let colour = if count == 0 { Color::Green } else { Color::Red };
             Span::styled(format!("{count} {what}"), colour)
@@ -315,7 +315,7 @@ mod tests {
             steps: Some(10),
             modules,
             cables,
-            messages: FlowLosses { lost: 0, doubled: 1, perished: 7 },
+            messages: FlowLosses { lost: 0, doubled: 1, perished: 7, returned: 0 },
             received: 1_234,
             lines: vec![
                 line(3_000, LineTone::Relief, "recovered after 61.0µs"),

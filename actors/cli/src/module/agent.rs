@@ -3,7 +3,7 @@
 use super::fault_target::FaultTarget;
 use super::measurements::Measurements;
 use super::module_node;
-use super::report::{event_of, links_of, objects_of};
+use super::report::{event_of, links_of, objects_of, returned_of};
 use crate::demo::machine_instant::MachineInstant;
 use crate::demo::protocol::{DirectorCommand, ModuleEvent, OrderId, Snapshot};
 use crate::demo::robot::Module;
@@ -120,7 +120,11 @@ impl ModuleAgent {
     async fn report(&self, node: &Node) {
         let table = node.table().await;
         let (objects, links) = (objects_of(&table), links_of(&table));
-        let snapshot = Snapshot { objects, links, ..self.measurements.snapshot() };
+        let mut snapshot = Snapshot { objects, links, ..self.measurements.snapshot() };
+        let dead_letters = node.dead_letters().counts();
+        for source in &mut snapshot.sources {
+            source.returned = returned_of(&source.flow, &dead_letters);
+        }
         self.measurements.tell(ModuleEvent::Snapshot(Box::new(snapshot)));
     }
 

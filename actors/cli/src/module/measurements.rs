@@ -120,13 +120,14 @@ impl Measurements {
         timings.record(after);
     }
 
-    /// Returns all measurements; the caller adds objects and links.
+    /// Returns all measurements; the caller adds objects, links and dead letters.
     pub(super) fn snapshot(&self) -> Snapshot {
         let readings = self.read();
         let source = |(name, source): (&&'static str, &Source)| SourceState {
             flow: (*name).into(),
             epoch: self.process,
             sent: source.made - source.waiting.len() as u64,
+            returned: 0,
         };
         let response =
             |(module, timings): (&Module, &Timings)| (module.to_string(), timings.clone());

@@ -30,7 +30,7 @@ const PERIOD: Duration = Duration::from_secs(10);
 /// How long a handler may keep its arbiter. A robot's handlers take microseconds; on a machine with
 /// ten times more ready threads than processors, a thread waits for up to 200 ms.
 const BLOCK: Duration = Duration::from_millis(400);
-/// Signs of life in a row that an object may miss, for the same reason.
+/// Signs of life in a row that an object may miss, and answers, for the same reason.
 const MISSED_SIGNS: u32 = 5;
 /// How long a message may wait for a passive object before that is an overload.
 const PATIENCE: Duration = Duration::from_millis(500);
@@ -129,7 +129,7 @@ fn passive<C: Component>(
     active(name, rate_hz, factory)
         .queue(PASSIVE_QUEUE, WhenFull::Refuse)
         .max_delay(PATIENCE)
-        .liveness(Liveness::Pull(Pull::default()))
+        .liveness(Liveness::Pull(Pull { tolerance: MISSED_SIGNS, ..Pull::default() }))
 }
 
 fn skin_of(module: Module, measurements: &Measurements) -> SupervisorSpec {

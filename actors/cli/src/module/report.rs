@@ -2,8 +2,10 @@
 
 use crate::demo::machine_instant::MachineInstant;
 use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, ObjectState};
+use crate::demo::robot::Flow;
+use blastema::core::delivery::dead_letters::DeadLetterCount;
 use blastema::core::detection::{self, FaultTransition, MonitorRow, ObjectKind};
-use blastema::{FaultEvent, Lifecycle, Place};
+use blastema::{DeadReason, FaultEvent, Lifecycle, Place};
 
 /// Returns the event of a fault that the director receives.
 pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
@@ -55,6 +57,18 @@ pub(super) fn links_of(table: &[MonitorRow]) -> Vec<CableState> {
         _ => None,
     };
     table.iter().filter_map(link).collect()
+}
+
+/// Returns how many messages of a flow became dead letters here, without those that perished with
+/// the receiver's process.
+pub(super) fn returned_of(flow: &str, dead_letters: &[DeadLetterCount]) -> u64 {
+    let Some(flow) = Flow::from_name(flow) else { return 0 };
+    let is_returned = |dead: &&DeadLetterCount| {
+        dead.reason != DeadReason::PeerDied
+            && dead.object.as_str() == flow.sink
+            && dead.node.as_ref().is_some_and(|node| node.as_str() == flow.to.name())
+    };
+    dead_letters.iter().filter(is_returned).map(|dead| dead.count).sum()
 }
 
 fn opinion_of(opinion: detection::Opinion) -> ObjectOpinion {

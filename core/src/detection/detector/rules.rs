@@ -169,6 +169,10 @@ impl Detector {
         exit: ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
+        // A thread that was lost to a hang may end before its last victim was replaced.
+        let hang = self.behind.get(object).copied().filter(|&root| self.is_hang(root));
+        let hang = hang.filter(|_| exit == ExitReason::Aborted);
+        let cause = hang.map_or(Cause::Itself, Cause::Known);
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = seen.state;
         // A life that was already over ends in some way or other; that is no second fault.
@@ -197,13 +201,13 @@ impl Detector {
             | ExitReason::Stopped => return,
         };
         let Some(next) = restarted_as else {
-            self.find(scene, kind, detail, Cause::Itself);
+            self.find(scene, kind, detail, cause);
             return;
         };
         *seen = Seen::new(next);
         let known = self.chronicle.standing(&scene.place, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
-        let id = known.unwrap_or_else(|| self.record(scene, kind, detail, Cause::Itself));
+        let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
         // It is over when the next life is at work; a recoverer hears of it if that one dies too.
         self.unhanded.insert(id);
     }

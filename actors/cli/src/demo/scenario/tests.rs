@@ -51,7 +51,30 @@ fn what_the_robot_does_wrong_breaks_the_row_in_which_it_happens() {
     check(Flaw::LosesOne, "cable cut", "1 reliable message lost");
     check(Flaw::DoublesOne, "panic in the router", "1 reliable message doubled");
     check(Flaw::DiesOfPanic, "panic", "module1 ended by itself");
+    check(Flaw::ReturnsEarly, "both cables cut, return", "5 reliable messages became dead letters");
     check(Flaw::Refuses, "flood", "module2 refused: no such object");
+}
+
+#[test]
+fn what_an_interruption_longer_than_a_session_returns_is_told_and_breaks_no_promise() {
+    let report = tell(ScenarioPlan::default(), Flaw::ReturnsLate);
+
+    assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
+    assert_eq!((report.messages.lost, report.messages.returned), (0, 5));
+    for row in &report.rows {
+        let is_blackout = row.fault == "both cables cut, return";
+        assert_eq!(row.returned, if is_blackout { 5 } else { 0 }, "{row:?}");
+    }
+}
+
+#[test]
+fn overloads_of_a_busy_computer_are_told_and_break_no_promise() {
+    let report = tell(ScenarioPlan::default(), Flaw::MissesRounds);
+
+    assert!(report.promises_kept, "{:?} {:?}", report.rows, report.problems);
+    // One for each fault in an object.
+    assert_eq!(report.overloads, 6);
+    assert_eq!(tell(ScenarioPlan::default(), Flaw::None).overloads, 0);
 }
 
 #[test]

@@ -114,6 +114,23 @@ fn a_victim_that_is_lost_is_a_symptom_also_when_the_culprit_was_replaced_long_ag
 }
 
 #[test]
+fn a_victim_whose_thread_ends_before_it_was_replaced_is_a_symptom_of_the_hang() {
+    let mut bench = Bench::new();
+    for name in ["map", "pose"] {
+        bench.depend(name, &[]);
+        bench.see(name, ONE, state(Lifecycle::Active));
+    }
+    bench.see("laser", ONE, hangs(&["map"]));
+    bench.detector.handle_outcome(FaultId(1), at(5), RecoveryOutcome::Recovered);
+
+    for name in ["map", "pose"] {
+        bench.see(name, ONE, exited(ExitReason::Aborted));
+    }
+
+    assert_eq!([2, 3].map(|id| bench.fault(id).symptom_of), [Some(FaultId(1)), None]);
+}
+
+#[test]
 fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_before() {
     let mut bench = Bench::new();
     bench.depend("map", &[]);
