@@ -8,6 +8,7 @@ mod chaos;
 mod commanders;
 mod declared;
 mod either_order;
+mod endings;
 mod errors;
 mod escalation;
 mod events;
