@@ -8,6 +8,7 @@ use crate::plan::{Branch, Clock, Group};
 use crate::run::{Evidence, is_open, leaves};
 use blastema::core::recovery::ChildState;
 use blastema::detection::FaultEntry;
+use blastema::recovery::{Restart, Strategy};
 use blastema::{FaultKind, Lifecycle, NodeState, Opinion};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -28,6 +29,7 @@ pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
     ends(evidence, out);
     pictures(evidence, out);
     rounds(evidence, out);
+    bystanders(evidence, out);
     if !evidence.ended {
         out.push("shutdown: it does not end".into());
     }
@@ -157,7 +159,7 @@ fn incarnations(evidence: &Evidence, out: &mut Vec<String>) {
                 out.push(format!("incarnations: {name}#{} began twice", entry.incarnation));
             }
             What::Began => *latest = entry.incarnation,
-            // What an abandoned thread does at last is fenced, and who is told of an end is another.
+            // What an abandoned thread does at last is fenced; a notice is written by the watcher.
             What::Returned | What::Dropped | What::Down { .. } => {}
             What::Struck(Cause::DropPanic | Cause::Condition(_)) => {}
             _ if entry.incarnation < *latest => {
@@ -203,7 +205,7 @@ fn missing(
     let stayed = evidence.is_running(listener)
         && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
         && !evidence.causes(listener).any(|(_, cause)| cause == Cause::Stop)
-        && plan.restart == blastema::recovery::Restart::Permanent;
+        && plan.restart == Restart::Permanent;
     let active = |entry: &Entry| entry.what == What::Hook("on_activated");
     let Some(from) = evidence.of_part(listener).find(|entry| active(entry)) else { return };
     if !stayed {
@@ -463,7 +465,7 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
             let why = evidence.at_rest()
                 || given_up()
                 || stopped
-                || evidence.robot.parts[part].restart == blastema::recovery::Restart::Temporary;
+                || evidence.robot.parts[part].restart == Restart::Temporary;
             let at_rest = matches!(
                 standing,
                 None | Some((ChildState::Resting | ChildState::Finished | ChildState::Waiting, _))
@@ -492,6 +494,41 @@ fn rounds(evidence: &Evidence, out: &mut Vec<String>) {
         let (counted, due) = (counted.count(), 20 * hz as usize);
         if counted + 1 < due || counted > due + 1 {
             out.push(format!("rounds: {} had {counted} of {due} rounds", plan.name));
+        }
+    }
+}
+
+/// One to which nothing happens, and that depends on no sibling, is not restarted.
+fn bystanders(evidence: &Evidence, out: &mut Vec<String>) {
+    let storm = |entry: &FaultEntry| entry.fault.kind == FaultKind::RestartStorm;
+    // On real threads it may stand behind a hang, and be moved.
+    if evidence.robot.clock != Clock::Virtual
+        || evidence.at_rest()
+        || evidence.record.entries.iter().any(storm)
+    {
+        return;
+    }
+    let mut alone = Vec::new();
+    independent(&evidence.robot.root, &mut alone);
+    for part in alone {
+        let name = evidence.name(part);
+        let began = evidence.of_part(part).filter(|entry| entry.what == What::Began).count();
+        let untouched = evidence.causes(part).next().is_none();
+        if untouched && (began > 1 || evidence.faults(name).any(|f| f.fault.symptom_of.is_none())) {
+            out.push(format!("bystanders: {name} began {began} times, though nothing struck it"));
+        }
+    }
+}
+
+/// The components that no supervisor above them restarts because of a sibling.
+fn independent(group: &Group, alone: &mut Vec<usize>) {
+    if group.strategy != Strategy::OneForOne {
+        return;
+    }
+    for child in &group.children {
+        match child {
+            Branch::Part(index) => alone.push(*index),
+            Branch::Group(below) => independent(below, alone),
         }
     }
 }

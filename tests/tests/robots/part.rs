@@ -43,7 +43,6 @@ impl Robot {
         if *escalates {
             builder = builder.when_exceeded(WhenExceeded::Escalate);
         }
-        // First, so that a group's restart leaves it alone where that takes those that follow.
         for child in children {
             builder = match child {
                 Branch::Part(index) => {
