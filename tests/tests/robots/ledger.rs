@@ -110,6 +110,8 @@ struct Inner {
     numbers: u64,
     /// Tasks and timers that have not struck yet.
     scheduled: usize,
+    /// Of each listener and topic: the latest mark that its condition has seen.
+    marks: BTreeMap<(usize, usize), u64>,
 }
 
 /// A task or timer that is going to strike, unless its incarnation ends before.
@@ -202,6 +204,14 @@ impl Ledger {
             }
             _ => false,
         }
+    }
+
+    pub(crate) fn mark(&self, part: usize, topic: usize, n: u64) {
+        self.inner().marks.insert((part, topic), n);
+    }
+
+    pub(crate) fn has_mark(&self, part: usize, topic: usize, n: u64) -> bool {
+        self.inner().marks.get(&(part, topic)).is_some_and(|latest| *latest >= n)
     }
 
     pub(crate) fn schedule(&self) -> Scheduled {

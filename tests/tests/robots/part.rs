@@ -26,6 +26,16 @@ pub(crate) struct Reading {
     n: u64,
 }
 
+/// The publisher of events that no component takes: they show how far a topic has got.
+const MARK: u64 = u64::MAX;
+
+impl Reading {
+    /// An event that every condition notes and refuses.
+    pub(crate) fn mark(topic: usize, n: u64) -> Reading {
+        Reading { topic: topic as u64, from: MARK, of: 0, n }
+    }
+}
+
 /// A message of a flood.
 #[derive(Clone, Debug, PartialEq, Event)]
 #[contract(name = "robots/load")]
@@ -90,6 +100,10 @@ impl Robot {
             for (topic, each) in listens {
                 let world = world.clone();
                 let condition = move |reading: &Reading| {
+                    if reading.from == MARK {
+                        world.mark(index, topic, reading.n);
+                        return false;
+                    }
                     if world.condition_is_struck(index) {
                         let number = world.number();
                         world.write_current(index, What::Struck(Cause::Condition(number)));

@@ -1,8 +1,8 @@
 //! Carries a plan out on a node, and collects what a builder of robots can see of it.
 
 use crate::ledger::{Answer, Asked, Cause, Entry, Ledger, What};
-use crate::part::{Load, WATCHER, Watcher, Work};
-use crate::plan::{Action, Clock, Deed, Robot, Step};
+use crate::part::{Load, Reading, WATCHER, Watcher, Work};
+use crate::plan::{Action, Clock, Deed, Robot, Step, TOPICS};
 use blastema::core::delivery::dead_letters::DeadLetterCount;
 use blastema::core::recovery::ChildState;
 use blastema::detection::FaultEntry;
@@ -141,11 +141,31 @@ async fn quiet(node: &Node, ledger: &Ledger) {
         for part in &ledger.robot.parts {
             answer_of(node, ledger, &part.name).await;
         }
+        let mark = ledger.number();
+        for topic in 0..TOPICS {
+            let publisher = node.publisher::<Reading>(&format!("t{topic}"));
+            let _ = publisher.map(|publisher| publisher.publish(Reading::mark(topic, mark)));
+        }
         tokio::time::sleep(Duration::from_millis(40)).await;
+        while node.state() == NodeState::Running && !all_have(node, ledger, mark).await {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
         if is_quiet(node).await && ledger.progress() == before && before.1 == 0 {
             return;
         }
     }
+}
+
+/// Whether this mark has reached every listener that runs.
+async fn all_have(node: &Node, ledger: &Ledger, mark: u64) -> bool {
+    let Some(tree) = node.tree().await else { return false };
+    let leaves = leaves(&tree);
+    ledger.robot.parts.iter().enumerate().all(|(part, plan)| {
+        let runs = leaves
+            .iter()
+            .any(|(name, state, _)| *name == plan.name && *state == ChildState::Running);
+        !runs || plan.listens.iter().all(|(topic, _)| ledger.has_mark(part, *topic, mark))
+    })
 }
 
 /// What the component answers when its queue has room for the question.

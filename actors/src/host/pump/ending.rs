@@ -212,7 +212,9 @@ impl<C: Component> ComponentExecutor<C> {
             // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
             return self.flush();
         }
-        if self.is_abandoned() {
+        // Those that stand on a lost thread have been found, and their supervisors are about to
+        // give them up: that the thread returns meanwhile is no second fault.
+        if self.is_abandoned() || self.pulse.is_lost() {
             return self.leave();
         }
         let incarnation = self.life.incarnation;
