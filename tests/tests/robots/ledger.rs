@@ -140,7 +140,11 @@ impl Ledger {
     }
 
     pub(crate) fn write(&self, part: usize, incarnation: u64, what: What) {
-        let at = now();
+        self.write_at(now(), part, incarnation, what);
+    }
+
+    /// Notes what began at `at`.
+    pub(crate) fn write_at(&self, at: Instant, part: usize, incarnation: u64, what: What) {
         let mut inner = self.inner();
         if what == What::Began {
             inner.current.insert(part, incarnation);

@@ -299,9 +299,11 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
     }
     for part in 0..evidence.robot.parts.len() {
         let name = evidence.name(part);
-        let mut last = 0;
+        let (mut last, mut known) = (0, 0);
         for entry in evidence.of_part(part).filter(|entry| entry.at <= evidence.seen_at) {
             let What::Down { incarnation, ending, .. } = &entry.what else { continue };
+            known = known.max(*incarnation);
+            // It ended before it was watched.
             if ending == "NotAlive" {
                 continue;
             }
@@ -312,9 +314,9 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
         }
         let Some((state, now)) = evidence.standing(part) else { continue };
         let over = if state == ChildState::Running { now.saturating_sub(1) } else { now };
-        if last < over {
+        if known < over {
             out.push(format!(
-                "notices: the end of {name}#{over} is not told; #{last} was the last"
+                "notices: the end of {name}#{over} is not told; #{known} was the last"
             ));
         }
     }

@@ -3,6 +3,7 @@
 
 use crate::ledger::{Answer, Cause, Ledger, What};
 use crate::plan::{Branch, Clock, Deed, Group, PartPlan, Pull, Robot, TOPICS};
+use blastema::platform::now;
 use blastema::prelude::*;
 use blastema::{Down, Failure, NodeBuilder, RequestError};
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -221,9 +222,9 @@ impl Part {
         let Some(topic) = self.plan.publishes else { return };
         let Ok(publisher) = cx.publisher::<Reading>(&format!("t{topic}")) else { return };
         let n = self.ledger.next_event(self.index);
-        let (from, of) = (self.index as u64, self.incarnation);
+        let (from, of, at) = (self.index as u64, self.incarnation, now());
         if publisher.publish(Reading { topic: topic as u64, from, of, n }).is_ok() {
-            self.write(What::Published { topic, n });
+            self.ledger.write_at(at, self.index, of, What::Published { topic, n });
         }
     }
 
