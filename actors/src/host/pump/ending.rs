@@ -71,6 +71,8 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.over = true,
         }
         self.report_exit(incarnation, exit, restarted_as);
+        // The replacement may block its thread in this very turn: the death is told before.
+        self.flush();
     }
 
     /// What is being served ends with the life: its sender is told, and it is a dead letter.
