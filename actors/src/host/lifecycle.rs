@@ -164,9 +164,9 @@ impl IncarnationLifecycle {
         self.state == Lifecycle::Active && self.hooks.is_empty() && self.end.is_none()
     }
 
-    /// Another life follows this one.
-    pub(crate) fn makes_way(&self) -> bool {
-        self.end == Some(EndReason::Replaced)
+    /// How it ends, where it does.
+    pub(crate) fn end_reason(&self) -> Option<EndReason> {
+        self.end
     }
 
     pub(crate) fn is_ending(&self) -> bool {
@@ -266,10 +266,17 @@ impl IncarnationLifecycle {
         if self.end.is_some() || self.state == Lifecycle::Error {
             return;
         }
+        let starts = self.is_starting();
         self.answer_failed(&failure.reason);
         self.retried = None;
         self.enter(Lifecycle::Error, Some(failure.reason));
         self.hooks = VecDeque::from([Hook::Aborting, Hook::Error]);
+        if starts {
+            // Its supervisor does not reset what did not come to work: another life follows, or
+            // none.
+            self.hooks.extend([Hook::Shutdown, Hook::Finalize]);
+            self.end = Some(EndReason::Replaced);
+        }
     }
 
     /// This life cannot go on.

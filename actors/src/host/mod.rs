@@ -79,7 +79,7 @@ impl<C: Component> Handler<HostCommand> for Host<C> {
             // Whatever arrives here, the pump is polled next.
             HostCommand::Wake => {}
             HostCommand::Panic => {
-                pump.die_of(Box::new("it was told to panic"), "an injected fault")
+                drop(pump.die_of(Box::new("it was told to panic"), "an injected fault"));
             }
         }
     }

@@ -79,11 +79,10 @@ impl ActivityRecord {
         self.alive.store(self.alive.load(Relaxed) + 1, Relaxed);
     }
 
-    /// A round that was finished is a sign of life too.
+    /// A round was finished.
     #[inline]
     pub(crate) fn end_round(&self) {
         self.rounds.store(self.rounds.load(Relaxed) + 1, Relaxed);
-        self.give_sign();
     }
 
     /// A message came too late for whoever waited.

@@ -8,7 +8,8 @@ use crate::component::{Component, Handle, envelope};
 use crate::host::executor;
 use crate::host::executor::ComponentExecutor;
 use crate::liveness::activity::ActivitySlotRef;
-use blastema_core::{DeliveryError, Event};
+use crate::platform::panics;
+use blastema_core::{DeliveryError, Event, FaultKind};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::hint::black_box;
@@ -56,7 +57,7 @@ pub(super) trait Listener<E> {
     fn call_up(&self);
     /// It took long over an event.
     fn overdraw(&self);
-    /// Its condition panicked.
+    /// Its condition panicked, and the event is lost to it.
     fn die(&self, payload: Box<dyn Any + Send>);
     fn bury(&self, why: &DeliveryError);
 }
@@ -121,7 +122,17 @@ impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
     }
 
     fn die(&self, payload: Box<dyn Any + Send>) {
-        self.with_pump(|pump| pump.die_of(payload, CONDITION));
+        self.bury(&DeliveryError::PeerDied { incarnation: self.anchor.record.incarnation() });
+        let mut payload = Some(payload);
+        self.with_pump(|pump| {
+            payload = payload.take().and_then(|payload| pump.die_of(payload, CONDITION));
+        });
+        // After one incarnation and before the next there is none that dies of it.
+        if let Some(payload) = payload {
+            let (at, text) = (panics::take_place(), panics::text_of(payload));
+            let detail = format!("{CONDITION} panicked at {at}: {text}");
+            self.anchor.record.declare(FaultKind::CheckFailed, detail);
+        }
     }
 
     fn bury(&self, why: &DeliveryError) {

@@ -92,6 +92,18 @@ async fn a_component_that_is_silenced_is_taken_for_silent() {
 }
 
 #[blastema_testkit::test]
+async fn a_component_that_is_silenced_and_not_watched_for_signs_misses_no_round() {
+    let spec = ChildSpec::new("arm", || Arm).rate_hz(20.0);
+    let node = TestNode::start(Node::builder("module1").child(spec)).await;
+
+    node.silence("arm");
+    node.advance(10 * SECOND).await;
+
+    node.expect_no_faults().await;
+    assert_eq!(node.row("arm").await.missed_rounds, 0);
+}
+
+#[blastema_testkit::test]
 async fn initialisations_fail_as_often_as_they_are_told_to() {
     let mut node = node().await;
 

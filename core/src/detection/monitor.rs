@@ -239,7 +239,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// An object declares a fault of its own.
+    /// An object declares a fault of its own; also one that has ended, for what is left of it.
     pub fn handle_declared(
         &mut self,
         object: &ObjectName,
@@ -248,8 +248,10 @@ impl Monitor {
         detail: String,
         now: Instant,
     ) {
-        let Some(entry) = self.alive(object, incarnation, now) else { return };
-        entry.last_sign = Some(now);
+        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        if entry.end.is_none() {
+            entry.last_sign = Some(now);
+        }
         entry.note(NoteCause::Declared(kind.clone()), detail.clone());
         self.observe_object(object, incarnation, Finding::Declared { kind, detail }, now);
         self.settle(now);

@@ -376,6 +376,8 @@ impl Recoverer {
             contained || if restarted { replaced } else { noted.since < case.order }
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
+        let (over, left): (Vec<Noted>, Vec<Noted>) = left.into_iter().partition(|noted| noted.over);
+        let over: Vec<FaultId> = over.into_iter().map(|noted| noted.fault.id).collect();
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
         for fault in &cured {
             let settled = match contained {
@@ -389,7 +391,7 @@ impl Recoverer {
         if !contained && !restarted && *measure != RecoveryAction::Reroute {
             self.remember((place.clone(), kind), case.rung, case.attempt, now);
         }
-        self.release_symptoms(&ids(&cured), now);
+        self.release_symptoms(&[ids(&cured), over].concat(), now);
         for noted in left {
             self.treat(noted.fault, now);
         }

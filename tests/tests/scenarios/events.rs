@@ -55,6 +55,21 @@ async fn an_event_that_comes_while_the_listener_is_busy_waits_in_its_queue() {
     assert_eq!(strings.lines("news"), ["ear#1 news 1", "ear#1 news 3"]);
 }
 
+#[blastema_testkit::test]
+async fn an_event_whose_condition_panics_is_a_dead_letter_of_its_listener() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("ear"))).await;
+    let news = node.publisher::<News>("test/news").unwrap();
+
+    [11, 13, 15].into_iter().for_each(|n| news.publish(News(n)).unwrap());
+    node.await_recovered(FaultKind::Panic, "ear").await;
+    node.settle().await;
+
+    assert_eq!(strings.lines("news"), ["ear#1 news 11", "ear#2 news 15"]);
+    let ear = "ear".parse().unwrap();
+    assert_eq!(node.dead_letters().count(&ear, DeadReason::PeerDied), 1);
+}
+
 #[derive(Clone, Debug, PartialEq, Event)]
 #[contract(name = "test/fresh", max_age = "100ms")]
 struct Fresh(u32);

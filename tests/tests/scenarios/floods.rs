@@ -134,6 +134,8 @@ async fn a_component_that_does_not_end_is_ended_when_its_time_is_over() {
     assert_eq!(now() - start, Duration::from_secs(2));
     let error = waiting.await.unwrap().expect_err("it was cut short");
     assert!(matches!(error.kind, DeliveryError::PeerDied { .. }), "{}", error.kind);
+    let lost = node.dead_letters().count(&"hall".parse().unwrap(), DeadReason::PeerDied);
+    assert_eq!(lost, 1, "what it served is a dead letter");
 }
 
 #[blastema_testkit::test]

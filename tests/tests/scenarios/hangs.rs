@@ -3,7 +3,7 @@
 //! Nothing here measures time, and nobody sleeps: each test waits for what it says.
 
 use crate::puppet::{Deed, Do, Note, Pull, Strings, life};
-use blastema::core::detection::Opinion;
+use blastema::core::detection::{FaultEntry, Opinion};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
 use blastema_testkit::TestNode;
@@ -215,6 +215,36 @@ fn a_hang_in_a_group_is_over_with_the_grace_and_moves_each_outsider_once() {
         let moved = at(&diary, "outsider#2 on_activated");
         assert!(moved < at(&diary, "c#2 on_activated"), "it waits for no group: {diary:?}");
         strings.release();
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn victims_of_a_hang_whose_thread_returns_as_it_is_lost_suffer_nothing_else() {
+    blastema::run(async {
+        let strings = Strings::default();
+        let victims = ["a", "b", "c", "d", "e", "f", "g", "h"];
+        let builder = robot(&strings).grace(Duration::from_millis(50));
+        let builder =
+            victims.iter().fold(builder, |builder, name| builder.child(strings.spec(name)));
+        let node = start(builder).await;
+        let (seen, released) = (Node::clone(&node), strings.clone());
+        let returns = std::thread::spawn(move || {
+            while seen.abandoned_threads() == 0 {
+                std::thread::yield_now();
+            }
+            released.release();
+        });
+
+        node.sender("arm").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+        until("it is lost, and returns", || returns.is_finished()).await;
+        for name in victims {
+            assert_eq!(patiently(&node, name).await, 2, "{name}");
+        }
+
+        let record = node.faults().await;
+        let hangs = |entry: &FaultEntry| entry.fault.kind == FaultKind::Hang;
+        assert!(record.entries.iter().all(hangs), "{record:?}");
         node.shutdown().await;
     });
 }

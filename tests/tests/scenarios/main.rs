@@ -9,6 +9,7 @@ mod chaos;
 mod commanders;
 mod declared;
 mod either_order;
+mod endings;
 mod error_texts;
 mod errors;
 mod escalation;

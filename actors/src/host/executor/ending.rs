@@ -17,12 +17,21 @@ use std::any::Any;
 use std::rc::Rc;
 
 impl<C: Component> ComponentExecutor<C> {
-    /// A condition that the component gave has panicked.
-    pub(crate) fn die_of(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
+    /// A condition that the component gave has panicked. Gives the panic back where the life is
+    /// over already: it has one end.
+    pub(crate) fn die_of(
+        &mut self,
+        payload: Box<dyn Any + Send>,
+        during: &'static str,
+    ) -> Option<Box<dyn Any + Send>> {
+        if self.over {
+            return Some(payload);
+        }
         self.died(payload, during);
         if let Some(waker) = &self.waker {
             waker.wake_by_ref();
         }
+        None
     }
 
     pub(super) fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
@@ -35,24 +44,13 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let at = panics::take_place();
         let text = panics::text_of(payload);
-        if self.over {
-            // The life has one end, and its report waits in the outbox: another condition of the
-            // component panicked before the pump had its turn.
-            return;
-        }
         let exit = ExitReason::Panicked { text, at, during };
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }
         let incarnation = self.life.incarnation;
         self.life.token.end();
-        if let Service::Message(_) = self.service {
-            let contract = label::name(self.slot.stamp.read().during);
-            self.anchor.record.record_fatal_message(incarnation);
-            self.anchor
-                .record
-                .record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
-        }
+        self.lose_message();
         // Before what is the user's is dropped, which may block.
         self.anchor.record.keep_exit(incarnation, exit.clone());
         self.bury(Blame::Log);
@@ -78,6 +76,17 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.over = true,
         }
         self.report_exit(incarnation, &exit, restarted_as);
+        // The replacement may block its thread in this very turn: the death is told before.
+        self.flush();
+    }
+
+    /// What is being served ends with the life: its sender is told, and it is a dead letter.
+    pub(super) fn lose_message(&self) {
+        let Service::Message(_) = self.service else { return };
+        let (record, incarnation) = (&self.anchor.record, self.life.incarnation);
+        let contract = label::name(self.slot.stamp.read().during);
+        record.record_fatal_message(incarnation);
+        record.record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
     }
 
     /// Draws on the standing order, if there is one.
@@ -85,7 +94,8 @@ impl<C: Component> ComponentExecutor<C> {
         let Some(RestartGrant { times, period, .. }) = self.anchor.record.order() else {
             return false;
         };
-        if self.course.is_ending() {
+        // Of one that did not come to work, the supervisor has been told: it decides.
+        if self.course.is_ending() || self.start_failed {
             return false;
         }
         let now = platform::now();
@@ -210,13 +220,15 @@ impl<C: Component> ComponentExecutor<C> {
             // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
             return self.flush();
         }
-        if self.is_abandoned() {
+        // Those that stand on a lost thread have been found, and their supervisors are about to
+        // give them up: that the thread returns meanwhile is no second fault.
+        if self.is_abandoned() || self.pulse.is_lost() {
             return self.leave();
         }
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.anchor.record.record_fatal_message(incarnation);
+        self.lose_message();
         self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
         self.anchor.record.keep_exit(incarnation, ExitReason::Aborted);

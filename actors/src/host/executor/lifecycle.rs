@@ -11,9 +11,12 @@ use blastema_core::{FaultKind, Lifecycle};
 
 impl<C: Component> ComponentExecutor<C> {
     pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
-        let silent = self.anchor.record.injected.is_silent();
-        if hook == Hook::Execute && result.is_ok() && !silent {
+        if hook == Hook::Execute && result.is_ok() {
             self.slot.stamp.end_round();
+            // It is a sign of life too, unless a test keeps that back.
+            if !self.anchor.record.injected.is_silent() {
+                self.slot.stamp.give_sign();
+            }
         }
         self.course.handle_done(hook, result);
         self.tell_news();

@@ -491,13 +491,11 @@ impl<C: Component> ComponentExecutor<C> {
             self.course.handle_fatal(format!("it was not ready within {within:?}"));
             self.tell_news();
         }
-        if self.chores.take_limit(DueWork::StopLimit) && self.course.is_ending() {
+        if self.chores.take_limit(DueWork::StopLimit)
+            && let Some(end) = self.course.end_reason()
+        {
             self.drop_service();
-            self.end(if self.course.makes_way() {
-                EndReason::Replaced
-            } else {
-                EndReason::Stopped
-            });
+            self.end(end);
         }
     }
 
@@ -506,7 +504,7 @@ impl<C: Component> ComponentExecutor<C> {
         if matches!(self.service, Service::Idle) {
             return;
         }
-        self.anchor.record.record_fatal_message(self.life.incarnation);
+        self.lose_message();
         self.followed = false;
         self.dispose_service(Blame::Log);
         self.slot.stamp.step();

@@ -439,9 +439,10 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         beater.tell(Do::Wait(3000)).unwrap();
         advance(Duration::from_secs(4)).await;
         let seen = sighted.drain();
-        let [LivenessReported::Waits { ref object, during, age, .. }] = seen[..] else {
+        let [LivenessReported::Waits { ref object, during, age, .. }, ref after] = seen[..] else {
             panic!("{seen:?}")
         };
+        assert_eq!(*after, LivenessReported::Resumed { objects: [name("beater")].into() });
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
     });

@@ -396,6 +396,10 @@ impl Component {
         };
         let turned = before.turn != reading.turn;
         if turned {
+            if self.waits {
+                let objects = vec![self.judged.object.clone()];
+                outputs.push_back(LivenessEvent::Resumed { objects });
+            }
             (self.turn_since, self.waits, self.worked) = (now, false, true);
         }
         if before.allowance != reading.allowance {

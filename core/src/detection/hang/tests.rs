@@ -269,7 +269,20 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
     world.eyes.stamps[2].turn = 3;
-    assert_eq!(world.pass(3000, true).len(), 1);
+    let seen = world.pass(3000, true);
+    assert!(matches!(seen[..], [LivenessEvent::Resumed { .. }, LivenessEvent::Waits { .. }]));
+}
+
+#[test]
+fn a_handler_that_ends_after_it_was_found_waiting_is_told_to_have_resumed_once() {
+    let mut world = World::new();
+    world.look();
+    world.eyes.stamps[2].turn = 1;
+    world.pass(1500, true);
+
+    world.eyes.stamps[2].turn = 2;
+
+    assert_eq!(world.pass(100, true), [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
     world.eyes.stamps[2].turn = 4;
     assert_eq!(world.pass(3000, true), []);
 }

@@ -263,7 +263,7 @@ fn every_input_in_every_state_says_what_it_should() {
                 "state" => Some("State"),
                 "alive" if !over => Some("State"),
                 "resumed" => Some("Resumed"),
-                "declared" if !over => Some("Declared"),
+                "declared" => Some("Declared"),
                 "waits" if !over => Some("Waits"),
                 "silent" if !over => Some("Silent"),
                 _ => None,

@@ -495,6 +495,18 @@ fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further(
 }
 
 #[test]
+fn a_fault_that_went_by_itself_is_not_treated_again_when_the_measure_has_worked() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("arm"), 2));
+    rig.stand_down(1, "arm");
+
+    // The restart has found the life of the fault, which moves again.
+    assert_eq!(rig.outcome(1, works(2)), [""; 0]);
+
+    assert_eq!(rig.machine.open_cases(), 0);
+}
+
+#[test]
 fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_it_finds() {
     let mut rig = Rig::new();
     let silence = fault(1, FaultKind::Silence, at("arm"), 5);

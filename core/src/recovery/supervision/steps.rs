@@ -155,9 +155,15 @@ impl Supervisor {
         if stops || (waits && self.coming.contains(&key)) {
             return Ok(());
         }
-        self.end_now(key, cause);
         let held_against = !matches!(cause, ReplacementCause::Behind | ReplacementCause::Asked);
-        if held_against && !self.count_restart(key, now) {
+        let is_worth_it = !held_against || self.count_restart(key, now);
+        // A life that is stuck is not given up for nothing: it may move again before the recoverer
+        // takes its next measure.
+        if is_worth_it || cause == ReplacementCause::Died || !self.at_work() {
+            self.end_now(key, cause);
+            self.going.remove(&key);
+        }
+        if !is_worth_it {
             return self.leave_failed(key);
         }
         let child = self.kept(key);

@@ -45,6 +45,28 @@ fn one_that_could_still_be_asked_is_left_to_the_next_measure() {
 }
 
 #[test]
+fn one_that_is_stuck_and_not_worth_a_restart_is_given_up_by_the_next_measure() {
+    let mut rig = apart(0, &[("a", permanent())]);
+
+    let refused = rig.restart("a", ReplacementCause::Stuck, 1);
+
+    assert_eq!(refused.len(), 1, "it may move again before that: {refused:?}");
+    assert_eq!(rig.state("a"), ChildState::Running);
+    let rest = rig.rest("a", ReplacementCause::Stuck);
+    assert_eq!(rest, ["isolate a", "abandon a", "2 let a go"]);
+}
+
+#[test]
+fn one_that_is_stuck_is_given_up_at_once_where_its_supervisor_escalates() {
+    let mut rig = apart(0, &[("a", essential()), ("b", permanent())]);
+
+    let escalates = rig.restart("a", ReplacementCause::Stuck, 1);
+
+    assert!(escalates.contains(&"abandon a".to_owned()), "{escalates:?}");
+    assert!(!escalates.contains(&"stop a".to_owned()), "{escalates:?}");
+}
+
+#[test]
 fn a_child_is_worth_a_restart_again_as_its_window_moves() {
     let mut rig = apart(1, &[("a", permanent())]);
     rig.restart("a", ReplacementCause::Died, 1);

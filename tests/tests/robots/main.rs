@@ -1,0 +1,117 @@
+//! Robots by chance: trees, rates, panics, hangs, floods and conditions, in virtual time and on
+//! real threads, judged by a small model of what must hold.
+
+mod ledger;
+mod model;
+mod part;
+mod plan;
+mod run;
+
+use plan::{Clock, Robot};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+/// What is wrong with the run of this plan.
+fn breaches(robot: &Arc<Robot>) -> Vec<String> {
+    match catch_unwind(AssertUnwindSafe(|| run::carry_out(robot))) {
+        Ok(evidence) => model::breaches(&evidence),
+        Err(payload) => {
+            let text = payload.downcast_ref::<String>().cloned();
+            vec![format!("the run itself panicked: {}", text.unwrap_or_default())]
+        }
+    }
+}
+
+/// So many smaller plans are tried before the smallest that was found is shown: seconds.
+const RUNS: usize = 100;
+
+/// Leaves out components and steps for as long as the first breach stays the same kind.
+fn shrunk(robot: Arc<Robot>, breach: &str) -> Arc<Robot> {
+    let kind = |breach: &str| breach.split(':').next().unwrap_or_default().to_owned();
+    let wanted = kind(breach);
+    let fails = |robot: &Arc<Robot>| breaches(robot).iter().any(|breach| kind(breach) == wanted);
+    let (mut least, mut runs) = (robot, 0);
+    loop {
+        let fewer_parts = (0..least.parts.len()).filter_map(|index| least.without_part(index));
+        let fewer_steps = (0..least.steps.len()).map(|index| {
+            let mut less = (*least).clone();
+            less.steps.remove(index);
+            less
+        });
+        let mut candidates = fewer_parts.chain(fewer_steps).map(Arc::new).take(RUNS - runs);
+        let smaller = candidates.find(|less| {
+            runs += 1;
+            fails(less)
+        });
+        match smaller {
+            Some(less) => least = less,
+            None => return least,
+        }
+    }
+}
+
+fn number(variable: &str, default: u64) -> u64 {
+    let text = std::env::var(variable).ok();
+    text.map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
+}
+
+/// Runs so many seeds, and says how the first that fails is repeated.
+fn run_seeds(test: &str, count: &str, default: u64, workers: usize, clock: fn(u64) -> Clock) {
+    // Faults of the plans are no news for who reads the output of the tests.
+    let _ = tracing::subscriber::set_global_default(tracing::subscriber::NoSubscriber::default());
+    let default = if std::env::var("BLASTEMA_SEED").is_ok() { 1 } else { default };
+    let (first, seeds) = (number("BLASTEMA_SEED", 1), number(count, default));
+    let (next, failed) = (AtomicU64::new(first), Mutex::new(Vec::new()));
+    thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, Relaxed);
+                    if seed >= first + seeds {
+                        return;
+                    }
+                    let robot = Arc::new(Robot::of_seed(seed, clock(seed)));
+                    let breaches = breaches(&robot);
+                    if !breaches.is_empty() {
+                        failed.lock().unwrap().push((seed, robot, breaches));
+                    }
+                }
+            });
+        }
+    });
+    let mut failed = failed.into_inner().unwrap();
+    failed.sort_by_key(|(seed, ..)| *seed);
+    let Some((seed, robot, breaches)) = failed.first() else { return };
+    let numbers: Vec<String> = failed.iter().map(|(seed, ..)| seed.to_string()).collect();
+    let least = match robot.clock {
+        Clock::Virtual => shrunk(robot.clone(), &breaches[0]),
+        Clock::Real { .. } => robot.clone(),
+    };
+    let again = self::breaches(&least);
+    panic!(
+        "{} of {seeds} seeds failed: {}\n\
+         again with: BLASTEMA_SEED={seed} cargo test -p blastema-tests --test robots {test}\n\n\
+         {}\n\nthe smallest plan that fails likewise:\n{least}\n{}",
+        failed.len(),
+        numbers.join(" "),
+        breaches.join("\n"),
+        again.join("\n"),
+    );
+}
+
+#[test]
+fn robots_by_chance_keep_their_promises_in_virtual_time() {
+    let workers = thread::available_parallelism().map_or(1, usize::from);
+    let test = "robots_by_chance_keep_their_promises_in_virtual_time";
+    run_seeds(test, "BLASTEMA_SEEDS", 50, workers, |_| Clock::Virtual);
+}
+
+#[test]
+fn robots_by_chance_keep_their_promises_on_real_threads() {
+    let test = "robots_by_chance_keep_their_promises_on_real_threads";
+    let clock = |seed| Clock::Real { threads: 1 + u8::try_from(seed % 3).expect("below 3") };
+    run_seeds(test, "BLASTEMA_REAL_SEEDS", 10, 1, clock);
+}

@@ -1,0 +1,594 @@
+//! The small model: what must hold of every robot, whatever struck it.
+//!
+//! It knows what really happened, from the ledger, and compares it with what the node shows. It
+//! does not predict what the middleware does; it says which answers cannot be right.
+
+use crate::ledger::{Answer, Cause, Entry, What};
+use crate::plan::{Branch, Clock, Group};
+use crate::run::{Evidence, is_open, leaves};
+use blastema::core::recovery::ChildState;
+use blastema::detection::FaultEntry;
+use blastema::recovery::{Restart, Strategy};
+use blastema::{FaultKind, Lifecycle, NodeState, Opinion};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// A beat, by which the end of a deadline may be late, and the millisecond of a timer.
+const BEAT: Duration = Duration::from_millis(12);
+
+/// Everything that does not hold, each line with its kind in front of a colon.
+pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
+    let mut breaches = Vec::new();
+    let out = &mut breaches;
+    requests(evidence, out);
+    incarnations(evidence, out);
+    events(evidence, out);
+    deaths(evidence, out);
+    notices(evidence, out);
+    roots(evidence, out);
+    ends(evidence, out);
+    pictures(evidence, out);
+    rounds(evidence, out);
+    bystanders(evidence, out);
+    if !evidence.ended {
+        out.push("shutdown: it does not end".into());
+    }
+    if evidence.lines.0 != evidence.lines.1 {
+        out.push("shutdown: components do something after it".into());
+    }
+    if !breaches.is_empty() {
+        breaches.push(story(evidence));
+    }
+    breaches
+}
+
+impl Evidence {
+    fn name(&self, part: usize) -> &str {
+        &self.robot.parts[part].name
+    }
+
+    fn of_part(&self, part: usize) -> impl Iterator<Item = &Entry> {
+        self.entries.iter().filter(move |entry| entry.part == part)
+    }
+
+    fn causes(&self, part: usize) -> impl Iterator<Item = (&Entry, Cause)> {
+        self.of_part(part).filter_map(|entry| match entry.what {
+            What::Struck(cause) => Some((entry, cause)),
+            _ => None,
+        })
+    }
+
+    /// The faults of this object.
+    fn faults<'a>(&'a self, object: &str) -> impl Iterator<Item = &'a FaultEntry> {
+        let place = format!("robot:{object}");
+        self.record.entries.iter().filter(move |entry| entry.fault.place.to_string() == place)
+    }
+
+    /// Milliseconds since the first line of the ledger; before it, less than none.
+    fn ms(&self, at: blastema::Instant) -> i64 {
+        let ms = |at: blastema::Instant| i64::try_from(at.as_nanos() / 1_000_000).unwrap_or(0);
+        ms(at) - self.entries.first().map_or(0, |entry| ms(entry.at))
+    }
+
+    fn at_rest(&self) -> bool {
+        matches!(self.state, NodeState::InSafeState { .. })
+    }
+
+    /// Where this component stands with its supervisor.
+    fn standing(&self, part: usize) -> Option<(ChildState, u64)> {
+        let leaves = leaves(self.tree.as_ref()?);
+        let own = leaves.into_iter().find(|(name, ..)| name == self.name(part))?;
+        Some((own.1, own.2))
+    }
+
+    fn is_running(&self, part: usize) -> bool {
+        !self.at_rest()
+            && self.standing(part).is_some_and(|(state, _)| state == ChildState::Running)
+    }
+}
+
+/// Each request has one outcome, in time, and it is true.
+fn requests(evidence: &Evidence, out: &mut Vec<String>) {
+    let mut served: BTreeMap<u64, Vec<&Entry>> = BTreeMap::new();
+    for entry in &evidence.entries {
+        if let What::Serving(number) = entry.what {
+            served.entry(number).or_default().push(entry);
+        }
+    }
+    for (number, serving) in &served {
+        if serving.len() > 1 {
+            out.push(format!("requests: number {number} was served twice: {serving:?}"));
+        }
+    }
+    for asked in &evidence.asked {
+        let serving = served.get(&asked.number).and_then(|serving| serving.first());
+        let told = format!("{asked:?}, served: {serving:?}");
+        let (at, answer) = match &asked.answers[..] {
+            [one] => one,
+            [] => {
+                let over = asked
+                    .by
+                    .is_some_and(|(part, incarnation)| is_over(evidence, part, incarnation));
+                if !over {
+                    out.push(format!("requests: without an outcome: {told}"));
+                }
+                continue;
+            }
+            _ => {
+                out.push(format!("requests: several outcomes: {told}"));
+                continue;
+            }
+        };
+        let took = *at - asked.asked_at;
+        let deadline = Duration::from_millis(asked.deadline_ms);
+        if evidence.robot.clock == Clock::Virtual && took > deadline + BEAT {
+            out.push(format!("requests: late, after {took:?}: {told}"));
+        }
+        let right = match answer {
+            Answer::Reply(incarnation) => {
+                serving.is_some_and(|entry| entry.incarnation == *incarnation)
+            }
+            Answer::NotTaken(_) => serving.is_none(),
+            Answer::PeerDied(incarnation) => {
+                serving.is_none_or(|entry| entry.incarnation == *incarnation)
+                    && is_over(evidence, asked.part, *incarnation)
+            }
+            Answer::DeadlinePassed => took >= deadline,
+            Answer::Other(_) => false,
+        };
+        if !right {
+            out.push(format!("requests: an outcome that is not true: {told}"));
+        }
+    }
+}
+
+/// Whether this incarnation has ended, as far as the pictures at the end tell.
+fn is_over(evidence: &Evidence, part: usize, incarnation: u64) -> bool {
+    let now = evidence.standing(part);
+    !evidence.is_running(part) || now.is_some_and(|(_, now)| now > incarnation)
+}
+
+/// No two incarnations have one number, and none acts when a later one has begun.
+fn incarnations(evidence: &Evidence, out: &mut Vec<String>) {
+    let mut latest: BTreeMap<usize, u64> = BTreeMap::new();
+    for entry in &evidence.entries {
+        let latest = latest.entry(entry.part).or_default();
+        let name = evidence.name(entry.part);
+        match entry.what {
+            What::Began if entry.incarnation <= *latest => {
+                out.push(format!("incarnations: {name}#{} began twice", entry.incarnation));
+            }
+            What::Began => *latest = entry.incarnation,
+            // What an abandoned thread does at last is fenced; a notice is written by the watcher.
+            What::Returned | What::Dropped | What::Down { .. } => {}
+            What::Struck(Cause::DropPanic | Cause::Condition(_)) => {}
+            _ if entry.incarnation < *latest => {
+                out.push(format!("incarnations: {name} acts after its end: {entry:?}"));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Events are read once, in order, by who wants them; what is missing is counted.
+fn events(evidence: &Evidence, out: &mut Vec<String>) {
+    let robot = &evidence.robot;
+    for (listener, plan) in robot.parts.iter().enumerate() {
+        let mut read: BTreeMap<(usize, usize), u64> = BTreeMap::new();
+        let mut all = BTreeSet::new();
+        for entry in evidence.of_part(listener) {
+            let What::Read { topic, from, n, .. } = entry.what else { continue };
+            all.insert((from, n));
+            let last = read.entry((topic, from)).or_default();
+            if n <= *last {
+                let name = &plan.name;
+                out.push(format!("events: {name} read {n} after {last}: {entry:?}"));
+            }
+            *last = n;
+            if !plan.listens.iter().any(|(other, each)| *other == topic && n % each == 0) {
+                out.push(format!("events: {} does not want {entry:?}", plan.name));
+            }
+        }
+        missing(evidence, listener, &all, out);
+    }
+}
+
+/// What was published while the listener was there, and not read, is among the dead letters.
+fn missing(
+    evidence: &Evidence,
+    listener: usize,
+    read: &BTreeSet<(usize, u64)>,
+    out: &mut Vec<String>,
+) {
+    let plan = &evidence.robot.parts[listener];
+    // One that was stopped, for good or until it was restarted, misses what it does not have to read.
+    let stayed = evidence.is_running(listener)
+        && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
+        && !evidence.causes(listener).any(|(_, cause)| cause == Cause::Stop)
+        && plan.restart == Restart::Permanent;
+    let active = |entry: &Entry| entry.what == What::Hook("on_activated");
+    let Some(from) = evidence.of_part(listener).find(|entry| active(entry)) else { return };
+    if !stayed {
+        return;
+    }
+    let dead = |object: &str| -> u64 {
+        let of = evidence
+            .dead
+            .iter()
+            .filter(|dead| dead.object.as_str() == object && dead.contract == "robots/reading");
+        of.map(|dead| dead.count).sum()
+    };
+    // What was published at the very end may still be under way on real threads.
+    let until = match evidence.robot.clock {
+        Clock::Virtual => evidence.seen_at,
+        Clock::Real { .. } => evidence.quiet_at,
+    };
+    for (topic, each) in &plan.listens {
+        let missed: Vec<&Entry> = evidence
+            .entries
+            .iter()
+            .filter(|entry| match entry.what {
+                What::Published { topic: other, n } if other == *topic && n % each == 0 => {
+                    entry.at > from.at && entry.at < until && !read.contains(&(entry.part, n))
+                }
+                _ => false,
+            })
+            .collect();
+        let lost = dead(&plan.name) + dead(&format!("t{topic}"));
+        if lost < missed.len() as u64 {
+            let first = missed[0];
+            let name = &plan.name;
+            out.push(format!(
+                "events: {name} missed {} of t{topic}, {lost} are counted as lost; the first was \
+                 {:?} of {}#{} at {} ms",
+                missed.len(),
+                first.what,
+                evidence.name(first.part),
+                first.incarnation,
+                evidence.ms(first.at),
+            ));
+        }
+    }
+}
+
+/// Each panic is told, once for the incarnation that it ended.
+fn deaths(evidence: &Evidence, out: &mut Vec<String>) {
+    for part in 0..evidence.robot.parts.len() {
+        let name = evidence.name(part);
+        let mut died: BTreeSet<u64> = BTreeSet::new();
+        let (mut conditions, mut kills, mut others) = (0, 0, 0);
+        for (entry, cause) in evidence.causes(part) {
+            match cause {
+                Cause::Panic(_) => {
+                    died.insert(entry.incarnation);
+                }
+                Cause::Condition(_) => conditions += 1,
+                Cause::Kill => kills += 1,
+                Cause::Declare | Cause::DropPanic => others += 1,
+                _ => {}
+            }
+        }
+        let count = |kind: FaultKind| -> u64 {
+            let of_kind = evidence.faults(name).filter(|entry| entry.fault.kind == kind);
+            of_kind.map(|entry| u64::from(entry.fault.count)).sum()
+        };
+        // The condition of a component that is between two incarnations ends none of them.
+        let (panics, checks) = (count(FaultKind::Panic), count(FaultKind::CheckFailed));
+        let told = panics + checks.saturating_sub(others);
+        let died = died.len() as u64;
+        let in_conditions = u64::from(conditions > 0 && died == 0);
+        if told < died + in_conditions || panics > died + conditions + kills {
+            out.push(format!(
+                "deaths: {name} panicked in {died} incarnations and {conditions} times in \
+                 conditions, and was killed {kills} times; told were {panics}, and {checks} checks"
+            ));
+        }
+    }
+}
+
+/// The watcher is told of each end once, and of the last in any case.
+fn notices(evidence: &Evidence, out: &mut Vec<String>) {
+    if evidence.at_rest() {
+        return;
+    }
+    let watcher = evidence.tree.as_ref().and_then(|tree| {
+        tree.children.iter().find(|child| child.name.as_str() == crate::part::WATCHER)
+    });
+    if watcher.is_none_or(|child| child.incarnation.0 != 1) {
+        return;
+    }
+    for part in 0..evidence.robot.parts.len() {
+        let name = evidence.name(part);
+        let (mut last, mut known) = (0, 0);
+        for entry in evidence.of_part(part).filter(|entry| entry.at <= evidence.seen_at) {
+            let What::Down { incarnation, ending, .. } = &entry.what else { continue };
+            known = known.max(*incarnation);
+            // It ended before it was watched.
+            if ending == "NotAlive" {
+                continue;
+            }
+            if *incarnation <= last {
+                out.push(format!("notices: the end of {name}#{incarnation} is told after #{last}"));
+            }
+            last = *incarnation;
+        }
+        let Some((state, now)) = evidence.standing(part) else { continue };
+        let over = if state == ChildState::Running { now.saturating_sub(1) } else { now };
+        if known < over {
+            out.push(format!(
+                "notices: the end of {name}#{over} is not told; #{known} was the last"
+            ));
+        }
+    }
+}
+
+/// Each fault has a cause in its place, or is a symptom of one that has.
+fn roots(evidence: &Evidence, out: &mut Vec<String>) {
+    let mut groups = Vec::new();
+    below(&evidence.robot.root, &mut groups);
+    for entry in &evidence.record.entries {
+        let fault = &entry.fault;
+        if fault.symptom_of.is_some() {
+            continue;
+        }
+        let place = fault.place.to_string();
+        let object = place.strip_prefix("robot:").unwrap_or(&place);
+        let at = |part: usize| {
+            evidence
+                .causes(part)
+                .filter(|(entry, _)| entry.at <= fault.found_at)
+                .map(|(_, cause)| cause)
+        };
+        // A computer that is slow for a while overloads what has done nothing.
+        if fault.kind == FaultKind::Overload && evidence.robot.clock != Clock::Virtual {
+            continue;
+        }
+        let part = (0..evidence.robot.parts.len()).find(|part| evidence.name(*part) == object);
+        let explained = match part {
+            Some(part) => at(part).any(|cause| explains(cause, &fault.kind)),
+            None => match groups.iter().find(|(name, _)| name == object) {
+                Some((_, parts)) => parts.iter().any(|part| at(*part).next().is_some()),
+                None => place == "robot",
+            },
+        };
+        if !explained {
+            out.push(format!("roots: without a cause: {}", line(evidence, entry)));
+        }
+    }
+}
+
+fn explains(cause: Cause, kind: &FaultKind) -> bool {
+    match kind {
+        FaultKind::Panic => {
+            matches!(cause, Cause::Panic(_) | Cause::Condition(_) | Cause::Kill)
+        }
+        FaultKind::UnexpectedExit => cause == Cause::Stop,
+        FaultKind::Hang => {
+            matches!(cause, Cause::Wait(_) | Cause::Block(_) | Cause::Hang | Cause::Slow)
+        }
+        FaultKind::Silence => matches!(
+            cause,
+            Cause::Silence
+                | Cause::Wait(_)
+                | Cause::Block(_)
+                | Cause::Hang
+                | Cause::Slow
+                | Cause::Flood
+                | Cause::Consult
+        ),
+        FaultKind::ErrorState => matches!(cause, Cause::Fail(_) | Cause::Unavailable),
+        FaultKind::InitializationFailed => matches!(
+            cause,
+            Cause::Fail("on_initialize")
+                | Cause::Fatal("on_initialize")
+                | Cause::FailInit
+                | Cause::Wait(_)
+                | Cause::Hang
+                | Cause::Slow
+        ),
+        FaultKind::Fatal => matches!(
+            cause,
+            Cause::Fatal(_)
+                | Cause::Fail(_)
+                | Cause::FailInit
+                | Cause::Wait(_)
+                | Cause::Hang
+                | Cause::Slow
+                | Cause::Unavailable
+        ),
+        FaultKind::Unavailable => cause == Cause::Unavailable,
+        FaultKind::CheckFailed => {
+            matches!(cause, Cause::Declare | Cause::DropPanic | Cause::Condition(_))
+        }
+        FaultKind::Overload => matches!(
+            cause,
+            Cause::Wait(_)
+                | Cause::Block(_)
+                | Cause::Hang
+                | Cause::Slow
+                | Cause::Flood
+                | Cause::Consult
+        ),
+        _ => false,
+    }
+}
+
+/// The supervisors, each with all components below it.
+fn below(group: &Group, groups: &mut Vec<(String, Vec<usize>)>) -> Vec<usize> {
+    let mut parts = Vec::new();
+    for child in &group.children {
+        match child {
+            Branch::Part(index) => parts.push(*index),
+            Branch::Group(below) => parts.extend(self::below(below, groups)),
+        }
+    }
+    groups.push((group.name.clone(), parts.clone()));
+    parts
+}
+
+/// Nothing is being recovered from when it has been quiet for long.
+fn ends(evidence: &Evidence, out: &mut Vec<String>) {
+    if evidence.at_rest() {
+        return;
+    }
+    for entry in evidence.record.entries.iter().filter(|entry| is_open(entry)) {
+        out.push(format!("ends: a fault does not: {}", line(evidence, entry)));
+    }
+}
+
+/// Tree, table and the components themselves agree.
+fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
+    for (part, answer) in evidence.answers.iter().enumerate() {
+        let name = evidence.name(part);
+        let row =
+            evidence.table.iter().find(|row| row.place.to_string() == format!("robot:{name}"));
+        let Some(row) = row else {
+            out.push(format!("pictures: {name} is not in the table"));
+            continue;
+        };
+        let standing = evidence.standing(part);
+        let began = |entry: &Entry| entry.what == What::Began && entry.at <= evidence.seen_at;
+        let began = evidence.of_part(part).filter(|entry| began(entry)).last();
+        let began = began.map_or(0, |entry| entry.incarnation);
+        let told = format!("{name}: in the tree {standing:?}, began #{began}, {answer:?}, {row:?}");
+        if evidence.is_running(part) {
+            let agreed = row.state == Some(Lifecycle::Active)
+                && (row.opinion == Opinion::Trusted
+                    || evidence.robot.clock != Clock::Virtual && row.opinion == Opinion::Suspect)
+                && standing == Some((ChildState::Running, row.incarnation.0))
+                && began == row.incarnation.0
+                && *answer == Answer::Reply(row.incarnation.0);
+            if !agreed {
+                out.push(format!("pictures: {told}"));
+            }
+        } else {
+            let given_up = || evidence.record.entries.iter().any(|entry| entry.given_up.is_some());
+            let stopped = evidence.causes(part).any(|(_, cause)| cause == Cause::Stop);
+            let why = evidence.at_rest()
+                || given_up()
+                || stopped
+                || evidence.robot.parts[part].restart == Restart::Temporary;
+            let at_rest = matches!(
+                standing,
+                None | Some((ChildState::Resting | ChildState::Finished | ChildState::Waiting, _))
+            );
+            if !why || (!at_rest && !evidence.at_rest()) || !matches!(answer, Answer::NotTaken(_)) {
+                out.push(format!("pictures: not running: {told}"));
+            }
+        }
+    }
+}
+
+/// Each component that works has its rounds: none starves in silence.
+fn rounds(evidence: &Evidence, out: &mut Vec<String>) {
+    for (part, plan) in evidence.robot.parts.iter().enumerate() {
+        let Some(hz) = plan.rate_hz.filter(|_| evidence.is_running(part)) else { continue };
+        if evidence.robot.clock != Clock::Virtual {
+            continue;
+        }
+        // The last twenty seconds of the quiet.
+        let span = Duration::from_secs(20);
+        let counted = evidence.of_part(part).filter(|entry| {
+            entry.what == What::Round
+                && entry.at + span >= evidence.seen_at
+                && entry.at < evidence.seen_at
+        });
+        let (counted, due) = (counted.count(), 20 * hz as usize);
+        if counted + 1 < due || counted > due + 1 {
+            out.push(format!("rounds: {} had {counted} of {due} rounds", plan.name));
+        }
+    }
+}
+
+/// One to which nothing happens, and that depends on no sibling, is not restarted.
+fn bystanders(evidence: &Evidence, out: &mut Vec<String>) {
+    let storm = |entry: &FaultEntry| entry.fault.kind == FaultKind::RestartStorm;
+    // On real threads it may stand behind a hang, and be moved.
+    if evidence.robot.clock != Clock::Virtual
+        || evidence.at_rest()
+        || evidence.record.entries.iter().any(storm)
+    {
+        return;
+    }
+    let mut alone = Vec::new();
+    independent(&evidence.robot.root, &mut alone);
+    for part in alone {
+        let name = evidence.name(part);
+        let began = evidence.of_part(part).filter(|entry| entry.what == What::Began).count();
+        let untouched = evidence.causes(part).next().is_none();
+        if untouched && (began > 1 || evidence.faults(name).any(|f| f.fault.symptom_of.is_none())) {
+            out.push(format!("bystanders: {name} began {began} times, though nothing struck it"));
+        }
+    }
+}
+
+/// The components that no supervisor above them restarts because of a sibling.
+fn independent(group: &Group, alone: &mut Vec<usize>) {
+    if group.strategy != Strategy::OneForOne {
+        return;
+    }
+    for child in &group.children {
+        match child {
+            Branch::Part(index) => alone.push(*index),
+            Branch::Group(below) => independent(below, alone),
+        }
+    }
+}
+
+fn line(evidence: &Evidence, entry: &FaultEntry) -> String {
+    let fault = &entry.fault;
+    let after = evidence.ms(fault.found_at);
+    let decided = entry.decided.as_ref().map(|(_, action)| action.as_str());
+    let given_up = entry.given_up.as_ref().map(|(_, why)| why.as_str());
+    let symptom = fault.symptom_of.map(|root| format!(" symptom of {}", root.0));
+    format!(
+        "{after} ms #{} {} of {}{} ×{}: {}; {decided:?} {given_up:?} {}{}",
+        fault.id.0,
+        fault.kind,
+        fault.place,
+        fault.incarnation,
+        fault.count,
+        fault.detail,
+        entry.status(),
+        symptom.unwrap_or_default(),
+    )
+}
+
+/// What happened, for a person: the ledger without its rounds and events, and the faults.
+fn story(evidence: &Evidence) -> String {
+    let told = |entry: &&Entry| {
+        !matches!(
+            entry.what,
+            What::Round | What::Read { .. } | What::Published { .. } | What::Load(_)
+        )
+    };
+    let mut lines: Vec<(i64, String)> = evidence
+        .entries
+        .iter()
+        .filter(told)
+        .map(|entry| {
+            let Entry { at, part, incarnation, what } = entry;
+            let after = evidence.ms(*at);
+            (after, format!("{after:>8} ms {}#{incarnation} {what:?}", evidence.name(*part)))
+        })
+        .collect();
+    for event in &evidence.events {
+        let after = evidence.ms(event.at);
+        let fault = &event.fault;
+        let (kind, place, incarnation) = (&fault.kind, &fault.place, fault.incarnation);
+        let text = format!(
+            "{after:>8} ms   fault {} {kind} of {place}{incarnation}: {:?}: {}",
+            fault.id.0, event.turn, fault.detail
+        );
+        lines.push((after, text));
+    }
+    lines.sort_by_key(|(after, _)| *after);
+    let lines: Vec<String> = lines.into_iter().map(|(_, line)| line).collect();
+    let (dead, state) = (&evidence.dead, &evidence.state);
+    let quiet = evidence.ms(evidence.quiet_at);
+    let missed = evidence.missed_events;
+    format!(
+        "the story, quiet from {quiet} ms on, {state:?}, {missed} steps of faults missed:\n{}\n{dead:?}",
+        lines.join("\n")
+    )
+}

@@ -1,0 +1,75 @@
+//! Incarnations that end in an unusual place: while they stop, before they work, or between two.
+
+use crate::puppet::{Deed, News, Pull, Strings, ask, life, strike};
+use blastema::core::recovery::ChildState;
+use blastema::prelude::*;
+use blastema_testkit::TestNode;
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const HOUR: Duration = Duration::from_secs(3600);
+
+#[blastema_testkit::test]
+async fn one_that_stops_by_itself_and_does_not_end_in_time_is_replaced() {
+    let strings = Strings::default();
+    let spec = strings.spec("arm").shutdown_within(1000 * MS);
+    let mut node = TestNode::start(Node::builder("module1").child(spec)).await;
+    strings.pull("arm", "on_deactivated", Pull::Wait(HOUR));
+
+    ask(&node, "arm", Deed::Stop).await.unwrap();
+    node.await_fault(FaultKind::UnexpectedExit, "arm").await;
+    node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
+
+    assert_eq!(life(&node, "arm").await, 2);
+}
+
+#[blastema_testkit::test]
+async fn one_that_did_not_come_to_work_and_panics_is_left_to_its_supervisor() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+    strings.pull("arm", "on_activated", Pull::Fail("no torque"));
+    strings.pull("arm", "on_error", Pull::Panic("and worse"));
+
+    ask(&node, "arm", Deed::FailFatally("bent".into())).await.unwrap();
+    node.await_recovered(FaultKind::Panic, "arm").await;
+    node.advance(10_000 * MS).await;
+
+    let arm = node.tree().await.unwrap().children[0].clone();
+    assert_eq!((arm.state, arm.incarnation.0), (ChildState::Running, life(&node, "arm").await));
+}
+
+#[blastema_testkit::test]
+async fn one_that_does_not_come_to_work_ends_in_order_also_where_none_follows() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").intensity(0, 10_000 * MS).child(strings.spec("arm"));
+    let mut node = TestNode::start(builder).await;
+    strings.pull("arm", "on_activated", Pull::Fail("no torque"));
+    strings.diary();
+
+    node.restart_child("arm").await.unwrap_err();
+    node.await_given_up(FaultKind::ErrorState, "arm").await;
+
+    let second: Vec<String> = strings.lines("arm#2");
+    assert_eq!(second.last().map(String::as_str), Some("arm#2 on_finalize"), "{second:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_condition_that_panics_between_two_incarnations_is_a_failed_check() {
+    let strings = Strings::default();
+    let group = SupervisorSpec::new("group", Strategy::OneForAll)
+        .child(strings.spec("arm"))
+        .child(strings.spec("ear"));
+    let mut node = TestNode::start(Node::builder("module1").supervisor(group)).await;
+    let news = node.publisher::<News>("test/news").unwrap();
+    // The ear has ended, and its next incarnation begins when the arm's has.
+    strings.pull("arm", "on_initialize", Pull::Wait(500 * MS));
+
+    strike(&node, "arm").await;
+    node.advance(100 * MS).await;
+    news.publish(News(13)).unwrap();
+
+    let fault = node.await_fault(FaultKind::CheckFailed, "ear").await;
+    assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
+    node.await_recovered(FaultKind::Panic, "arm").await;
+    assert_eq!(life(&node, "ear").await, 2);
+}
