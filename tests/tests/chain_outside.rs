@@ -343,7 +343,7 @@ impl Handle<Drive> for Gripper {
 }
 
 #[test]
-fn a_cut_off_that_blocks_is_a_fault_of_its_component_and_the_actuator_comes_to_rest() {
+fn a_cut_off_that_blocks_is_a_fault_of_its_component_and_keeps_the_actuator_from_commanders() {
     blastema::run(async {
         let (hold, block) = Block::new();
         let kept = block.clone();
@@ -360,9 +360,11 @@ fn a_cut_off_that_blocks_is_a_fault_of_its_component_and_the_actuator_comes_to_r
 
         assert_eq!(named.0, FaultKind::CheckFailed);
         assert!(named.1.contains("cut-off"), "{}", named.1);
-        commander.claim().await.expect("its safe command was carried out");
-        assert_eq!(commander.command(Drive(2.0)).await, Ok(2.0));
+        let refused = commander.claim_within(LIMIT).await;
+        assert_eq!(refused, Err(DeliveryError::Restarting), "it would be cut off at any time");
         drop(hold);
+        commander.claim_within(PATIENCE).await.expect("the cut-off has returned");
+        assert_eq!(commander.command(Drive(2.0)).await, Ok(2.0));
         node.shutdown().await;
     });
 }

@@ -213,7 +213,7 @@ fn our_own_address_is_nobody_elses_and_a_neighbours_is_one_of_the_medium() {
     blastema::run(async {
         let at = |text: &str| text.parse::<SocketAddr>().unwrap();
         for everybodys in ["224.0.0.1:7400", "239.255.0.1:7400", "255.255.255.255:7400"] {
-            let own = &["network eth", everybodys, "nobody's own address"];
+            let own = &["network eth", everybodys, "no computer's own address"];
             refused(node().network(Network::udp("eth", at(everybodys))), own).await;
             refused(node().network(Network::tcp("eth", at(everybodys))), own).await;
             for medium in ["udp", "tcp"] {

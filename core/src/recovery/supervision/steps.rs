@@ -161,7 +161,9 @@ impl Supervisor {
         // takes its next measure.
         if is_worth_it || cause == ReplacementCause::Died || !self.at_work() {
             self.end_now(key, cause);
-            self.going.remove(&key);
+            if !self.kept(key).lives() {
+                self.going.remove(&key);
+            }
         }
         if !is_worth_it {
             return self.leave_failed(key);
