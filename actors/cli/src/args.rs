@@ -84,9 +84,9 @@ pub(crate) enum Subcommand {
     /// Its objects with what the monitor thinks of each, the threads that components live on,
     /// links, sessions with other nodes, claimed names, services and who serves them, actuators and
     /// who commands them, and faults, as they are now. A node is shown if its program opens an
-    /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no other.
-    /// A value that is not known is a dash; a table that is left out is empty, and one whose part of the node has not
-    /// answered says so. Nothing can be changed from here.
+    /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no
+    /// other. A value that is not known is a dash; a table that is left out is empty, and one whose
+    /// part of the node has not answered says so. Nothing can be changed from here.
     #[command(after_help = MONITOR_HELP)]
     Monitor(MonitorOptions),
     /// Show faults, also those of nodes that have ended

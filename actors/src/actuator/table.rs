@@ -318,8 +318,8 @@ impl ActuatorTable {
         }
     }
 
-    /// Has the cut-off called. The lease is granted anew once it has returned: a cut-off that blocks
-    /// keeps the actuator from every commander, and a fault says so.
+    /// Has the cut-off called. The lease is granted anew once it has returned: a cut-off that
+    /// blocks keeps the actuator from every commander, and a fault says so.
     fn cut_off(&self, actuator: &Arc<Actuator>) {
         let Some(cut_off) = actuator.cut_off.clone() else {
             return lock(&actuator.lease).handle_cut_off_returned();

@@ -63,7 +63,7 @@ pub enum SpecError {
         /// The component.
         name: ObjectName,
     },
-    /// Its [`Component::ports`], or what that calls, panicked.
+    /// Its [`Component::ports`](crate::Component::ports), or what that calls, panicked.
     #[error("{name} cannot say what its ports are: {panicked}")]
     Ports {
         /// The component.

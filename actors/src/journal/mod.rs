@@ -12,8 +12,8 @@
 //! * Nothing waits for the disk. Where the queue is full, or a write has failed, the whole record
 //!   of the node is written as soon as that is possible: no fault is lost that the node itself
 //!   still remembers.
-//! * The last entry of a run, with the code [`NODE_ENDED`], says when and why the node ended: it was
-//!   shut down or dropped, or a signal ended its process. A process that is killed leaves none.
+//! * The last entry of a run, with the code [`NODE_ENDED`], says when and why the node ended: it
+//!   was shut down or dropped, or a signal ended its process. A process that is killed leaves none.
 //! * A file that cannot be written is a fault of the object `chain/journal`, and no more than that.
 //!   A damaged file is set aside.
 //! * The file is bounded: see [`FAULTS_MAX`]. Faults that are over go first, the oldest of them

@@ -42,8 +42,8 @@ pub enum ReadError {
     },
 }
 
-/// One fault of a journal, and what became of it; or, with the code [`NODE_ENDED`], when and why the
-/// node ended, unless its process was killed.
+/// One fault of a journal, and what became of it; or, with the code [`NODE_ENDED`], when and why
+/// the node ended, unless its process was killed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JournalEntry {

@@ -1,5 +1,5 @@
-//! Messages from a sender to the queue of a component: queues, replies, retries, dead letters, death
-//! watch.
+//! Messages from a sender to the queue of a component: queues, replies, retries, dead letters,
+//! death watch.
 
 pub(crate) mod dead_letters;
 pub(crate) mod death_watch;

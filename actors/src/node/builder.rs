@@ -149,9 +149,9 @@ impl NodeBuilder {
         self
     }
 
-    /// One more node whose word alone [isolates](Node::isolate) another one, or lets it in again.
-    /// Without any, it takes more than half of the nodes that are there. Every node of the robot is
-    /// told the same.
+    /// One more node whose word alone [isolates](crate::Node::isolate) another one, or lets it in
+    /// again. Without any, it takes more than half of the nodes that are there. Every node of the
+    /// robot is told the same.
     pub fn warden(mut self, node: &str) -> Self {
         self.wardens.push(node.to_owned());
         self
@@ -182,9 +182,9 @@ impl NodeBuilder {
     }
 
     /// Shows the node to `blastema monitor`, and to whatever else connects to a Unix socket at this
-    /// path: its [`picture`](Node::snapshot) as JSON, and the end. Only processes of the same user
-    /// may look, and nothing can be changed from there. It can be seen from the start on, and in
-    /// the safe state.
+    /// path: its [`picture`](crate::Node::snapshot) as JSON, and the end. Only processes of the
+    /// same user may look, and nothing can be changed from there. It can be seen from the start on,
+    /// and in the safe state.
     ///
     /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
     #[cfg(feature = "unix")]
@@ -285,8 +285,8 @@ impl NodeBuilder {
 
     /// Strokes the computer's watchdog, such as `/dev/watchdog`, once a second for as long as each
     /// actor of the fault chain answers. It is opened, and so armed, when the node starts.
-    /// [`Node::shutdown`] disarms it; where the process ends otherwise, or the fault chain stands,
-    /// it restarts the computer.
+    /// [`Node::shutdown`](crate::Node::shutdown) disarms it; where the process ends otherwise, or
+    /// the fault chain stands, it restarts the computer.
     ///
     /// The path is absolute; any other is refused at start, as is a device that cannot be opened.
     pub fn watchdog_device(mut self, path: impl Into<PathBuf>) -> Self {
@@ -295,8 +295,10 @@ impl NodeBuilder {
     }
 
     /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs, actuators or a
-    /// journal handles them: the safe outputs are applied, the journal is told, and the process ends
-    /// with the status 128 and the signal's number. Where [`Node::run_until_signal`] waits, it shuts the node down instead.
+    /// journal handles them: the safe outputs are applied, the journal is told, and the process
+    /// ends with the status 128 and the signal's number. Where
+    /// [`Node::run_until_signal`](crate::Node::run_until_signal) waits, it shuts the node down
+    /// instead.
     pub fn without_signal_handling(mut self) -> Self {
         self.handles_signals = false;
         self
@@ -331,7 +333,8 @@ impl NodeBuilder {
     }
 
     /// Every step in the history of every fault from the first on, also of those that are found
-    /// while the node starts, which [`Node::fault_events`] is too late for.
+    /// while the node starts, which [`Node::fault_events`](crate::Node::fault_events) is too late
+    /// for.
     ///
     /// ```
     /// use blastema::prelude::*;

@@ -1,8 +1,8 @@
 //! The window: a socket in the file system at which other processes of the machine see the node.
 //!
-//! Whoever connects is given one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end. Nothing is
-//! read, so that nothing can be asked or done there. It stays open in the safe state, and closes
-//! with the node.
+//! Whoever connects is given one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end.
+//! Nothing is read, so that nothing can be asked or done there. It stays open in the safe state,
+//! and closes with the node.
 
 pub(crate) mod server;
 

@@ -1,12 +1,10 @@
 //! Calls of the application's code by the fault chain: recovery strategies and safe outputs.
 //!
 //! None of it runs on the fault chain's thread. A strategy has an arbiter of its own; safe outputs
-//! are called one
-//! after the other on a thread that is started for them. Each call is entered here while it runs,
-//! and the thread that
-//! [watches the chain](crate::fault_chain::outside) finds those that take longer than the limit: the call is
-//! reported under its
-//! name, its thread is abandoned, and what waits behind it goes on on a fresh one.
+//! are called one after the other on a thread that is started for them. Each call is entered here
+//! while it runs, and the thread that [watches the chain](crate::fault_chain::outside) finds those
+//! that take longer than the limit: the call is reported under its name, its thread is abandoned,
+//! and what waits behind it goes on on a fresh one.
 //!
 //! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
 //! are asked for.

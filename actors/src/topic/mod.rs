@@ -361,11 +361,12 @@ impl Topics {
         Topics { inner: Arc::default(), interest: Arc::default(), dead_letters, reports }
     }
 
-    /// The topic of this name that carries `E`, as it is said to here. A topic carries one contract:
-    /// that of its first publisher or listener, for as long as the node runs.
+    /// The topic of this name that carries `E`, as it is said to here. A topic carries one
+    /// contract: that of its first publisher or listener, for as long as the node runs.
     ///
     /// # Errors
-    /// [`DeliveryError::InvalidName`]; [`DeliveryError::ContractDiffers`] if it carries another one.
+    /// [`DeliveryError::InvalidName`]; [`DeliveryError::ContractDiffers`] if it carries another
+    /// one.
     pub(crate) fn topic<E: Event>(
         &self,
         name: &str,

@@ -91,8 +91,8 @@ fn section<'a>(tree: &'a Tree, heading: &'a str) -> impl Iterator<Item = &'a str
 /// Words that leave open which part of the system acts.
 const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
 
-/// How often they may stand in the sources and pages of a folder. A folder that is rewritten gets its new, lower
-/// number; none rises.
+/// How often they may stand in the sources and pages of a folder. A folder that is rewritten gets
+/// its new, lower number; none rises.
 const VAGUE_MAX: [(&str, usize); 6] = [
     ("actors/", 365),
     ("core/", 269),

@@ -201,7 +201,8 @@ fn missing(
     out: &mut Vec<String>,
 ) {
     let plan = &evidence.robot.parts[listener];
-    // One that was stopped, for good or until it was restarted, misses what it does not have to read.
+    // One that was stopped, for good or until it was restarted, misses what it does not have to
+    // read.
     let stayed = evidence.is_running(listener)
         && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
         && !evidence.causes(listener).any(|(_, cause)| cause == Cause::Stop)

@@ -21,8 +21,9 @@ use super::tone::LineTone;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// An interruption that no session may end in. A session waits for two seconds from the last sign of
-/// its peer, which on a busy machine comes before the cut by as much as a handler may keep its thread.
+/// An interruption that no session may end in. A session waits for two seconds from the last sign
+/// of its peer, which on a busy machine comes before the cut by as much as a handler may keep its
+/// thread.
 const SESSIONS_LAST: Duration = Duration::from_millis(1_500);
 
 /// How long each phase may take before the promise counts as broken. The limits are generous: they
