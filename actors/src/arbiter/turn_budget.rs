@@ -117,8 +117,9 @@ impl TurnBudget {
     pub(crate) fn end(&self, waker: &Waker) {
         if self.spent.get() {
             self.rest(waker);
-        } else {
-            self.measured.set(false);
+        } else if self.measured.replace(false) {
+            // It was short. The coarse clock counts from the next turn on.
+            self.continued.set(false);
         }
     }
 
@@ -180,6 +181,27 @@ mod tests {
 
     fn real<F: Future>(test: F) -> F::Output {
         actix_rt::System::new().block_on(test)
+    }
+
+    #[test]
+    fn quick_messages_after_a_long_handler_are_trusted_again_in_turns_that_go_on() {
+        real(async {
+            let budget = TurnBudget::default();
+            budget.begin();
+            burn(Duration::from_millis(30));
+            assert!(!budget.lasts());
+            budget.end(Waker::noop());
+            tokio::task::yield_now().await;
+
+            budget.begin();
+            assert!(budget.lasts(), "it is measured, and short");
+            budget.pause(Waker::noop());
+            budget.end(Waker::noop());
+            assert!(budget.is_trusted());
+
+            budget.begin();
+            assert!(budget.lasts(), "the coarse clock counts from here on");
+        });
     }
 
     #[test]
