@@ -1,21 +1,21 @@
 //! The host: what stands between a user's component and actix.
 //!
 //! ```text
-//!  references ──► Anchor: queue, name, record ◄── HostedChild ◄── supervisor
-//!                    │ what all lives share            │ start, stop, abandon …
-//!  control lane ──► Host (an actix actor) ◄────────────┘
-//!                    │ owns
-//!                   Pump: one life after another, each under the guard
-//!                    │ Home, Course, Chores, Stamp
-//!  watch thread ──► ArbiterHeartbeat of each arbiter, Stamp of each component
+//!  senders ──► ComponentCell: queue, name, core  ◄── ComponentChild ◄── supervisor
+//!                  │ what all incarnations share         │ start, stop, abandon …
+//!  commands ──► Host (an actix actor) ◄──────────────────┘
+//!                  │ owns
+//!               ComponentExecutor: one incarnation after another, each under the panic guard
+//!                  │ ComponentSlot, IncarnationLifecycle, ScheduledWork, ActivityRecord
+//!  sampler ──► ArbiterHeartbeat of each arbiter, ActivityRecord of each component
 //! ```
 //!
-//! The actix mailbox is the control lane: the framework alone sends to it, and it is served before
-//! the pump, so that a flooded component, or one that awaits, still answers and obeys. Messages of
-//! the application travel in the [lane](crate::messaging::queue), which belongs to the anchor.
+//! The actix mailbox takes commands: the framework alone sends to it, and it is served before the
+//! executor, so that a flooded component, or one that awaits, still answers and obeys. Messages of
+//! the application travel in the [queue](crate::messaging::queue), which belongs to the cell.
 //!
-//! A handler that keeps its thread is found by the watch, which reads what workers write and never
-//! waits for them. The supervisor then abandons the life: its arbiter is *fenced*, so that nothing
+//! A handler that keeps its thread is found by the sampler, which reads what workers write and never
+//! waits for them. The supervisor then abandons the incarnation: its arbiter is *fenced*, so that nothing
 //! the handler still says gets out. If the handler returns within the grace time the fence is
 //! lifted and its neighbours have only lost time; else the arbiter is *lost*, and they are
 //! re-created elsewhere, each with its queue.
