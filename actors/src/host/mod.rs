@@ -14,10 +14,10 @@
 //! executor, so that a flooded component, or one that awaits, still answers and obeys. Messages of
 //! the application travel in the [queue](crate::messaging::queue), which belongs to the cell.
 //!
-//! A handler that keeps its thread is found by the sampler, which reads what workers write and never
-//! waits for them. The supervisor then abandons the incarnation: its arbiter is *fenced*, so that nothing
-//! the handler still says gets out. If the handler returns within the grace time the fence is
-//! lifted and its neighbours have only lost time; else the arbiter is *lost*, and they are
+//! A handler that keeps its thread is found by the sampler, which reads what workers write and
+//! never waits for them. The supervisor then abandons the incarnation: its arbiter is *fenced*, so
+//! that nothing the handler still says gets out. If the handler returns within the grace time the
+//! fence is lifted and its neighbours have only lost time; else the arbiter is *lost*, and they are
 //! re-created elsewhere, each with its queue.
 
 pub(crate) mod child;
