@@ -27,8 +27,9 @@ use std::time::Duration;
 /// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in
 ///   the end given up loudly.
 ///
-/// Where the guard has already restarted a component, the fault is found and recovered in one: it
-/// is recorded and told, and handed to no recoverer.
+/// Where the guard has already restarted a component, the fault is recorded and told, and handed to
+/// no recoverer. It is recovered when the next life is active, shares what becomes of a fault of
+/// that one, and is cleared when that one ends in order and none follows.
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
@@ -65,8 +66,9 @@ pub struct DetectorLimits {
     pub record: usize,
     /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
     pub hindsight: Duration,
-    /// How long a recoverer may take to decide before it is reminded. Longer leaves a fault that
-    /// was lost on the way lying; shorter repeats more to a busy recoverer.
+    /// How long a recoverer may take to decide before it is reminded, and the next life of an
+    /// object that was stopped to begin. Longer leaves a fault that was lost on the way lying;
+    /// shorter repeats more to a busy recoverer.
     pub decision: Duration,
     /// How often a recoverer is reminded before the fault is given up.
     pub reminders: u32,
@@ -222,28 +224,18 @@ impl Detector {
 
     /// The recoverer tells what becomes of a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
-        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        let Some(entry) = self.chronicle.entry(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
         self.reminders.cancel(id);
         match outcome {
-            RecoveryOutcome::Decided { measure } => {
-                entry.decided = Some((at, measure.clone()));
-                let fault = entry.fault.clone();
-                self.told.push_back(DetectorOutput::Tell {
-                    fault,
-                    at,
-                    turn: FaultTransition::Decided { action: measure },
-                });
-            }
+            RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
             RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
                 self.recover(id, at);
             }
-            RecoveryOutcome::Waits => {
-                self.unhanded.insert(id);
-            }
+            RecoveryOutcome::Waits => self.await_next_life(id, at),
             RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
     }
@@ -472,23 +464,35 @@ impl Detector {
     fn repair(&mut self, id: FaultId, at: Instant) {
         self.reminders.cancel(id);
         self.explicable.remove(&id);
+        self.unhanded.remove(&id);
         let Some(entry) = self.chronicle.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
         self.chronicle.repair(id, at);
         self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
     }
 
+    /// What is done about a fault.
+    fn decide(&mut self, id: FaultId, at: Instant, measure: String) {
+        for id in self.sharing_the_outcome_of(id) {
+            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            entry.decided = Some((at, measure.clone()));
+            let fault = entry.fault.clone();
+            let turn = FaultTransition::Decided { action: measure.clone() };
+            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+        }
+    }
+
     /// Nothing more is tried. The fault stands.
     fn give_up(&mut self, id: FaultId, at: Instant, reason: String) {
-        self.reminders.cancel(id);
-        let Some(entry) = self.chronicle.entry_mut(id) else { return };
-        entry.given_up = Some((at, reason.clone()));
-        let fault = entry.fault.clone();
-        self.told.push_back(DetectorOutput::Tell {
-            fault,
-            at,
-            turn: FaultTransition::GaveUp { reason },
-        });
+        for id in self.sharing_the_outcome_of(id) {
+            self.reminders.cancel(id);
+            self.unhanded.remove(&id);
+            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            entry.given_up = Some((at, reason.clone()));
+            let fault = entry.fault.clone();
+            let turn = FaultTransition::GaveUp { reason: reason.clone() };
+            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+        }
     }
 
     fn hand_over(&mut self, notice: FaultNotice, now: Instant) {
@@ -498,6 +502,9 @@ impl Detector {
     /// No recoverer has decided about this fault. That is as it should be for a symptom whose root
     /// is in treatment.
     fn remind(&mut self, id: FaultId, reminder: DecisionTimeout, now: Instant) {
+        if self.unhanded.contains(&id) {
+            return self.end_unhanded(id, now);
+        }
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();
         let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
@@ -554,6 +561,7 @@ impl Machine for Detector {
     }
 }
 
+mod next_life;
 mod rules;
 #[cfg(test)]
 mod tests;

@@ -189,7 +189,13 @@ impl Monitor {
             self.observe_object(object, incarnation, finding, now);
             return self.settle(now);
         }
+        let is_known = self.objects.contains_key(object);
         let Some(entry) = self.admit(object, incarnation, now) else { return };
+        // Every component is enrolled before it begins.
+        if !is_known && restarted_as.is_some() {
+            entry.kind = ObjectKind::Middleware;
+        }
+        let is_middleware = entry.kind == ObjectKind::Middleware;
         if matches!(entry.end, Some(LastExit::Stopped | LastExit::Died)) {
             self.stale += 1;
             return;
@@ -207,6 +213,11 @@ impl Monitor {
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
             self.admit(object, next, now);
+            if is_middleware {
+                // It has no hooks: its guard tells of it when it serves again.
+                let progress = WorkProgress { incarnation: next, state: Lifecycle::Active };
+                self.handle_alive(object, progress, now);
+            }
         }
         self.settle(now);
     }

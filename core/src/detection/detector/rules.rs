@@ -21,8 +21,7 @@ impl Detector {
         let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
         if scene.incarnation < seen.incarnation {
-            let is_active = seen.state == Lifecycle::Active;
-            return self.judge_late(&scene, finding, is_active);
+            return self.judge_late(&scene, finding);
         }
         let is_newer = scene.incarnation > seen.incarnation;
         if is_newer {
@@ -95,7 +94,7 @@ impl Detector {
 
     /// What is seen of a life that is over changes nothing; but that it panicked is told in every
     /// case. Its report comes late where what the panic left behind has blocked its thread.
-    fn judge_late(&mut self, scene: &Scene, finding: Finding, is_active: bool) {
+    fn judge_late(&mut self, scene: &Scene, finding: Finding) {
         let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
         else {
             self.stale += 1;
@@ -108,11 +107,7 @@ impl Detector {
         }
         let detail = describe_panic(&text, &at, during);
         let id = self.record(scene, FaultKind::Panic, detail, Cause::Itself);
-        if is_active {
-            self.recover(id, scene.at);
-        } else {
-            self.unhanded.insert(id);
-        }
+        self.await_next_life(id, scene.at);
     }
 
     /// An object that waits behind a hang is remembered, so that its silence is known for a
@@ -195,10 +190,12 @@ impl Detector {
             ExitReason::Aborted if !over && before != Lifecycle::Finalized => {
                 (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
             }
-            ExitReason::Returned
-            | ExitReason::Fatal
-            | ExitReason::Aborted
-            | ExitReason::Stopped => return,
+            ExitReason::Stopped => return self.end_unhanded_at(&scene.place, scene.at),
+            ExitReason::Returned if !over => {
+                seen.state = Lifecycle::Finalized;
+                return self.end_unhanded_at(&scene.place, scene.at);
+            }
+            ExitReason::Returned | ExitReason::Fatal | ExitReason::Aborted => return,
         };
         let Some(next) = restarted_as else {
             self.find(scene, kind, detail, cause);
@@ -208,8 +205,8 @@ impl Detector {
         let known = self.chronicle.standing(&scene.place, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
-        // It is over when the next life is at work; a recoverer hears of it if that one dies too.
-        self.unhanded.insert(id);
+        // A recoverer hears of it if the next life dies likewise.
+        self.await_next_life(id, scene.at);
     }
 
     fn judge_state(

@@ -321,6 +321,25 @@ fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
 }
 
 #[test]
+fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
+    let mut enrolled = monitor();
+    let enrolment = Registration::new(object("laser")).kind(ObjectKind::Middleware);
+    enrolled.enrol(enrolment, at(0)).expect("there is room");
+    seen(&mut enrolled, 0);
+
+    for (case, mut monitor) in [("enrolled", enrolled), ("unknown", monitor())] {
+        for (life, next, millis) in [(ONE, TWO, 210), (TWO, THREE, 220)] {
+            monitor.handle_exited(&object("laser"), life, panicked(), Some(next), at(millis));
+
+            let told = ["m:laser Exited", "m:laser State"];
+            assert_eq!(seen(&mut monitor, millis), told, "{case} {life}");
+            let row = row(&monitor, "m:laser", millis);
+            assert_eq!((row.incarnation, row.state), (next, Some(Lifecycle::Active)), "{case}");
+        }
+    }
+}
+
+#[test]
 fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
     for (exit, state, opinion) in [
         (panicked(), Lifecycle::Fatal, Opinion::Failed),

@@ -67,6 +67,98 @@ fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next
     assert_eq!(bench.said(), ["Repeated 1", "+1"]);
 }
 
+/// What the detector of a node says when life 1 of `arm` has panicked and was restarted.
+fn restarted_on_the_spot() -> Bench {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
+    assert_eq!(bench.said(), ["Found 1"]);
+    bench
+}
+
+fn gave_up() -> RecoveryOutcome {
+    RecoveryOutcome::GaveUp { reason: "contained by safe stop".into() }
+}
+
+#[test]
+fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the_next_life() {
+    for failure in [state(Lifecycle::Fatal), state(Lifecycle::Error), hangs(&[]), silent()] {
+        let mut bench = restarted_on_the_spot();
+        bench.see("arm", TWO, failure);
+        assert_eq!(bench.said(), ["Found 2", "+2"]);
+
+        let measure = RecoveryOutcome::Decided { measure: "restart".into() };
+        bench.detector.handle_outcome(FaultId(2), at(5), measure);
+        assert_eq!(bench.said(), ["Decided 2", "Decided 1"]);
+        bench.detector.handle_outcome(FaultId(2), at(9), gave_up());
+
+        assert_eq!(bench.said(), ["GaveUp 2", "GaveUp 1"]);
+        let status: Vec<_> = bench.entries().iter().map(|entry| entry.status()).collect();
+        assert_eq!(status, [FaultStatus::GivenUp; 2]);
+        bench.see("arm", Incarnation(3), state(Lifecycle::Active));
+        assert_eq!(bench.said().len(), 3, "both are recovered, and 2 is withdrawn");
+        assert!(bench.entries().iter().all(|entry| entry.status() == FaultStatus::Closed));
+    }
+}
+
+#[test]
+fn a_death_that_the_guard_could_not_mend_is_given_up_where_no_recoverer_decides() {
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, state(Lifecycle::Fatal));
+
+    let said = bench.run_until(60_000);
+
+    assert_eq!(said, ["Found 2", "+2", "+2", "+2", "+2", "GaveUp 2", "GaveUp 1"]);
+}
+
+#[test]
+fn a_fault_that_only_the_next_life_could_end_is_cleared_when_that_one_ends_in_order() {
+    let told = |bench: &mut Bench| {
+        assert_eq!(bench.run_until(999), [""; 0], "another life may follow");
+        let said = bench.run_until(2000);
+        assert_eq!(said[0], "Cleared 1");
+        assert_eq!(bench.entries()[0].status(), FaultStatus::Closed);
+    };
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+    told(&mut bench);
+
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, Finding::Enrolled { may_end: true, depends_on: Arc::new([]) });
+    bench.see("arm", TWO, exited(ExitReason::Returned));
+    told(&mut bench);
+
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+    bench.detector.handle_outcome(FaultId(1), at(5), RecoveryOutcome::Waits);
+    told(&mut bench);
+
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+    bench.see("arm", Incarnation(3), state(Lifecycle::Initialized));
+    assert_eq!(bench.run_until(60_000), [""; 0], "it was replaced");
+    bench.see("arm", Incarnation(3), state(Lifecycle::Active));
+    assert_eq!(bench.said(), ["Recovered 1"]);
+}
+
+#[test]
+fn a_panic_that_is_told_after_the_next_life_was_ended_or_given_up_ends_likewise() {
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.run_until(2000), ["Found 1", "Cleared 1"]);
+
+    let mut bench = Bench::new();
+    bench.see("arm", TWO, hangs(&[]));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    bench.detector.handle_outcome(FaultId(1), at(5), gave_up());
+    assert_eq!(bench.said(), ["GaveUp 1"]);
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 2", "GaveUp 2"]);
+}
+
 #[test]
 fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
     let mut bench = Bench::new();
@@ -77,7 +169,8 @@ fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
 
     bench.detector.handle_outcome(FaultId(1), at(0), RecoveryOutcome::Waits);
 
-    assert_eq!(bench.run_until(60_000), ["+2", "+2", "+2", "GaveUp 2"], "1 is not in treatment");
+    let said = bench.run_until(60_000);
+    assert_eq!(said, ["+2", "+2", "+2", "GaveUp 2", "GaveUp 1"], "1 is not in treatment");
     assert!(bench.entries()[0].stands());
     bench.see("arm", TWO, state(Lifecycle::Active));
     assert_eq!(bench.said(), ["Recovered 1", "Recovered 2", "-1", "-2"]);

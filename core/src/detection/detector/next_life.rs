@@ -1,0 +1,69 @@
+//! Faults that no recoverer treats because another life is on its way already.
+//!
+//! Such a fault is recovered when the next life is at work. Where that one fails by another fault,
+//! it shares what becomes of that; where it ends in order, and none follows, nothing is left to
+//! recover.
+
+use super::{DecisionTimeout, Detector};
+use crate::{Fault, FaultId, Instant, Lifecycle, Place};
+use std::iter;
+
+impl Detector {
+    /// This fault ends with the life after it, which may have ended before the fault was told.
+    pub(super) fn await_next_life(&mut self, id: FaultId, at: Instant) {
+        self.unhanded.insert(id);
+        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Fault { place, incarnation, .. } = entry.fault.clone();
+        let Place::Object(address) = &place else { return };
+        let seen = self.objects.get(&address.object);
+        match seen.filter(|seen| seen.incarnation > incarnation).map(|seen| seen.state) {
+            Some(Lifecycle::Active) => {
+                self.recover(id, at);
+                self.withdraw(id, at);
+            }
+            Some(Lifecycle::Finalized) => self.end_unhanded_at(&place, at),
+            _ => {
+                let given_up = self.chronicle.standing_at(&place).find_map(|fault| {
+                    let later = Some(fault.id).filter(|_| fault.incarnation > incarnation)?;
+                    self.chronicle.entry(later)?.given_up.clone()
+                });
+                if let Some((_, reason)) = given_up {
+                    self.give_up(id, at, reason);
+                }
+            }
+        }
+    }
+
+    /// An object that ended in order takes along what only its next life could have ended, unless
+    /// it was stopped to be replaced: then that life begins soon.
+    pub(super) fn end_unhanded_at(&mut self, place: &Place, at: Instant) {
+        let ended: Vec<FaultId> = self.unhanded_at(place).map(|fault| fault.id).collect();
+        for id in ended {
+            self.reminders.set(id, DecisionTimeout { due: at + self.limits.decision, sent: 0 });
+        }
+    }
+
+    /// No life has begun in time after the one that ended in order.
+    pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
+        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Place::Object(address) = &entry.fault.place else { return };
+        let seen = self.objects.get(&address.object);
+        if seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
+            self.repair(id, at);
+            self.withdraw(id, at);
+        }
+    }
+
+    /// This fault, and those of the lives before it that were to end with its own.
+    pub(super) fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
+        let Some(entry) = self.chronicle.entry(id) else { return Vec::new() };
+        let fault = &entry.fault;
+        let before = |other: &&Fault| other.incarnation < fault.incarnation;
+        let before = self.unhanded_at(&fault.place).filter(before).map(|other| other.id);
+        iter::once(id).chain(before).collect()
+    }
+
+    fn unhanded_at(&self, place: &Place) -> impl Iterator<Item = &Fault> {
+        self.chronicle.standing_at(place).filter(|fault| self.unhanded.contains(&fault.id))
+    }
+}
