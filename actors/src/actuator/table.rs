@@ -341,6 +341,10 @@ impl ActuatorTable {
                     CallOutcome::Blocked(limit) => {
                         format!("the cut-off has blocked its thread for {limit:?}")
                     }
+                    CallOutcome::NotMade => {
+                        "the cut-off was not called: too many cut-offs of the component block"
+                            .into()
+                    }
                 };
                 error!(object = %actuator.object, "{detail}");
                 actuator.doorway.declare(FaultKind::CheckFailed, detail);

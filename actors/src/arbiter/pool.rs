@@ -337,6 +337,13 @@ impl ArbiterPool {
         self.tell_abandoned();
     }
 
+    /// How many calls of this object block now. Threads that its handlers keep are no calls: what
+    /// cuts a component off that hangs is called in every case.
+    pub(crate) fn calls_blocked_by(&self, culprit: &ObjectName) -> usize {
+        let kept = &self.pool_of().kept;
+        kept.iter().filter(|thread| thread.seat.is_none() && thread.culprit == *culprit).count()
+    }
+
     /// Such a thread has come back.
     pub(crate) fn note_returned(&self, culprit: &ObjectName) {
         let kept = &mut self.pool_of().kept;
@@ -522,6 +529,7 @@ mod tests {
                 assert_eq!(arbiters.abandoned(), 0, "it may come back");
             }
 
+            assert_eq!(arbiters.calls_blocked_by(&arm), 0, "what cuts it off is called");
             let refused = arbiters.place(&arm, true).err().expect("it keeps its share");
             assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
             let seat = arbiters.place(&leg, true).expect("a thread for another");

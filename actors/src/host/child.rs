@@ -86,6 +86,8 @@ impl<C: Component> Child for ComponentChild<C> {
         };
         let incarnation = self.anchor.lane.begin(incarnation);
         record.set_incarnation(incarnation);
+        // Until this incarnation is in its place it has none: that of the one before is another's.
+        drop(record.take_seat());
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
         self.anchor.set_control(Some(Addr::new(sender).recipient()));
         let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, report };
@@ -184,8 +186,9 @@ impl<C: Component> Drop for ComponentChild<C> {
         self.abandon();
         self.anchor.end();
         let record = &self.anchor.record;
-        record.environment.registry.unregister(&record.name);
+        // Before the name is free for another component.
         record.announce(|listener| listener.removed());
+        record.environment.registry.unregister(&record.name);
     }
 }
 

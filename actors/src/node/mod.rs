@@ -172,7 +172,7 @@ impl Node {
         self.0.state.borrow().clone()
     }
 
-    /// Waits until the node has stopped, or has enter the safe state, and says which.
+    /// Waits until the node has stopped, or has entered the safe state, and says which.
     pub async fn ended(&self) -> NodeState {
         let mut state = self.0.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);

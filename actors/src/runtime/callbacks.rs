@@ -9,7 +9,7 @@
 //! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
 //! are asked for.
 
-use crate::arbiter::pool::ArbiterPool;
+use crate::arbiter::pool::{ArbiterPool, THREADS_OF_ONE};
 use crate::platform;
 use crate::platform::panics;
 use crate::runtime::reports::FaultReports;
@@ -30,9 +30,10 @@ pub(crate) enum CallOutcome {
     Done,
     /// It panicked, with this text.
     Panicked(String),
-    /// It has taken longer than this limit and still runs, or so many calls of the same object do
-    /// that it was not made.
+    /// It has taken longer than this limit and still runs.
     Blocked(Duration),
+    /// It was not made, because so many calls of the same object block already.
+    NotMade,
     /// It blocked, and has returned after all.
     ReturnedLate,
 }
@@ -245,9 +246,9 @@ impl Threads {
                 next
             };
             let Some(Job { object, run, outcome }) = next else { return };
-            if self.arbiters.check_share(&object).is_err() {
+            if self.arbiters.calls_blocked_by(&object) >= THREADS_OF_ONE {
                 // Each further call would keep one more thread for ever.
-                outcome(CallOutcome::Blocked(self.limit));
+                outcome(CallOutcome::NotMade);
                 continue;
             }
             let outcome = Arc::new(Mutex::new(outcome));
@@ -273,7 +274,6 @@ impl Threads {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arbiter::pool::THREADS_OF_ONE;
     use std::sync::mpsc::{Receiver, Sender, channel};
 
     const LIMIT: Duration = Duration::from_millis(100);
@@ -370,7 +370,7 @@ mod tests {
         }
 
         rig.call(9, || panic!("it is not called"));
-        assert_eq!(rig.told(), (9, CallOutcome::Blocked(LIMIT)));
+        assert_eq!(rig.told(), (9, CallOutcome::NotMade));
 
         rig.call_of("leg", 8, || {});
         assert_eq!(rig.told(), (8, CallOutcome::Done));

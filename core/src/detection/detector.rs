@@ -283,6 +283,8 @@ impl Detector {
                 if self.handed.contains(&id) && life < Some(scene.incarnation) {
                     // What was done about it has not helped.
                     let fault = self.chronicle.entry(id).expect("it stands").fault.clone();
+                    let due = scene.at + self.limits.decision;
+                    self.reminders.set(id, DecisionTimeout { due, sent: 0 });
                     self.hand_over(FaultNotice::Found(fault), scene.at);
                 }
                 return id;

@@ -276,11 +276,13 @@ impl Monitor {
         kind: FaultKind,
         now: Instant,
     ) {
-        if let Some(entry) = self.alive(object, incarnation, now) {
-            entry.erase(&NoteCause::Declared(kind.clone()));
-            self.observe_object(object, incarnation, Finding::Mended { kind }, now);
-            self.settle(now);
+        let Some(entry) = self.admit(object, incarnation, now) else { return };
+        if entry.end.is_none() {
+            entry.last_sign = Some(now);
         }
+        entry.erase(&NoteCause::Declared(kind.clone()));
+        self.observe_object(object, incarnation, Finding::Mended { kind }, now);
+        self.settle(now);
     }
 
     /// A link reports how it is. The same condition again is no news.

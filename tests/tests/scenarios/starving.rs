@@ -5,7 +5,7 @@
 
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{Incarnation, NodeBuilder, RestartError, ThreadState};
+use blastema::{ActuatorSpec, Incarnation, NodeBuilder, RestartError, ThreadState};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Condvar, Mutex};
@@ -262,6 +262,57 @@ fn a_component_that_keeps_its_share_of_threads_is_given_up_alone() {
         let before = bench.0.count.load(Relaxed);
         until("the counter goes on", || bench.0.count.load(Relaxed) > before).await;
         bench.release();
+        node.shutdown().await;
+    });
+}
+
+/// Commands the tray.
+#[derive(Clone, Debug, Request)]
+#[contract(name = "starving/move", reply = f32)]
+struct Move(f32);
+
+/// Its first incarnation blocks when it is stopped.
+struct Tray(Bench);
+
+impl Component for Tray {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Move(0.0)));
+    }
+
+    async fn on_deactivated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        if cx.incarnation() == Incarnation::FIRST {
+            self.0.block();
+            self.0.0.count.fetch_add(1, Relaxed);
+        }
+        Ok(())
+    }
+}
+
+impl Handle<Move> for Tray {
+    async fn handle(&mut self, Move(to): Move, _: &mut Context<Self>) -> f32 {
+        to
+    }
+}
+
+#[test]
+fn a_hook_that_returns_after_its_incarnation_was_abandoned_says_nothing_of_the_next_one() {
+    blastema::run(async {
+        let bench = Bench::default();
+        let of_tray = bench.clone();
+        let tray = ChildSpec::new("tray", move || Tray(of_tray.clone()));
+        let node = start(robot().child(tray.shutdown_within(Duration::from_millis(100)))).await;
+
+        node.restart_child("tray").await.expect("it is abandoned, and another one begins");
+        let commander = node.commander::<Move>("tray", "console").expect("it is an actuator");
+        commander.claim_within(LONG).await.expect("the second incarnation is active");
+        commander.release().await.expect("it is held");
+        bench.release();
+        until("the hook of the first returns", || bench.0.count.load(Relaxed) == 1).await;
+        // What follows the hook runs on the same thread right behind it.
+        tokio::time::sleep(Duration::from_millis(100)).await;
+
+        commander.claim_within(LONG).await.expect("the second incarnation is active still");
+        assert!(matches!(commander.command(Move(2.0)).await, Ok(_)));
         node.shutdown().await;
     });
 }

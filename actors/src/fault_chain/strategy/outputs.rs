@@ -91,6 +91,11 @@ impl SafeOutputs {
                         );
                         Err(NOT_RETURNED)
                     }
+                    CallOutcome::NotMade => {
+                        let detail = "the safe outputs were not called: too many calls block";
+                        reports.declare(SAFE_OUTPUTS, detail.into());
+                        Err("the safe outputs were not called")
+                    }
                     CallOutcome::ReturnedLate => {
                         reports.mend(SAFE_OUTPUTS);
                         Ok(())

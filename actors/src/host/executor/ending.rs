@@ -146,6 +146,9 @@ impl<C: Component> ComponentExecutor<C> {
         self.over = true;
         self.life.token.end();
         self.bury(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
+        if self.anchor.lane.owner() != Some(incarnation) {
+            return self.leave(); // It was abandoned while what is the user's was dropped.
+        }
         let exit = match end {
             EndReason::Stopped => {
                 self.anchor.end_by(incarnation);

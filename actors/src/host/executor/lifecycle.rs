@@ -24,6 +24,9 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Passes on what the course has to tell, and keeps the rest of the host in step with it.
     pub(super) fn tell_news(&mut self) {
+        if self.is_abandoned() {
+            return; // What it says of the component would be said of the next incarnation.
+        }
         for news in self.course.poll_news() {
             match news {
                 LifecycleReport::State(state, reason) => self.enter(state, reason),

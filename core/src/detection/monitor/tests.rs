@@ -379,6 +379,12 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     assert_eq!(note(&monitor).as_deref(), Some("too much"));
     monitor.handle_mended(&laser, TWO, FaultKind::Overload, at(3));
     assert_eq!(note(&monitor), None);
+
+    monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(4));
+    declare(&mut monitor, FaultKind::CheckFailed, "its cut-off blocks");
+    assert_eq!(note(&monitor).as_deref(), Some("its cut-off blocks"));
+    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(5));
+    assert_ne!(note(&monitor).as_deref(), Some("its cut-off blocks"));
 }
 
 #[test]

@@ -160,6 +160,21 @@ fn a_panic_that_is_told_after_the_next_life_was_ended_or_given_up_ends_likewise(
 }
 
 #[test]
+fn a_fault_that_the_next_life_has_too_is_reminded_of_until_it_is_decided_again() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, exited(panicked()));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    bench.detector.handle_outcome(FaultId(1), at(0), decided);
+    bench.said();
+
+    bench.see("arm", TWO, exited(panicked()));
+
+    assert_eq!(bench.said(), ["Repeated 1", "+1"]);
+    assert_eq!(bench.run_until(60_000), ["+1", "+1", "+1", "GaveUp 1"]);
+}
+
+#[test]
 fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
