@@ -1,8 +1,8 @@
-//! Commanding actuators: whoever commands holds a lease, and what it moves comes to rest when it
-//! goes.
+//! Commanding actuators: a commander holds a lease, and the actuator comes to rest when the
+//! commander goes.
 //!
 //! ```text
-//!  Commander ─ claim, renew, command ─► the actuator's node: ActuatorTable ─ epoch holds? ─► component
+//!  Commander ─ claim, renew, command ─► ActuatorTable of its node ─ epoch holds? ─► component
 //!      ╳ (killed, cut off, hangs)         └─ lease over ─► cut-off, safe command ─► component
 //! ```
 
@@ -33,7 +33,7 @@ use tokio::sync::Notify;
 /// person takes to be startled.
 const SPAN: Duration = Duration::from_millis(200);
 /// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a
-/// robot move without anybody for longer than it takes to walk up to it.
+/// robot move without a commander for longer than it takes to walk up to it.
 pub(crate) const SPANS: RangeInclusive<Duration> =
     Duration::from_millis(20)..=Duration::from_secs(60);
 /// How long a claim or a release may take.

@@ -1,7 +1,7 @@
 //! Names of the whole robot: an address without a node.
 //!
 //! ```text
-//!  Claim ── ClaimCommand ──► ClaimActor (net::claims) ◄── messages ──► those of other nodes
+//!  Claim ── ClaimCommand ──► GlobalNamesActor ◄── messages ──► those of other nodes
 //!                              │ Held
 //!                              ▼
 //!  GlobalNameSender ── who? ── GlobalNameTable   `*:map` is sent to the holder of `map`

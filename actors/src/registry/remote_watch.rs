@@ -1,14 +1,14 @@
 //! Death watch between nodes.
 //!
 //! ```text
-//!  watcher's life ── AwaitEnd(object, seen) ──► desk of the object's node ── Mourner ──► the object
-//!        ▲                                          │ at once, or when it ends
-//!        └──────────── Watched(ends, ended) ◄───────┘
+//!  watcher ── AwaitEnd(object, seen) ──► ServiceFn of the object's node ── Watcher ──► the object
+//!     ▲                                     │ at once, or when it ends
+//!     └────────── Watched(ends, ended) ◄────┘
 //! ```
 //!
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
-//! that asks belongs to the watcher's life, so nothing is left when that ends. The desk counts the
-//! ends of what is watched, so that none between two questions is missed. That the object's node is
+//! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
+//! ends of each watched object, so that none between two questions is missed. That the object's node is
 //! lost is seen by the session, which resolves the request.
 
 use crate::messaging::death_watch::{Down, Ending, Watcher};

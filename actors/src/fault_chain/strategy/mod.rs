@@ -48,7 +48,11 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// struct LimpFirst;
 ///
 /// impl RecoveryStrategy for LimpFirst {
-///     async fn carry_out(&self, order: &RecoveryOrder, tools: &StrategyContext) -> Result<RecoveryDone, RecoveryFailed> {
+///     async fn carry_out(
+///         &self,
+///         order: &RecoveryOrder,
+///         tools: &StrategyContext,
+///     ) -> Result<RecoveryDone, RecoveryFailed> {
 ///         tools.isolate(&order.fault.place).await?;
 ///         tools.restart(&order.fault).await
 ///     }
