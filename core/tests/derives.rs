@@ -1,4 +1,4 @@
-//! What the derives make of right uses. Wrong uses stand in `tests/tests/compile_fail`.
+//! What the derives make of right uses. Wrong uses stand in `tests/derives`.
 
 use blastema_core::contract::codec::{decode, encode};
 use blastema_core::{Contract, ContractIdentity, Described, LayoutDescription};
