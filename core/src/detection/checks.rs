@@ -1,8 +1,9 @@
 //! Checks of important data at fixed points (FT23): small, pure, called by the component itself.
 //!
-//! A check that fails is a fault: declare it as what [`CheckFailed::into_fault`] gives.
+//! A component that finds a failed check declares a fault of the kind
+//! [`FaultKind::CheckFailed`](crate::FaultKind::CheckFailed), with the error's text.
 
-use crate::{FaultKind, Instant};
+use crate::Instant;
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -17,13 +18,6 @@ pub struct CheckFailed {
     pub found: String,
     /// What it should have been.
     pub expected: String,
-}
-
-impl CheckFailed {
-    /// What to declare: the kind of fault, and the particulars with the value and the limit.
-    pub fn into_fault(self) -> (FaultKind, String) {
-        (FaultKind::CheckFailed, self.to_string())
-    }
 }
 
 /// A value must lie within limits. A value that does not compare, such as NaN, fails.

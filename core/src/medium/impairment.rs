@@ -236,11 +236,6 @@ impl<T: Impairable> ImpairedDirection<T> {
         self.free_at = Instant::ORIGIN;
     }
 
-    /// Whether the cable is cut.
-    pub fn is_cut(&self) -> bool {
-        self.cut
-    }
-
     /// What was done so far.
     pub fn injected(&self) -> Injected {
         self.injected
