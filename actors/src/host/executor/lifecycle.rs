@@ -45,6 +45,10 @@ impl<C: Component> ComponentExecutor<C> {
                 }
             }
         }
+        if self.course.is_ending() {
+            // Also of a failure, of which its supervisor has been told that it has ended already.
+            self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
+        }
     }
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {

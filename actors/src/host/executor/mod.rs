@@ -191,7 +191,7 @@ impl<C: Component> ComponentExecutor<C> {
     /// The supervisor asks for an end in order.
     pub(crate) fn stop(&mut self, end: EndReason) {
         self.course.handle_stop(end);
-        self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
+        self.tell_news();
     }
 
     /// One poll of everything. Ready when the last life here is over.
@@ -452,7 +452,6 @@ impl<C: Component> ComponentExecutor<C> {
         }
         if wishes.stop {
             self.course.handle_stop(EndReason::Returned);
-            self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
         }
         self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
         self.tell_news();

@@ -303,6 +303,27 @@ fn a_life_that_does_not_end_in_time_is_ended_out_of_order() {
 }
 
 #[test]
+fn the_last_hook_of_a_failed_start_has_no_longer_than_that_of_a_stop() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, diary) = diary();
+        let spec = spec.shutdown_within(Duration::from_secs(2));
+        let (mut child, _) = stage.add(spec);
+        diary.plan("on_startup", Outcome::Fail);
+        diary.plan("on_shutdown", Outcome::Hang);
+
+        let event = stage.begin(&mut *child, 1).await;
+        assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
+        advance(Duration::from_millis(1900)).await;
+        assert!(stage.exits.drain().is_empty());
+        advance(Duration::from_millis(200)).await;
+
+        let ended = stage.exits.drain().pop().expect("its end is told");
+        assert_eq!((ended.incarnation, ended.exit), (Incarnation(1), ExitReason::Stopped));
+    });
+}
+
+#[test]
 fn control_is_served_while_a_hook_awaits() {
     paused(async {
         let stage = Stage::new();
