@@ -118,7 +118,7 @@ pub struct WatchReport {
 pub struct Variables {
     entries: BTreeMap<VariableKey, Entry>,
     last_revision: u64,
-    watchers: BTreeMap<u64, Watcher>,
+    watchers: BTreeMap<u64, VariableWatcher>,
     outputs: VecDeque<WatchReport>,
 }
 
@@ -132,7 +132,7 @@ struct Entry {
 }
 
 #[derive(Debug)]
-struct Watcher {
+struct VariableWatcher {
     variable: VariableKey,
     asked: Instant,
 }
@@ -210,10 +210,10 @@ impl Variables {
             Some(entry) if entry.revision != after => Ok(entry.report(now)),
             Some(_) => {
                 // Those who went without a word make room.
-                let stale = |known: &Watcher| now - known.asked > WATCHER_PATIENCE;
+                let stale = |known: &VariableWatcher| now - known.asked > WATCHER_PATIENCE;
                 self.answer(stale, |_| Err(DeliveryError::DeadlinePassed));
                 if self.watchers.len() < WATCHERS_MAX {
-                    let waiting = Watcher { variable, asked: now };
+                    let waiting = VariableWatcher { variable, asked: now };
                     self.watchers.insert(watcher, waiting);
                     return;
                 }
@@ -313,15 +313,15 @@ impl Variables {
         entry.revision = self.last_revision;
         entry.since = now;
         let report = entry.report(now);
-        let waited = |watcher: &Watcher| watcher.variable == *key;
+        let waited = |watcher: &VariableWatcher| watcher.variable == *key;
         self.answer(waited, |_| Ok(report.clone()));
     }
 
     /// Tells those watchers of whom this holds, once.
     fn answer(
         &mut self,
-        whom: impl Fn(&Watcher) -> bool,
-        what: impl Fn(&Watcher) -> Result<ValueReport, DeliveryError>,
+        whom: impl Fn(&VariableWatcher) -> bool,
+        what: impl Fn(&VariableWatcher) -> Result<ValueReport, DeliveryError>,
     ) {
         let outputs = &mut self.outputs;
         self.watchers.retain(|&number, watcher| {

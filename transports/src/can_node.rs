@@ -102,7 +102,7 @@ pub struct CanNode<P> {
     machine: Option<IsoTp>,
     /// Whose the address is.
     claim: Option<AddressClaim>,
-    standing: Standing,
+    standing: AddressState,
     /// What the machine had refused when it was last looked at.
     refusals: IsoTpErrorCounts,
     /// A frame that the bus has not taken yet.
@@ -112,7 +112,7 @@ pub struct CanNode<P> {
 }
 
 /// How it stands with our address.
-enum Standing {
+enum AddressState {
     Claiming,
     Held,
     /// Another has it.
@@ -133,7 +133,7 @@ impl<P: CanPort> CanNode<P> {
             now,
             machine: None,
             claim: None,
-            standing: Standing::Claiming,
+            standing: AddressState::Claiming,
             refusals: IsoTpErrorCounts::default(),
             ready: None,
             arrivals: VecDeque::new(),
@@ -209,7 +209,7 @@ impl<P: CanPort> CanNode<P> {
                     // If the queue to all is full, the nodes on the bus are received anyway.
                     let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
                 }
-                AddressClaimOutput::Held => self.standing = Standing::Held,
+                AddressClaimOutput::Held => self.standing = AddressState::Held,
                 AddressClaimOutput::Kept { from } => {
                     let (address, own) = (self.config.address, own(&self.config));
                     let text = format!(
@@ -218,7 +218,7 @@ impl<P: CanPort> CanNode<P> {
                     );
                     self.arrivals.push_back(MediumEvent::Clash { text });
                 }
-                AddressClaimOutput::Lost { to } => self.standing = Standing::Lost(to),
+                AddressClaimOutput::Lost { to } => self.standing = AddressState::Lost(to),
             }
         }
     }
@@ -229,9 +229,9 @@ impl<P: CanPort> CanNode<P> {
     /// It is another node's.
     fn may_speak(&self) -> io::Result<bool> {
         match &self.standing {
-            Standing::Claiming => Ok(false),
-            Standing::Held => Ok(true),
-            Standing::Lost(to) => {
+            AddressState::Claiming => Ok(false),
+            AddressState::Held => Ok(true),
+            AddressState::Lost(to) => {
                 let (address, own) = (self.config.address, own(&self.config));
                 Err(io::Error::other(format!(
                     "{to} has the address {address}, which {own} claims: give one of the two \
@@ -440,7 +440,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     fn close(&mut self) {
         self.port.close();
         (self.machine, self.claim) = (None, None);
-        self.standing = Standing::Claiming;
+        self.standing = AddressState::Claiming;
         self.refusals = IsoTpErrorCounts::default();
         self.ready = None;
         self.arrivals.clear();

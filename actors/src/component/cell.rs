@@ -18,7 +18,7 @@ use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
-use crate::messaging::injection::Injected;
+use crate::messaging::injection::InjectionState;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
@@ -59,9 +59,9 @@ pub(crate) struct CellCore {
     pub(crate) limits: ComponentLimits,
     pub(crate) environment: ComponentEnvironment,
     pub(crate) mourners: Watchers,
-    pub(crate) injected: Injected,
+    pub(crate) injected: InjectionState,
     gate: AtomicU8,
-    state: Mutex<Standing>,
+    state: Mutex<CellStatus>,
     /// The life that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
@@ -74,7 +74,7 @@ pub(crate) struct CellCore {
 }
 
 /// Where a component stands, and where it lives.
-struct Standing {
+struct CellStatus {
     state: Lifecycle,
     /// A hook waits for what is not there yet: since when, and why.
     unavailable: Option<(Instant, String)>,
@@ -121,9 +121,9 @@ impl CellCore {
             limits,
             environment,
             mourners: Watchers::default(),
-            injected: Injected::default(),
+            injected: InjectionState::default(),
             gate: AtomicU8::new(0),
-            state: Mutex::new(Standing {
+            state: Mutex::new(CellStatus {
                 state: Lifecycle::Created,
                 unavailable: None,
                 seat: None,

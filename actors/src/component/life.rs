@@ -18,7 +18,7 @@ pub struct TimerId(pub(crate) u64);
 /// What a timer does when it fires.
 pub(crate) type TimerAction<C> = Box<dyn FnMut(&mut C, &mut Context<C>)>;
 /// A future that a component started and owns.
-pub(crate) type Task = Pin<Box<dyn Future<Output = ()>>>;
+pub(crate) type ComponentFuture = Pin<Box<dyn Future<Output = ()>>>;
 
 /// How a timer fires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub(crate) enum TimerMode {
 pub(crate) struct DeferredCommands<C: Component> {
     pub(crate) stop: bool,
     pub(crate) failure: Option<Failure>,
-    pub(crate) tasks: Vec<Task>,
+    pub(crate) tasks: Vec<ComponentFuture>,
     pub(crate) timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
     pub(crate) cancelled: Vec<TimerId>,
     pub(crate) interval: Option<Option<Duration>>,

@@ -28,7 +28,7 @@ use std::collections::BTreeMap;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
 
-type Outcome = Result<Recovered, GaveUp>;
+type RecoveryResult = Result<Recovered, GaveUp>;
 
 /// What a supervisor is made of.
 pub(crate) struct SupervisorSetup {
@@ -55,7 +55,7 @@ pub(crate) struct SupervisorActor {
     wake: WakeTimer,
     children: BTreeMap<ObjectName, Box<dyn Child>>,
     /// Who waits for the outcome of a request; bounded by the machine.
-    waiting: BTreeMap<CallId, oneshot::Sender<Outcome>>,
+    waiting: BTreeMap<CallId, oneshot::Sender<RecoveryResult>>,
     tickets: u64,
     parent: Option<Recipient<ChildReport>>,
     monitor: Recipient<FaultDeclared>,
@@ -127,7 +127,7 @@ impl SupervisorActor {
         context: &mut Context<Self>,
         object: ObjectName,
         input: impl FnOnce(&mut Supervisor, &ObjectName, CallId, Instant),
-    ) -> ResponseFuture<Outcome> {
+    ) -> ResponseFuture<RecoveryResult> {
         self.tickets += 1;
         let ticket = CallId(self.tickets);
         let (answer, outcome) = oneshot::channel();
@@ -139,7 +139,7 @@ impl SupervisorActor {
         })
     }
 
-    fn answer(&mut self, ticket: CallId, outcome: Outcome) {
+    fn answer(&mut self, ticket: CallId, outcome: RecoveryResult) {
         if let Some(waiting) = self.waiting.remove(&ticket) {
             // Whoever asked may have stopped waiting; the deed is done all the same.
             let _ = waiting.send(outcome);
@@ -432,7 +432,7 @@ fn in_order(exit: &ExitReason) -> bool {
 }
 
 impl Handler<RestartChild> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
@@ -445,7 +445,7 @@ impl Handler<RestartChild> for SupervisorActor {
 }
 
 impl Handler<ResetChild> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
         let ResetChild { object } = message;
@@ -454,7 +454,7 @@ impl Handler<ResetChild> for SupervisorActor {
 }
 
 impl Handler<IsolateChild> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
         let IsolateChild { object, isolated } = message;
@@ -465,7 +465,7 @@ impl Handler<IsolateChild> for SupervisorActor {
 }
 
 impl Handler<SafeStop> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;
@@ -488,7 +488,7 @@ fn cause_of_rest(fault: &Fault) -> ReplacementCause {
 }
 
 impl Handler<RemoveChild> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
         let RemoveChild { object } = message;

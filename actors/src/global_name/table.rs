@@ -32,7 +32,7 @@ pub(crate) enum ClaimCommand {
 
 /// Who holds a name, as this node knows it.
 #[derive(Clone, Debug)]
-struct Known {
+struct HolderRecord {
     holder: Holder,
     incarnation: Incarnation,
     since: Instant,
@@ -40,7 +40,7 @@ struct Known {
 
 struct Inner {
     /// As many as the machine takes.
-    known: Mutex<BTreeMap<ObjectName, Known>>,
+    known: Mutex<BTreeMap<ObjectName, HolderRecord>>,
     revision: watch::Sender<u64>,
     body: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
@@ -69,7 +69,7 @@ impl NameResolver for GlobalNameTable {
 }
 
 impl GlobalNameTable {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Known>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, HolderRecord>> {
         self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -84,7 +84,7 @@ impl GlobalNameTable {
         match holder {
             Some((holder, incarnation)) => {
                 let since = platform::now();
-                self.lock().insert(name, Known { holder, incarnation, since });
+                self.lock().insert(name, HolderRecord { holder, incarnation, since });
             }
             None => drop(self.lock().remove(&name)),
         }
@@ -99,12 +99,15 @@ impl GlobalNameTable {
     /// All of them.
     pub(crate) fn rows(&self) -> Vec<ClaimRow> {
         let now = platform::now();
-        let row = |(name, Known { holder, incarnation, since }): (&ObjectName, &Known)| ClaimRow {
-            name: name.clone(),
-            holder: holder.clone(),
-            incarnation: *incarnation,
-            age: now - *since,
-        };
+        let row =
+            |(name, HolderRecord { holder, incarnation, since }): (&ObjectName, &HolderRecord)| {
+                ClaimRow {
+                    name: name.clone(),
+                    holder: holder.clone(),
+                    incarnation: *incarnation,
+                    age: now - *since,
+                }
+            };
         self.lock().iter().map(row).collect()
     }
 

@@ -90,7 +90,7 @@ impl<C: Component> Child for ComponentChild<C> {
         drop(record.take_seat());
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
         self.anchor.set_control(Some(Addr::new(sender).recipient()));
-        let boarding = Boarding { anchor: Some(self.anchor.clone()), incarnation, report };
+        let boarding = PendingStart { anchor: Some(self.anchor.clone()), incarnation, report };
         self.seat = Some(seat.clone());
         let life = move |seat| {
             if let Some(pump) = boarding.enter(seat) {
@@ -237,13 +237,13 @@ impl<C: Component> Watchable for ComponentCell<C> {
 }
 
 /// A life on its way to its arbiter. If that goes away first, the supervisor is told.
-struct Boarding<C: Component> {
+struct PendingStart<C: Component> {
     anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
     report: Recipient<ChildReport>,
 }
 
-impl<C: Component> Boarding<C> {
+impl<C: Component> PendingStart<C> {
     /// The pump of the life, unless that has been given up meanwhile.
     fn enter(mut self, seat: ArbiterSlot) -> Option<SharedExecutor<C>> {
         let anchor = self.anchor.take()?;
@@ -264,7 +264,7 @@ impl<C: Component> Boarding<C> {
     }
 }
 
-impl<C: Component> Drop for Boarding<C> {
+impl<C: Component> Drop for PendingStart<C> {
     fn drop(&mut self) {
         let Some(anchor) = self.anchor.take() else { return };
         if anchor.lane.leave(self.incarnation) {

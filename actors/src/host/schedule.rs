@@ -8,7 +8,7 @@
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
-use crate::component::life::{Task, TimerAction, TimerId, TimerMode};
+use crate::component::life::{ComponentFuture, TimerAction, TimerId, TimerMode};
 use crate::platform;
 use blastema_core::Instant;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -58,7 +58,7 @@ struct Timer<C: Component> {
 
 /// A task of the component's own; it waits while the turn is over.
 struct Spawned {
-    task: Task,
+    task: ComponentFuture,
     budget: Rc<TurnBudget>,
 }
 
@@ -189,7 +189,7 @@ impl<C: Component> ScheduledWork<C> {
     /// Takes on what the component has started, and ends what it has cancelled.
     pub(crate) fn take_on(
         &mut self,
-        tasks: Vec<Task>,
+        tasks: Vec<ComponentFuture>,
         timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
         cancelled: &[TimerId],
         budget: &Rc<TurnBudget>,
@@ -325,7 +325,7 @@ impl<C: Component> ScheduledWork<C> {
     }
 
     /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
-    pub(crate) fn clear(&mut self) -> (Vec<Task>, Vec<TimerAction<C>>) {
+    pub(crate) fn clear(&mut self) -> (Vec<ComponentFuture>, Vec<TimerAction<C>>) {
         let ScheduledWork { tasks, timers, .. } = std::mem::take(self);
         let tasks = tasks.into_iter().map(|spawned| spawned.task);
         let actions = timers.into_values().filter_map(|timer| timer.action);

@@ -117,7 +117,7 @@ pub(super) struct Moment {
 
 /// What is to be written of one fault. What is `None` leaves what was written before.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Line {
+pub(super) struct JournalRow {
     pub(super) fault: Fault,
     pub(super) found: Moment,
     pub(super) measure: Option<String>,
@@ -205,7 +205,7 @@ impl Store {
     }
 
     /// Writes these lines, all or none.
-    pub(super) fn write(&mut self, lines: &[Line]) -> Result<(), StoreError> {
+    pub(super) fn write(&mut self, lines: &[JournalRow]) -> Result<(), StoreError> {
         let transaction = self.connection.transaction()?;
         let mut statement = transaction.prepare(PUT)?;
         lines.iter().try_for_each(|line| put(&mut statement, self.run, line))?;
@@ -261,7 +261,7 @@ pub(super) fn version_of(connection: &Connection) -> rusqlite::Result<i32> {
     connection.pragma_query_value(None, "user_version", |row| row.get(0))
 }
 
-fn put(statement: &mut Statement<'_>, run: i64, line: &Line) -> rusqlite::Result<()> {
+fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::Result<()> {
     let fault = &line.fault;
     let wall = |moment: Option<Moment>| moment.map(|moment| moment.wall.as_micros());
     let monotonic = |moment: Option<Moment>| moment.map(|m| number(m.monotonic.as_nanos()));

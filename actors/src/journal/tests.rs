@@ -1,7 +1,7 @@
 //! Databases in a temporary folder, written by runs of invented nodes.
 
 use super::lock::{JournalLock, LockError};
-use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
+use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use super::writer::set_aside;
 use super::{JournalEntry, JournalStatus, NODE_ENDED, ReadError, WallTime, read};
 use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, NodeName, Place};
@@ -33,7 +33,7 @@ fn moment(millis: u64, wall: i64) -> Moment {
     Moment { monotonic: Instant::from_millis(millis), wall: WallTime::from_micros(wall) }
 }
 
-fn line(id: u64, found: Moment) -> Line {
+fn line(id: u64, found: Moment) -> JournalRow {
     let fault = Fault {
         id: FaultId(id),
         severity: FaultKind::LinkDown.severity(),
@@ -45,7 +45,7 @@ fn line(id: u64, found: Moment) -> Line {
         symptom_of: None,
         count: 1,
     };
-    Line { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+    JournalRow { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
 }
 
 fn statuses(path: &Path) -> Vec<(u64, JournalStatus)> {
@@ -61,14 +61,16 @@ fn a_fault_is_read_as_it_was_written_step_by_step() {
     store.write(&[line(1, found)]).unwrap();
     assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
 
-    let given_up = Line { given_up: Some("no path".to_owned()), ..line(1, found) };
-    store.write(&[Line { measure: Some("re-route".to_owned()), ..line(1, found) }]).unwrap();
+    let given_up = JournalRow { given_up: Some("no path".to_owned()), ..line(1, found) };
+    store.write(&[JournalRow { measure: Some("re-route".to_owned()), ..line(1, found) }]).unwrap();
     store.write(&[given_up]).unwrap();
     assert_eq!(statuses(&path), [(1, JournalStatus::GivenUp)]);
-    let recovered = Line { recovered: Some(moment(130, 5_030_000)), ..line(1, found) };
+    let recovered = JournalRow { recovered: Some(moment(130, 5_030_000)), ..line(1, found) };
     store.write(&[recovered]).unwrap();
     assert_eq!(statuses(&path), [(1, JournalStatus::Recovered)]);
-    store.write(&[Line { repaired: Some(moment(900, 5_800_000)), ..line(1, found) }]).unwrap();
+    store
+        .write(&[JournalRow { repaired: Some(moment(900, 5_800_000)), ..line(1, found) }])
+        .unwrap();
 
     let entries = read(&path).unwrap();
     let [entry] = entries.as_slice() else { panic!("one fault, and not {entries:?}") };
@@ -89,7 +91,7 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
     let mut first = open(&path, 1);
     first.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
     let repaired = Some(moment(3, 3));
-    first.write(&[Line { repaired, ..line(2, moment(2, 2)) }]).unwrap();
+    first.write(&[JournalRow { repaired, ..line(2, moment(2, 2)) }]).unwrap();
     drop((first, lock));
 
     let with_process = (1, JournalStatus::EndedWithProcess);
@@ -114,7 +116,7 @@ fn a_wall_clock_that_is_set_back_changes_no_order_and_no_span() {
     let mut store = open(&path, 1);
     store.write(&[line(1, moment(1_000, 9_000_000))]).unwrap();
     let recovered = Some(moment(1_500, 2_500_000));
-    store.write(&[Line { recovered, ..line(1, moment(1_000, 2_000_000)) }]).unwrap();
+    store.write(&[JournalRow { recovered, ..line(1, moment(1_000, 2_000_000)) }]).unwrap();
     store.write(&[line(2, moment(2_000, 3_000_000))]).unwrap();
 
     let entries = read(&path).unwrap();
@@ -131,7 +133,7 @@ fn the_oldest_faults_that_are_over_make_room() {
     let mut store = Store::open(&path, &author("a", 1), limits).unwrap();
     let repaired = Some(moment(9, 9));
     store.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
-    store.write(&[Line { repaired, ..line(2, moment(2, 2)) }]).unwrap();
+    store.write(&[JournalRow { repaired, ..line(2, moment(2, 2)) }]).unwrap();
 
     store.write(&[line(3, moment(3, 3)), line(4, moment(4, 4))]).unwrap();
     let ids = |path: &Path| read(path).unwrap().iter().map(|entry| entry.id).collect::<Vec<_>>();

@@ -2,7 +2,7 @@
 
 use super::WallTime;
 use super::lock::{JournalLock, beside};
-use super::store::{Author, Line, Moment, Store, StoreError, StoreLimits};
+use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
@@ -43,9 +43,9 @@ pub(crate) struct JournalSetup {
 /// Work for the thread.
 enum Work {
     /// One step of a fault.
-    Step(Box<Line>),
+    Step(Box<JournalRow>),
     /// All that the node remembers.
-    Record(Vec<Line>),
+    Record(Vec<JournalRow>),
     /// The node ends.
     End,
 }
@@ -250,7 +250,7 @@ impl Now {
         Moment { monotonic: at, wall: self.wall.before(self.monotonic - at) }
     }
 
-    fn line_of_event(&self, event: FaultEvent) -> Line {
+    fn line_of_event(&self, event: FaultEvent) -> JournalRow {
         let FaultEvent { fault, at, turn } = event;
         let at = self.moment(at);
         let over = fault.is_repaired_by_recovery();
@@ -268,9 +268,9 @@ impl Now {
         line
     }
 
-    fn line_of_entry(&self, entry: FaultEntry) -> Line {
+    fn line_of_entry(&self, entry: FaultEntry) -> JournalRow {
         let FaultEntry { fault, decided, recovered_at, repaired_at, given_up } = entry;
-        Line {
+        JournalRow {
             measure: decided.map(|(_, measure)| measure),
             recovered: recovered_at.map(|at| self.moment(at)),
             repaired: repaired_at.map(|at| self.moment(at)),
@@ -279,9 +279,9 @@ impl Now {
         }
     }
 
-    fn blank(&self, fault: blastema_core::Fault) -> Line {
+    fn blank(&self, fault: blastema_core::Fault) -> JournalRow {
         let found = self.moment(fault.found_at);
-        Line { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+        JournalRow { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
     }
 }
 
@@ -323,7 +323,7 @@ impl Writer {
     }
 
     /// Takes a piece of work apart. Answers whether it was the last.
-    fn gather(&self, work: Work, lines: &mut Vec<Line>, whole: &mut bool) -> bool {
+    fn gather(&self, work: Work, lines: &mut Vec<JournalRow>, whole: &mut bool) -> bool {
         match work {
             Work::Step(line) => lines.push(*line),
             Work::Record(record) => {
@@ -338,7 +338,7 @@ impl Writer {
     fn write(
         &self,
         store: &mut Option<Store>,
-        lines: &[Line],
+        lines: &[JournalRow],
         told: &Recipient<Wrote>,
     ) -> Result<(), String> {
         let written = self.open(store).and_then(|store| store.write(lines));

@@ -128,15 +128,16 @@ impl ActivityRecord {
 const CHUNK: usize = 1024;
 
 /// All stamps of the process. It grows to the largest number of components that lived at one time.
-struct Table {
+struct ActivityTable {
     chunks: Vec<&'static [ActivityRecord]>,
     free: Vec<u32>,
     next: u32,
 }
 
-static TABLE: Mutex<Table> = Mutex::new(Table { chunks: Vec::new(), free: Vec::new(), next: 0 });
+static TABLE: Mutex<ActivityTable> =
+    Mutex::new(ActivityTable { chunks: Vec::new(), free: Vec::new(), next: 0 });
 
-fn table() -> MutexGuard<'static, Table> {
+fn table() -> MutexGuard<'static, ActivityTable> {
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -310,7 +310,7 @@ struct Eyes {
     monitor: Recipient<LivenessReported>,
 }
 
-struct Known {
+struct KnownComponent {
     object: ObjectName,
     arbiter: u64,
     stamp: &'static ActivityRecord,
@@ -319,14 +319,14 @@ struct Known {
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
 #[derive(Default)]
-struct Stamps(Vec<Option<Known>>);
+struct Stamps(Vec<Option<KnownComponent>>);
 
 impl Stamps {
-    fn get(&self, slot: u32) -> Option<&Known> {
+    fn get(&self, slot: u32) -> Option<&KnownComponent> {
         self.0.get(slot as usize)?.as_ref()
     }
 
-    fn enter(&mut self, slot: u32, known: Known) {
+    fn enter(&mut self, slot: u32, known: KnownComponent) {
         let at = slot as usize;
         if self.0.len() <= at {
             self.0.resize_with(at + 1, || None);
@@ -334,7 +334,7 @@ impl Stamps {
         self.0[at] = Some(known);
     }
 
-    fn retain(&mut self, mut keeps: impl FnMut(u32, &Known) -> bool) {
+    fn retain(&mut self, mut keeps: impl FnMut(u32, &KnownComponent) -> bool) {
         for (slot, place) in (0..).zip(&mut self.0) {
             if place.as_ref().is_some_and(|known| !keeps(slot, known)) {
                 *place = None;
@@ -433,7 +433,7 @@ impl Eyes {
             scanner.handle_enter(*slot, entry.judged(), now);
             let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
             let (stamp, inside) = (entry.stamp, entry.inside.clone());
-            self.stamps.enter(*slot, Known { object, arbiter, stamp, inside });
+            self.stamps.enter(*slot, KnownComponent { object, arbiter, stamp, inside });
             self.pulses.insert(arbiter, entry.pulse.clone());
         }
         let arbiters: BTreeSet<u64> =
@@ -500,7 +500,7 @@ impl Eyes {
     }
 }
 
-fn read(known: Option<&Known>) -> ComponentSample {
+fn read(known: Option<&KnownComponent>) -> ComponentSample {
     let reading = known.map(|known| known.stamp.read()).unwrap_or_default();
     ComponentSample {
         turn: reading.turn,

@@ -30,7 +30,7 @@ pub enum Injection {
 
 /// What was put into one component.
 #[derive(Debug, Default)]
-pub(crate) struct Injected {
+pub(crate) struct InjectionState {
     any: AtomicBool,
     hangs: AtomicBool,
     silent: AtomicBool,
@@ -38,7 +38,7 @@ pub(crate) struct Injected {
     delay_nanos: AtomicU64,
 }
 
-impl Injected {
+impl InjectionState {
     /// Panics are not kept: they happen.
     pub(crate) fn put_in(&self, injection: Injection) {
         match injection {

@@ -53,7 +53,7 @@ const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
 
 /// What the gateway must know after a panic.
-struct Wiring {
+struct GatewaySetup {
     registry: Registry,
     topics: Topics,
     recoverer: Option<Recipient<Recover>>,
@@ -77,7 +77,7 @@ pub(super) struct SessionRecipients {
 
 /// Speaks for the objects of this node.
 pub(super) struct GatewayActor {
-    wiring: Wiring,
+    wiring: GatewaySetup,
     exchange: PeerProtocol,
     naming: NodeDirectory,
     peers: BTreeMap<NodeId, GatewayPeer>,
@@ -136,7 +136,7 @@ impl GatewayActor {
             let wardens = IsolationControl::new(machine, told_of);
             // A gateway is made once.
             let _ = told.set(wardens.clone());
-            GatewayActor::wired(Wiring {
+            GatewayActor::wired(GatewaySetup {
                 registry,
                 topics,
                 recoverer,
@@ -151,7 +151,7 @@ impl GatewayActor {
         }
     }
 
-    fn wired(wiring: Wiring) -> Self {
+    fn wired(wiring: GatewaySetup) -> Self {
         GatewayActor {
             wiring,
             exchange: PeerProtocol::default(),

@@ -27,17 +27,17 @@ pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
     gates: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
     outcast: Outcast,
-    ended: Ended,
+    ended: EndedFlag,
 }
 
 /// Whether this node takes nothing for others any more, since it ends. All gates have the same.
-type Ended = Arc<AtomicBool>;
+type EndedFlag = Arc<AtomicBool>;
 
 /// What all doors to one peer share.
 pub(super) struct PeerSendState {
     node: NodeName,
     outcast: Outcast,
-    ended: Ended,
+    ended: EndedFlag,
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
     path: AtomicBool,
@@ -275,7 +275,7 @@ impl PeerStubs {
             gateway: OnceLock::new(),
             gates: Mutex::default(),
             outcast,
-            ended: Ended::default(),
+            ended: EndedFlag::default(),
         }
     }
 

@@ -1,6 +1,6 @@
 //! The history of faults, as it happens.
 
-use super::{FaultSubscriptions, NodeState, Step};
+use super::{FaultSubscriptions, NodeState};
 use actix::prelude::*;
 use blastema_contract::detector::{FaultEvent, Subscribe};
 use std::sync::Arc;
@@ -19,7 +19,7 @@ const BACKLOG: usize = 1024;
 /// [`Node::fault_events`]: crate::Node::fault_events
 #[derive(Debug)]
 pub struct FaultEvents {
-    events: mpsc::Receiver<Step>,
+    events: mpsc::Receiver<FaultEvent>,
     missed: Arc<AtomicU64>,
     state: watch::Receiver<NodeState>,
 }
@@ -27,7 +27,7 @@ pub struct FaultEvents {
 /// Lives as long as the detector knows it and somebody reads.
 #[derive(Debug)]
 pub(super) struct FaultListener {
-    events: mpsc::Sender<Step>,
+    events: mpsc::Sender<FaultEvent>,
     missed: Arc<AtomicU64>,
 }
 

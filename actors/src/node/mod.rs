@@ -63,7 +63,7 @@ use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
 use assembly::{FaultChain, Networks};
-use blastema_contract::detector::{FaultEvent, ReadRecord, Subscribe};
+use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{AddChild, ReadTree, RemoveChild, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
@@ -529,5 +529,3 @@ impl Drop for Shared {
 
 /// Subscribes to fault events.
 type FaultSubscriptions = Recipient<Subscribe>;
-/// One step in the history of a fault, as [`FaultEvents`] yields it.
-type Step = FaultEvent;

@@ -52,24 +52,24 @@ struct AwaitEnd {
 #[contract(crate = "crate")]
 struct Watched {
     ends: u64,
-    ended: Option<Ended>,
+    ended: Option<LastEnd>,
 }
 
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-struct Ended {
+struct LastEnd {
     incarnation: Incarnation,
     ending: Ending,
 }
 
-impl From<Down> for Ended {
+impl From<Down> for LastEnd {
     fn from(down: Down) -> Self {
         let Down { incarnation, mut ending, .. } = down;
         if let Ending::Panicked { text, .. } = &mut ending {
             let end = (0..=TEXT_MAX.min(text.len())).rev().find(|at| text.is_char_boundary(*at));
             text.truncate(end.unwrap_or(0));
         }
-        Ended { incarnation, ending }
+        LastEnd { incarnation, ending }
     }
 }
 
@@ -82,12 +82,12 @@ pub(crate) fn follow(
 ) -> impl Future<Output = ()> {
     let sender = registry.sender::<AwaitEnd>(&format!("{node}:{PLACE}"));
     async move {
-        let down = |Ended { incarnation, ending }| {
+        let down = |LastEnd { incarnation, ending }| {
             tell(Down { object: object.clone(), node: Some(node.clone()), incarnation, ending });
         };
         let incarnation = Incarnation(0);
         let lost = |why: &DeliveryError| {
-            down(Ended { incarnation, ending: Ending::NodeLost { reason: why.to_string() } });
+            down(LastEnd { incarnation, ending: Ending::NodeLost { reason: why.to_string() } });
         };
         match sender {
             Ok(sender) => ask_on(&sender, &object, down, lost).await,
@@ -100,7 +100,7 @@ pub(crate) fn follow(
 async fn ask_on(
     sender: &Sender<AwaitEnd>,
     object: &ObjectName,
-    down: impl Fn(Ended),
+    down: impl Fn(LastEnd),
     lost: impl Fn(&DeliveryError),
 ) {
     let (mut seen, mut is_lost) = (None, false);
@@ -157,7 +157,7 @@ struct DeathDesk {
 #[derive(Default)]
 struct Counted {
     ends: u64,
-    last: Option<Ended>,
+    last: Option<LastEnd>,
     waiting: Vec<Responder<AwaitEnd>>,
 }
 
@@ -201,14 +201,14 @@ impl DeathDesk {
     }
 
     /// Watches the object, unless it is watched already; says why it does not live now, if so.
-    fn watch(&self, object: &ObjectName) -> Option<Ended> {
+    fn watch(&self, object: &ObjectName) -> Option<LastEnd> {
         let registry = self.registry.upgrade()?;
         let absent = Arc::new(Mutex::new(None));
         let (desk, told) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             Ending::NotAlive | Ending::Unknown => {
-                *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(Ended::from(down));
+                *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(LastEnd::from(down));
             }
             _ => desk.end(down),
         };
@@ -221,7 +221,7 @@ impl DeathDesk {
     fn end(&self, down: Down) {
         let mut objects = self.lock();
         let counted = objects.entry(down.object.clone()).or_default();
-        let ended = Some(Ended::from(down));
+        let ended = Some(LastEnd::from(down));
         counted.ends += 1;
         counted.last.clone_from(&ended);
         let (ends, waiting) = (counted.ends, std::mem::take(&mut counted.waiting));

@@ -40,8 +40,8 @@ pub(crate) enum CallOutcome {
 
 /// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`] and
 /// it returns.
-type Outcome = Box<dyn Fn(CallOutcome) + Send>;
-type Late = Box<dyn FnOnce(Duration) + Send>;
+type OutcomeFn = Box<dyn Fn(CallOutcome) + Send>;
+type LateFn = Box<dyn FnOnce(Duration) + Send>;
 
 /// The calls of one node. Clones share them.
 #[derive(Clone, Default)]
@@ -52,23 +52,23 @@ struct Threads {
     limit: Duration,
     /// Counts the threads that are abandoned, with those of components.
     arbiters: ArbiterPool,
-    running: Mutex<Running>,
+    running: Mutex<ActiveCalls>,
     queue: Mutex<Queue>,
     reports: OnceLock<FaultReports>,
 }
 
 /// At most one call a thread.
 #[derive(Default)]
-struct Running {
+struct ActiveCalls {
     next: u64,
-    calls: Vec<Call>,
+    calls: Vec<ActiveCall>,
 }
 
-struct Call {
+struct ActiveCall {
     id: u64,
     /// For how long it was seen to run.
     seen: Duration,
-    late: Late,
+    late: LateFn,
 }
 
 /// Safe outputs that are to be applied: no more than components and actuators come to rest at once.
@@ -84,7 +84,7 @@ struct Job {
     /// Whose code it is.
     object: ObjectName,
     run: Box<dyn FnOnce() + Send>,
-    outcome: Outcome,
+    outcome: OutcomeFn,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -146,7 +146,7 @@ impl Callbacks {
         let mut running = lock(&threads.running);
         let id = running.next;
         running.next += 1;
-        running.calls.push(Call { id, seen: Duration::ZERO, late: Box::new(late) });
+        running.calls.push(ActiveCall { id, seen: Duration::ZERO, late: Box::new(late) });
         drop(running);
         Some(RunningCall { threads, id })
     }
@@ -154,7 +154,7 @@ impl Callbacks {
     /// The next look at the calls that run, `since` after the one before.
     pub(crate) fn look(&self, since: Duration) {
         let Some(threads) = &self.0 else { return };
-        let late: Vec<Call> = {
+        let late: Vec<ActiveCall> = {
             let mut running = lock(&threads.running);
             running.calls.iter_mut().for_each(|call| call.seen += since);
             running.calls.extract_if(.., |call| call.seen > threads.limit).collect()

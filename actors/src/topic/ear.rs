@@ -32,7 +32,7 @@ pub(super) struct Ear<E> {
     pub(super) since: u64,
     /// Names the component to the watch while its condition and its handler run.
     pub(super) place: Cell<Option<ActivitySlotRef>>,
-    pub(super) listener: Box<dyn Listener<E>>,
+    pub(super) listener: Box<dyn EventListener<E>>,
 }
 
 impl<E> Ear<E> {
@@ -42,7 +42,7 @@ impl<E> Ear<E> {
 }
 
 /// The component behind an ear.
-pub(super) trait Listener<E> {
+pub(super) trait EventListener<E> {
     /// Serves the event, or queues it where the component is busy. Answers where the component is.
     fn take(
         &self,
@@ -81,7 +81,7 @@ impl<C: Component> Resident<C> {
     }
 }
 
-impl<C: Handle<E>, E: Event> Listener<E> for Resident<C> {
+impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
     #[inline]
     fn take(
         &self,

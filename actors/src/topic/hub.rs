@@ -47,7 +47,7 @@ pub(crate) struct HubQueue<E> {
     listeners: AtomicU64,
     /// Its last listener has left. Changed under the topic's lock.
     retired: AtomicBool,
-    serving: Mutex<Serving<E>>,
+    serving: Mutex<HubBatch<E>>,
     /// The number of the last ear that was offered what is served; ears have their turn by rising
     /// numbers.
     reached: AtomicU64,
@@ -60,7 +60,7 @@ pub(crate) struct HubQueue<E> {
 
 /// What a hub has taken from its lane, or is to give to one ear before that: for listeners that
 /// leave a hub that is stuck.
-struct Serving<E> {
+struct HubBatch<E> {
     events: Arc<Vec<Posted<E>>>,
     /// They are for this ear only.
     only: Option<u64>,
@@ -173,7 +173,7 @@ impl<E: Event> Topic<E> {
         }
         let lane = BoundedQueue::new(CAPACITY, WhenFull::DropOldest);
         lane.begin(OWNER);
-        let serving = Serving { events: Arc::default(), only: None, brought: VecDeque::new() };
+        let serving = HubBatch { events: Arc::default(), only: None, brought: VecDeque::new() };
         let shared = Arc::new(HubQueue {
             lane,
             id: NEXT.fetch_add(1, Relaxed),

@@ -308,14 +308,14 @@ impl fmt::Display for Naming {
     }
 }
 
-struct Known {
+struct TopicEntry {
     naming: Naming,
     /// A `Topic<E>`.
     typed: Arc<dyn Any + Send + Sync>,
     erased: Arc<dyn AnyTopic>,
 }
 
-impl Known {
+impl TopicEntry {
     /// Names the contract that the topic carries and the one that another party means by it.
     fn difference(&self, topic: &str, naming: Naming, wanted: &ContractIdentity) -> String {
         let (known, first) = (self.erased.identity(), self.naming);
@@ -341,7 +341,7 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
 #[derive(Default)]
 struct Inner {
     /// As many as the program has publishers and listeners.
-    topics: BTreeMap<ObjectName, Known>,
+    topics: BTreeMap<ObjectName, TopicEntry>,
     /// Kept for topics that no object of this node has named yet.
     forwards: BTreeMap<ObjectName, BTreeMap<u64, RemoteForward>>,
     next_forward: u64,
@@ -404,7 +404,7 @@ impl Topics {
         }
         inner
             .topics
-            .insert(key.topic, Known { naming, typed: topic.clone(), erased: topic.clone() });
+            .insert(key.topic, TopicEntry { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
     }
 
@@ -493,7 +493,7 @@ impl Topics {
     pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let carried = |known: &Known| (known.erased.key().clone(), known.erased.identities());
+        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identities());
         listened.map(|(_, known)| carried(known)).collect()
     }
 

@@ -30,7 +30,7 @@ struct LinkSeen {
 #[derive(Clone, Debug)]
 struct NodeSeen {
     incarnation: Incarnation,
-    standing: Standing,
+    standing: PeerStatus,
     last_sign: Option<Instant>,
     restarts: u32,
     /// Who has isolated it, and why.
@@ -40,7 +40,7 @@ struct NodeSeen {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Standing {
+enum PeerStatus {
     Here,
     /// Why it is thought to be lost.
     Lost(String),
@@ -53,7 +53,7 @@ impl NodeSeen {
     fn unmet() -> Self {
         NodeSeen {
             incarnation: Incarnation::default(),
-            standing: Standing::Lost("it was not met yet".to_owned()),
+            standing: PeerStatus::Lost("it was not met yet".to_owned()),
             last_sign: None,
             restarts: 0,
             isolated: None,
@@ -113,7 +113,7 @@ impl PeerTable {
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
-        self.nodes.get(node).is_some_and(|seen| seen.standing == Standing::Left)
+        self.nodes.get(node).is_some_and(|seen| seen.standing == PeerStatus::Left)
     }
 
     /// The router reports how a node is. The same condition again is no news, a newer life is. What
@@ -142,11 +142,11 @@ impl PeerTable {
             && (incarnation < seen.incarnation
                 || incarnation != seen.incarnation
                     && seen.incarnation != Incarnation::default()
-                    && seen.standing == Standing::Here)
+                    && seen.standing == PeerStatus::Here)
         {
             return Err(seen.incarnation);
         }
-        let left = before.is_some_and(|seen| seen.standing == Standing::Left);
+        let left = before.is_some_and(|seen| seen.standing == PeerStatus::Left);
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
@@ -163,20 +163,20 @@ impl PeerTable {
             gone => gone,
         };
         let standing = match &condition {
-            NodeCondition::Lost { reason } => Standing::Lost(reason.clone()),
-            NodeCondition::Left => Standing::Left,
-            _ => Standing::Here,
+            NodeCondition::Lost { reason } => PeerStatus::Lost(reason.clone()),
+            NodeCondition::Left => PeerStatus::Left,
+            _ => PeerStatus::Here,
         };
         let known = before.map(|seen| discriminant(&seen.standing));
         let isolated = before.and_then(|seen| seen.isolated.clone());
         // That an isolated node cannot be reached is as it should be.
         let is_news = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
-        let here = standing == Standing::Here;
+        let here = standing == PeerStatus::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
         // Another life is at work, until it says otherwise.
         let same = before.is_some_and(|seen| seen.incarnation == incarnation);
-        let rest = before.filter(|_| same && !matches!(standing, Standing::Left));
+        let rest = before.filter(|_| same && !matches!(standing, PeerStatus::Left));
         let rest = rest.and_then(|seen| seen.rest.clone());
         let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
@@ -214,7 +214,7 @@ impl PeerTable {
         // Who says so is here.
         let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
             incarnation,
-            standing: Standing::Here,
+            standing: PeerStatus::Here,
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
@@ -250,13 +250,13 @@ impl PeerTable {
         });
         let nodes = self.nodes.iter().map(move |(node, seen)| {
             let (opinion, note) = match &seen.standing {
-                Standing::Here => (Opinion::Trusted, None),
-                Standing::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
+                PeerStatus::Here => (Opinion::Trusted, None),
+                PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
-                Standing::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
+                PeerStatus::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
             };
             let (opinion, note) = match (&seen.standing, &seen.rest) {
-                (Standing::Here, Some(reason)) => {
+                (PeerStatus::Here, Some(reason)) => {
                     (Opinion::AtRest, Some(format!("in the safe state: {reason}")))
                 }
                 _ => (opinion, note),

@@ -77,7 +77,7 @@ struct Symptom {
 
 /// How far up its ladder a fault had got when it was last recovered.
 #[derive(Clone, Copy, Debug)]
-struct Memory {
+struct LadderProgress {
     rung: usize,
     attempt: u32,
     until: Instant,
@@ -99,7 +99,7 @@ pub struct Recoverer {
     orders: u64,
     cases: BTreeMap<Place, Case>,
     symptoms: BTreeMap<FaultId, Symptom>,
-    memories: BTreeMap<(Place, FaultKind), Memory>,
+    memories: BTreeMap<(Place, FaultKind), LadderProgress>,
     open: BTreeMap<u64, (Place, RecoveryAction)>,
     engaged: BTreeMap<RecoveryAction, Engaged>,
     standstill: Option<Standstill>,
@@ -402,7 +402,7 @@ impl Recoverer {
         // More than that at once is a storm, in which nobody's past matters.
         if self.memories.len() < self.limits.cases {
             let until = now + self.limits.memory;
-            self.memories.insert(what, Memory { rung, attempt, until });
+            self.memories.insert(what, LadderProgress { rung, attempt, until });
         }
     }
 

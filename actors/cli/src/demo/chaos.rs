@@ -1,6 +1,6 @@
 //! Random faults, the same for the same seed.
 
-use super::injection::Injection;
+use super::injection::FaultInjection;
 use super::protocol::ObjectFault;
 use super::robot::{CABLES, Module, skin};
 use blastema::core::random::Random;
@@ -58,7 +58,7 @@ impl RandomFaults {
     }
 
     /// The next fault.
-    pub(crate) fn next(&mut self) -> Injection {
+    pub(crate) fn next(&mut self) -> FaultInjection {
         let injection = loop {
             let candidate = self.any();
             if !self.spared.contains(&candidate.place()) {
@@ -72,12 +72,12 @@ impl RandomFaults {
         injection
     }
 
-    fn any(&mut self) -> Injection {
+    fn any(&mut self) -> FaultInjection {
         match self.random.below(12) {
-            0 => Injection::Cut { cable: self.random.one_of(&CABLES), returns: true },
-            1 => Injection::Blackout { far: self.far() },
-            2 => Injection::Router { module: self.random.one_of(&Module::ALL) },
-            3 => Injection::Kill { module: self.far() },
+            0 => FaultInjection::Cut { cable: self.random.one_of(&CABLES), returns: true },
+            1 => FaultInjection::Blackout { far: self.far() },
+            2 => FaultInjection::Router { module: self.random.one_of(&Module::ALL) },
+            3 => FaultInjection::Kill { module: self.far() },
             _ => self.object(),
         }
     }
@@ -87,7 +87,7 @@ impl RandomFaults {
         self.random.one_of(&[Module::Module2, Module::Module3])
     }
 
-    fn object(&mut self) -> Injection {
+    fn object(&mut self) -> FaultInjection {
         let fault = self.random.one_of(&[
             ObjectFault::Panic,
             ObjectFault::Hang { millis: HANG_MILLIS },
@@ -110,7 +110,7 @@ impl RandomFaults {
             _ if self.random.below(2) == 0 => skin(cell),
             _ => self.random.one_of(module.components()).to_owned(),
         };
-        Injection::Object { module, object, fault }
+        FaultInjection::Object { module, object, fault }
     }
 }
 

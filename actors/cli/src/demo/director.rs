@@ -2,7 +2,7 @@
 
 use super::control::{ControlError, ControlListener, LineReader, LineWriter};
 use super::display::{Display, Mode, OutputClosed};
-use super::launcher::{Ended, Process};
+use super::launcher::{ModuleEnded, Process};
 use super::machine_instant::MachineInstant;
 use super::protocol::{DirectorCommand, ModuleEvent, VERSION};
 use super::report::Report;
@@ -10,7 +10,7 @@ use super::robot::Module;
 use super::scenario::{ProgressLine, Scenario, ScenarioOutput, ScenarioPlan};
 use super::trial::TrialOutput;
 use super::view::{DemoView, LINE_LIMIT};
-use super::wiring::Wiring;
+use super::wiring::CableAddresses;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::time::Duration;
@@ -80,7 +80,7 @@ pub(crate) enum DemoError {
 /// An input of the director.
 enum Happening {
     Said(Said),
-    Ended(Ended),
+    Ended(ModuleEnded),
     Entered(i32, LineReader, LineWriter),
     EntryFailed(io::Error),
     Due,
@@ -92,12 +92,12 @@ enum Happening {
 pub(crate) struct Director {
     scenario: Scenario,
     lines: VecDeque<ProgressLine>,
-    wiring: Wiring,
+    wiring: CableAddresses,
     rewired: u32,
     listener: Option<ControlListener>,
     crew: BTreeMap<Module, Member>,
     said: (Sender<Said>, Receiver<Said>),
-    ended: (Sender<Ended>, Receiver<Ended>),
+    ended: (Sender<ModuleEnded>, Receiver<ModuleEnded>),
     signals: Signals,
 }
 
@@ -137,7 +137,7 @@ impl Director {
         }
         // Signals are caught before the first process is started, so that none is left behind.
         let signals = Signals::catch()?;
-        let wiring = Wiring::choose()
+        let wiring = CableAddresses::choose()
             .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
         let mut director = Director {
             scenario: Scenario::new(plan, MachineInstant::now()),
@@ -252,14 +252,14 @@ impl Director {
     fn rewire(&mut self) -> Result<(), DemoError> {
         self.rewired += 1;
         if self.rewired <= ATTEMPTS {
-            self.wiring = Wiring::choose().map_err(system("no free port on loopback"))?;
+            self.wiring = CableAddresses::choose().map_err(system("no free port on loopback"))?;
             self.crew.values_mut().for_each(|member| member.process.kill());
         }
         Ok(())
     }
 
-    fn handle_ended(&mut self, ended: Ended, now: MachineInstant) -> Result<(), DemoError> {
-        let Ended { module, id, how } = ended;
+    fn handle_ended(&mut self, ended: ModuleEnded, now: MachineInstant) -> Result<(), DemoError> {
+        let ModuleEnded { module, id, how } = ended;
         let Some(member) = self.crew.get(&module).filter(|member| member.process.id == id) else {
             return Ok(());
         };
@@ -414,12 +414,12 @@ impl Director {
 
 async fn all_ended(
     crew: &mut BTreeMap<Module, Member>,
-    ended: &mut Receiver<Ended>,
+    ended: &mut Receiver<ModuleEnded>,
     said: &mut Receiver<Said>,
 ) {
     while !crew.is_empty() {
         tokio::select! {
-            Some(Ended { module, id, .. }) = ended.recv() => {
+            Some(ModuleEnded { module, id, .. }) = ended.recv() => {
                 if crew.get(&module).is_some_and(|member| member.process.id == id) {
                     crew.remove(&module);
                 }
@@ -434,7 +434,7 @@ async fn all_ended(
 async fn speak(
     mut writer: LineWriter,
     mut queue: Receiver<DirectorCommand>,
-    wiring: Wiring,
+    wiring: CableAddresses,
     delay: Duration,
 ) {
     sleep(delay).await;

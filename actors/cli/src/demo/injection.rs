@@ -7,7 +7,7 @@ use std::fmt;
 
 /// An injected fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Injection {
+pub(crate) enum FaultInjection {
     /// Harm to one object.
     Object {
         /// Its module.
@@ -63,11 +63,11 @@ pub(crate) enum ServiceRestored {
     Rejoining,
 }
 
-impl Injection {
+impl FaultInjection {
     /// Returns the kind, for the table.
     pub(crate) fn title(&self) -> &'static str {
         match self {
-            Injection::Object { fault, .. } => match fault {
+            FaultInjection::Object { fault, .. } => match fault {
                 ObjectFault::Panic => "panic",
                 ObjectFault::Hang { .. } => "hang",
                 ObjectFault::ErrorState => "error state",
@@ -75,44 +75,46 @@ impl Injection {
                 ObjectFault::Silence => "silent object",
                 ObjectFault::Flood { .. } => "flood",
             },
-            Injection::Cut { .. } => "cable cut",
-            Injection::Blackout { .. } => "both cables cut, return",
-            Injection::Router { .. } => "panic in the router",
-            Injection::Kill { .. } => "kill -9, rejoin",
+            FaultInjection::Cut { .. } => "cable cut",
+            FaultInjection::Blackout { .. } => "both cables cut, return",
+            FaultInjection::Router { .. } => "panic in the router",
+            FaultInjection::Kill { .. } => "kill -9, rejoin",
         }
     }
 
     /// Returns the place, for the table.
     pub(crate) fn place(&self) -> String {
         match self {
-            Injection::Object { module, object, .. } => format!("{module}:{object}"),
-            Injection::Cut { cable, .. } => {
+            FaultInjection::Object { module, object, .. } => format!("{module}:{object}"),
+            FaultInjection::Cut { cable, .. } => {
                 format!("{} -{}- {}", Module::Module1, cable.name, cable.far)
             }
-            Injection::Blackout { far } => format!("{} - {far}", Module::Module1),
-            Injection::Router { module } => format!("{module}, its router"),
-            Injection::Kill { module } => module.to_string(),
+            FaultInjection::Blackout { far } => format!("{} - {far}", Module::Module1),
+            FaultInjection::Router { module } => format!("{module}, its router"),
+            FaultInjection::Kill { module } => module.to_string(),
         }
     }
 
     /// Returns the commands that inject the fault; a kill needs none.
     pub(crate) fn strike(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
-            Injection::Object { module, object, fault } => {
+            FaultInjection::Object { module, object, fault } => {
                 let object = ObjectName::new(object).expect("the objects' names are names");
                 vec![(*module, DirectorCommand::Strike { order, object, fault: *fault })]
             }
-            Injection::Cut { cable, .. } => at_both_ends(&[*cable], cut(order)),
-            Injection::Blackout { far } => at_both_ends(&cables_to(*far), cut(order)),
-            Injection::Router { module } => vec![(*module, DirectorCommand::PanicRouter { order })],
-            Injection::Kill { .. } => vec![],
+            FaultInjection::Cut { cable, .. } => at_both_ends(&[*cable], cut(order)),
+            FaultInjection::Blackout { far } => at_both_ends(&cables_to(*far), cut(order)),
+            FaultInjection::Router { module } => {
+                vec![(*module, DirectorCommand::PanicRouter { order })]
+            }
+            FaultInjection::Kill { .. } => vec![],
         }
     }
 
     /// Returns the commands without which service cannot be restored.
     pub(crate) fn repair(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
-            Injection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
+            FaultInjection::Blackout { far } => at_both_ends(&cables_to(*far), restore(order)),
             _ => vec![],
         }
     }
@@ -120,7 +122,7 @@ impl Injection {
     /// Returns the commands that restore the former state after the step.
     pub(crate) fn clean_up(&self, order: OrderId) -> Vec<(Module, DirectorCommand)> {
         match self {
-            Injection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
+            FaultInjection::Cut { cable, returns: true } => at_both_ends(&[*cable], restore(order)),
             _ => vec![],
         }
     }
@@ -128,11 +130,11 @@ impl Injection {
     /// The criterion of restored service.
     pub(crate) fn comes_back_by(&self) -> ServiceRestored {
         match self {
-            Injection::Object { .. } => ServiceRestored::Service,
-            Injection::Cut { .. } | Injection::Blackout { .. } | Injection::Router { .. } => {
-                ServiceRestored::Traffic
-            }
-            Injection::Kill { .. } => ServiceRestored::Rejoining,
+            FaultInjection::Object { .. } => ServiceRestored::Service,
+            FaultInjection::Cut { .. }
+            | FaultInjection::Blackout { .. }
+            | FaultInjection::Router { .. } => ServiceRestored::Traffic,
+            FaultInjection::Kill { .. } => ServiceRestored::Rejoining,
         }
     }
 
@@ -144,33 +146,33 @@ impl Injection {
     /// Returns whether the module that found the fault must report its recovery. Software cannot
     /// recover a cut cable; the flows show that messages take another path.
     pub(crate) fn wants_report(&self) -> bool {
-        matches!(self, Injection::Object { .. } | Injection::Router { .. })
+        matches!(self, FaultInjection::Object { .. } | FaultInjection::Router { .. })
     }
 
     /// Returns the relation of a reported fault to this one.
     pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
-            Injection::Object { module, object, fault } => {
+            FaultInjection::Object { module, object, fault } => {
                 let here = note.place == Place::Object(address(*module, object));
                 let comes_along = companions_of(*fault).contains(&note.kind);
                 (here && note.kind == kind_of(*fault), here && comes_along)
             }
-            Injection::Cut { cable, .. } => {
+            FaultInjection::Cut { cable, .. } => {
                 let here = is_cable(&note.place, cable);
                 (here && note.kind == FaultKind::LinkDown, here)
             }
-            Injection::Blackout { far } => {
+            FaultInjection::Blackout { far } => {
                 let here = cables_to(*far).iter().any(|cable| is_cable(&note.place, cable));
                 let lost = note.kind == FaultKind::NodeLost;
                 (lost || here && note.kind == FaultKind::LinkDown, here || lost)
             }
-            Injection::Router { module } => {
+            FaultInjection::Router { module } => {
                 let here = matches!(&note.place, Place::Object(address)
                     if is_node(address.node.as_str(), *module)
                         && address.object.as_str().contains("router"));
                 (here && note.kind == FaultKind::Panic, here)
             }
-            Injection::Kill { module } => {
+            FaultInjection::Kill { module } => {
                 let here = note.place == Place::Node(address(*module, "node").node);
                 (here && note.kind == FaultKind::NodeLost, here || touches(&note.place, *module))
             }
@@ -184,18 +186,17 @@ impl Injection {
 
     fn concerns(&self, flow: &Flow) -> bool {
         match self {
-            Injection::Object { .. } => false,
-            Injection::Cut { cable: DemoCable { far, .. }, .. } | Injection::Blackout { far } => {
-                flow.crosses(*far)
-            }
-            Injection::Router { module } | Injection::Kill { module } => {
+            FaultInjection::Object { .. } => false,
+            FaultInjection::Cut { cable: DemoCable { far, .. }, .. }
+            | FaultInjection::Blackout { far } => flow.crosses(*far),
+            FaultInjection::Router { module } | FaultInjection::Kill { module } => {
                 *module == Module::Module1 || flow.crosses(*module)
             }
         }
     }
 }
 
-impl fmt::Display for Injection {
+impl fmt::Display for FaultInjection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} in {}", self.title(), self.place())
     }
@@ -299,8 +300,8 @@ mod tests {
         Place::Link { node, link: link.into(), neighbour: None }
     }
 
-    fn strike(fault: ObjectFault) -> Injection {
-        Injection::Object { module: Module::Module1, object: "planner".into(), fault }
+    fn strike(fault: ObjectFault) -> FaultInjection {
+        FaultInjection::Object { module: Module::Module1, object: "planner".into(), fault }
     }
 
     #[test]
@@ -322,7 +323,7 @@ mod tests {
 
     #[test]
     fn a_cut_is_named_by_its_cable_from_either_end() {
-        let cut = Injection::Cut { cable: CABLES[0], returns: false };
+        let cut = FaultInjection::Cut { cable: CABLES[0], returns: false };
         let check = |place, wanted| {
             assert_eq!(cut.judge(&note(FaultKind::LinkDown, place)), wanted);
         };
@@ -333,7 +334,7 @@ mod tests {
 
     #[test]
     fn a_killed_node_takes_its_links_and_objects_along() {
-        let kill = Injection::Kill { module: Module::Module3 };
+        let kill = FaultInjection::Kill { module: Module::Module3 };
         let node = |name| Place::Node(NodeName::new(name).expect("a name"));
         let check = |kind, place, wanted| {
             assert_eq!(kill.judge(&note(kind, place)), wanted);
@@ -347,7 +348,7 @@ mod tests {
 
     #[test]
     fn a_cable_is_cut_at_both_ends_and_nowhere_else() {
-        let commands = Injection::Blackout { far: Module::Module2 }.strike(OrderId(3));
+        let commands = FaultInjection::Blackout { far: Module::Module2 }.strike(OrderId(3));
 
         let cables = vec!["ethernet".to_owned(), "ieee1394-b".to_owned()];
         let wanted = DirectorCommand::Cut { order: OrderId(3), cables };
@@ -356,8 +357,8 @@ mod tests {
 
     #[test]
     fn all_that_passes_through_module1_waits_for_its_router() {
-        assert_eq!(Injection::Router { module: Module::Module1 }.flows().len(), FLOWS.len());
-        assert_eq!(Injection::Kill { module: Module::Module3 }.flows().len(), 3);
+        assert_eq!(FaultInjection::Router { module: Module::Module1 }.flows().len(), FLOWS.len());
+        assert_eq!(FaultInjection::Kill { module: Module::Module3 }.flows().len(), 3);
         assert!(strike(ObjectFault::Panic).flows().is_empty());
     }
 }

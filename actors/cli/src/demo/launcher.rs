@@ -25,7 +25,7 @@ pub(crate) struct Process {
 
 /// A module's process has ended.
 #[derive(Debug)]
-pub(crate) struct Ended {
+pub(crate) struct ModuleEnded {
     /// Which module.
     pub(crate) module: Module,
     /// Which process.
@@ -46,7 +46,7 @@ impl Process {
     pub(crate) fn launch(
         module: Module,
         control: &Path,
-        ends: Sender<Ended>,
+        ends: Sender<ModuleEnded>,
     ) -> io::Result<Process> {
         let mut child = Command::new(executable())
             .arg0("blastema")
@@ -67,7 +67,7 @@ impl Process {
         tokio::spawn(async move {
             let how = follow(&mut child, killed).await;
             // The director may have ended.
-            let _ = ends.send(Ended { module, id, how }).await;
+            let _ = ends.send(ModuleEnded { module, id, how }).await;
         });
         Ok(Process { id, kill: Some(kill) })
     }

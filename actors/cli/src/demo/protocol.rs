@@ -11,7 +11,7 @@
 
 use super::machine_instant::MachineInstant;
 use super::timings::Timings;
-use super::wiring::Wiring;
+use super::wiring::CableAddresses;
 use blastema::core::{FaultKind, Lifecycle, ObjectName, Place};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -35,7 +35,7 @@ pub(crate) enum DirectorCommand {
     /// Start the node.
     Start {
         /// The ends of all cables.
-        wiring: Wiring,
+        wiring: CableAddresses,
     },
     /// Inject a fault into an object.
     Strike {
@@ -358,7 +358,7 @@ mod tests {
     fn every_command_comes_back_as_it_went() {
         let order = OrderId(7);
         let object = ObjectName::new("skin/17").expect("a name");
-        round_trip(DirectorCommand::Start { wiring: Wiring::default() });
+        round_trip(DirectorCommand::Start { wiring: CableAddresses::default() });
         for fault in [
             ObjectFault::Panic,
             ObjectFault::Hang { millis: 5_000 },

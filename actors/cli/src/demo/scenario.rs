@@ -4,7 +4,7 @@
 //! commands and progress lines. A test runs it in virtual time.
 
 use super::chaos::{FLOOD_MESSAGES, HANG_MILLIS, RandomFaults, SeededRandom};
-use super::injection::{FaultMatch, Injection};
+use super::injection::{FaultInjection, FaultMatch};
 use super::machine_instant::MachineInstant;
 use super::protocol::{FaultNote, ModuleEvent, ObjectFault};
 use super::report::{FaultRow, NOTES, Report, counted};
@@ -36,14 +36,14 @@ const PROBLEM_LIMIT: usize = 100;
 #[derive(Debug)]
 pub(crate) struct Scenario {
     plan: ScenarioPlan,
-    script: Script,
+    script: InjectionSource,
     random: SeededRandom,
     /// The state of the robot as reported by its modules.
     pub(crate) robot: RobotState,
     scene: Scene,
     began_at: MachineInstant,
     now: MachineInstant,
-    last: Option<Injection>,
+    last: Option<FaultInjection>,
     number: u32,
     rows: Vec<FaultRow>,
     rows_left_out: u64,
@@ -104,8 +104,8 @@ enum Scene {
 }
 
 #[derive(Debug)]
-enum Script {
-    Told(VecDeque<Injection>),
+enum InjectionSource {
+    Told(VecDeque<FaultInjection>),
     Random(RandomFaults),
 }
 
@@ -113,9 +113,9 @@ impl Scenario {
     /// Starts with the assembly of the robot.
     pub(crate) fn new(plan: ScenarioPlan, now: MachineInstant) -> Scenario {
         let script = if plan.chaos {
-            Script::Random(RandomFaults::new(plan.seed))
+            InjectionSource::Random(RandomFaults::new(plan.seed))
         } else {
-            Script::Told(script().into())
+            InjectionSource::Told(script().into())
         };
         Scenario {
             script,
@@ -251,7 +251,7 @@ impl Scenario {
     /// How many faults there will be, if that is robot.
     pub(crate) fn steps(&self) -> Option<usize> {
         match (&self.script, self.plan.length) {
-            (Script::Told(rest), None) => {
+            (InjectionSource::Told(rest), None) => {
                 Some(rest.len() + usize::try_from(self.number).unwrap_or_default())
             }
             _ => None,
@@ -351,7 +351,7 @@ impl Scenario {
         if self.broken
             && is_late
             && self.plan.length.is_none()
-            && let Script::Told(rest) = &mut self.script
+            && let InjectionSource::Told(rest) = &mut self.script
             && !rest.is_empty()
         {
             let left = counted(rest.len() as u64, "fault");
@@ -370,24 +370,24 @@ impl Scenario {
         self.scene = Scene::Trying(Box::new(trial));
     }
 
-    fn next_injection(&mut self) -> Option<Injection> {
+    fn next_injection(&mut self) -> Option<FaultInjection> {
         let is_time_up = self.plan.length.is_some_and(|length| self.now - self.began_at >= length);
         match &mut self.script {
             // A cut that a later step repairs must be repaired.
-            Script::Told(rest)
-                if is_time_up && !matches!(self.last, Some(Injection::Cut { .. })) =>
+            InjectionSource::Told(rest)
+                if is_time_up && !matches!(self.last, Some(FaultInjection::Cut { .. })) =>
             {
                 rest.clear();
                 None
             }
-            Script::Told(rest) => {
+            InjectionSource::Told(rest) => {
                 if rest.is_empty() && self.plan.length.is_some() {
                     *rest = script().into();
                 }
                 rest.pop_front()
             }
-            Script::Random(_) if is_time_up => None,
-            Script::Random(chaos) => Some(chaos.next()),
+            InjectionSource::Random(_) if is_time_up => None,
+            InjectionSource::Random(chaos) => Some(chaos.next()),
         }
     }
 
@@ -427,7 +427,7 @@ impl Scenario {
     }
 
     fn judge_between(&mut self, from: Module, note: &FaultNote) {
-        let belongs = |last: &Injection| last.judge(note) != FaultMatch::Foreign;
+        let belongs = |last: &FaultInjection| last.judge(note) != FaultMatch::Foreign;
         let excused = note.is_warning() || note.symptom_of.is_some();
         if !excused && !self.last.as_ref().is_some_and(belongs) {
             let FaultNote { kind, place, detail, .. } = note;
@@ -477,19 +477,22 @@ impl Scenario {
 }
 
 /// Returns the ten faults in their order.
-fn script() -> Vec<Injection> {
-    let object =
-        |module, object: &str, fault| Injection::Object { module, object: object.into(), fault };
+fn script() -> Vec<FaultInjection> {
+    let object = |module, object: &str, fault| FaultInjection::Object {
+        module,
+        object: object.into(),
+        fault,
+    };
     vec![
         object(Module::Module1, "skin/17", ObjectFault::Panic),
         object(Module::Module2, "laser", ObjectFault::Hang { millis: HANG_MILLIS }),
         object(Module::Module3, "motors", ObjectFault::ErrorState),
         object(Module::Module1, "planner", ObjectFault::FailInitialization),
         object(Module::Module3, "odometry", ObjectFault::Silence),
-        Injection::Cut { cable: CABLES[0], returns: false },
-        Injection::Blackout { far: CABLES[0].far },
-        Injection::Router { module: Module::Module1 },
-        Injection::Kill { module: Module::Module3 },
+        FaultInjection::Cut { cable: CABLES[0], returns: false },
+        FaultInjection::Blackout { far: CABLES[0].far },
+        FaultInjection::Router { module: Module::Module1 },
+        FaultInjection::Kill { module: Module::Module3 },
         object(Module::Module2, "operator", ObjectFault::Flood { messages: FLOOD_MESSAGES }),
     ]
 }

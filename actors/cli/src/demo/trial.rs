@@ -11,7 +11,7 @@
 //! so that one broken promise does not hide the next.
 
 use super::flow_accounting::FlowLosses;
-use super::injection::{FaultMatch, Injection, ServiceRestored};
+use super::injection::{FaultInjection, FaultMatch, ServiceRestored};
 use super::machine_instant::MachineInstant;
 use super::protocol::{DirectorCommand, FaultNote, ModuleEvent, OrderId};
 use super::report::{FaultRow, ReportedFault, counted, paper_figure};
@@ -66,7 +66,7 @@ pub(crate) enum TrialOutput {
 /// The trial of one fault.
 #[derive(Debug)]
 pub(crate) struct FaultTrial {
-    injection: Injection,
+    injection: FaultInjection,
     number: u32,
     timeouts: TrialTimeouts,
     phase: Phase,
@@ -115,7 +115,7 @@ enum Repair {
 impl FaultTrial {
     /// Starts with the injection.
     pub(crate) fn new(
-        injection: Injection,
+        injection: FaultInjection,
         number: u32,
         timeouts: TrialTimeouts,
         robot: &RobotState,
@@ -142,7 +142,7 @@ impl FaultTrial {
             problems: Vec::new(),
             injection,
         };
-        if let Injection::Kill { module } = trial.injection {
+        if let FaultInjection::Kill { module } = trial.injection {
             trial.outputs.push_back(TrialOutput::Kill(module));
         }
         trial.order(trial.injection.strike(trial.strike_order()));
@@ -150,7 +150,7 @@ impl FaultTrial {
     }
 
     /// Returns the injected fault.
-    pub(crate) fn injection(&self) -> &Injection {
+    pub(crate) fn injection(&self) -> &FaultInjection {
         &self.injection
     }
 
@@ -224,7 +224,7 @@ impl FaultTrial {
 
     /// Returns whether the two ends were parted for so long that a session may have ended.
     fn may_end_sessions(&self, robot: &RobotState) -> bool {
-        let parted = matches!(self.injection, Injection::Blackout { .. });
+        let parted = matches!(self.injection, FaultInjection::Blackout { .. });
         let since = self.struck.map(|struck| struck.first);
         let span = since.zip(self.back_at(robot)).map(|(since, back)| back - since);
         parted && span.is_some_and(|span| span >= SESSIONS_LAST)
@@ -530,7 +530,7 @@ impl FaultTrial {
     /// Returns whether a cable is to be up at the end of the step.
     fn expects(&self, cable: &DemoCable) -> bool {
         match &self.injection {
-            Injection::Cut { cable: cut, returns } => *returns || cut != cable,
+            FaultInjection::Cut { cable: cut, returns } => *returns || cut != cable,
             _ => true,
         }
     }

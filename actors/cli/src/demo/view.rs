@@ -26,7 +26,7 @@ pub(crate) struct DemoView {
     caption: String,
     steps: Option<usize>,
     modules: [ModuleView; 3],
-    cables: Vec<(DemoCable, Health)>,
+    cables: Vec<(DemoCable, ModuleHealth)>,
     messages: FlowLosses,
     received: u64,
     lines: Vec<ProgressLine>,
@@ -35,13 +35,13 @@ pub(crate) struct DemoView {
 #[derive(Clone, Debug, PartialEq)]
 struct ModuleView {
     module: Module,
-    health: Health,
-    components: Vec<(&'static str, Health)>,
-    skin: Vec<Health>,
+    health: ModuleHealth,
+    components: Vec<(&'static str, ModuleHealth)>,
+    skin: Vec<ModuleHealth>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Health {
+enum ModuleHealth {
     Well,
     Suspect,
     Down,
@@ -124,7 +124,7 @@ impl DemoView {
     }
 
     fn list(&self) -> Vec<Line<'_>> {
-        let cable = |(cable, health): &(DemoCable, Health)| {
+        let cable = |(cable, health): &(DemoCable, ModuleHealth)| {
             let (glyph, far) = (health.glyph(), cable.far);
             let text = format!("{glyph} {} {} to {far}", cable.name, Module::Module1);
             Line::styled(text, health.colour())
@@ -164,14 +164,17 @@ impl ModuleView {
         let age = robot.heard_at(module).map(|at| now - at);
         let is_fresh = age.is_some_and(|age| age < STALE);
         let health = match state {
-            None => Health::Unknown,
-            Some(state) if !state.ready => Health::Down,
-            Some(_) if is_fresh => Health::Well,
-            Some(_) => Health::Suspect,
+            None => ModuleHealth::Unknown,
+            Some(state) if !state.ready => ModuleHealth::Down,
+            Some(_) if is_fresh => ModuleHealth::Well,
+            Some(_) => ModuleHealth::Suspect,
         };
         let objects = state.filter(|_| is_fresh).map_or(&[][..], |state| &state.snapshot.objects);
         let health_of = |name: &str| {
-            objects.iter().find(|object| object.name == name).map_or(Health::Unknown, Health::of)
+            objects
+                .iter()
+                .find(|object| object.name == name)
+                .map_or(ModuleHealth::Unknown, ModuleHealth::of)
         };
         ModuleView {
             module,
@@ -182,10 +185,10 @@ impl ModuleView {
     }
 
     fn draw_box(&self, area: Rect, buffer: &mut Buffer) {
-        let component = |(name, health): &(&'static str, Health)| {
+        let component = |(name, health): &(&'static str, ModuleHealth)| {
             Line::from(vec![health.span(), format!(" {name}").into()])
         };
-        let cells = |cells: &[Health]| Line::from_iter(cells.iter().map(|cell| cell.span()));
+        let cells = |cells: &[ModuleHealth]| Line::from_iter(cells.iter().map(|cell| cell.span()));
         let components = self.components.iter().map(component);
         let lines: Vec<_> = components.chain(self.skin.chunks(CELLS).map(cells)).collect();
         let title = format!(" {} ", self.module);
@@ -195,10 +198,10 @@ impl ModuleView {
 
     /// The module in one line, for a narrow terminal.
     fn line(&self) -> Line<'_> {
-        let part = |name: &str, health: Health| {
+        let part = |name: &str, health: ModuleHealth| {
             Span::styled(format!("{} {name}  ", health.glyph()), health.colour())
         };
-        let well = self.skin.iter().filter(|cell| **cell == Health::Well).count();
+        let well = self.skin.iter().filter(|cell| **cell == ModuleHealth::Well).count();
         let colour = if well == self.skin.len() { Color::Green } else { Color::Yellow };
         let skin = Span::styled(format!("skin {well}/{}", self.skin.len()), colour);
         let components = self.components.iter().map(|(name, health)| part(name, *health));
@@ -207,31 +210,33 @@ impl ModuleView {
     }
 }
 
-impl Health {
-    fn of(object: &ObjectState) -> Health {
+impl ModuleHealth {
+    fn of(object: &ObjectState) -> ModuleHealth {
         match (object.opinion, object.state) {
-            (ObjectOpinion::Trusted, Lifecycle::Active) => Health::Well,
-            (ObjectOpinion::Suspect, _) => Health::Suspect,
-            (ObjectOpinion::Failed, _) | (_, Lifecycle::Error | Lifecycle::Fatal) => Health::Down,
-            (ObjectOpinion::Trusted, _) => Health::Suspect,
+            (ObjectOpinion::Trusted, Lifecycle::Active) => ModuleHealth::Well,
+            (ObjectOpinion::Suspect, _) => ModuleHealth::Suspect,
+            (ObjectOpinion::Failed, _) | (_, Lifecycle::Error | Lifecycle::Fatal) => {
+                ModuleHealth::Down
+            }
+            (ObjectOpinion::Trusted, _) => ModuleHealth::Suspect,
         }
     }
 
     fn colour(self) -> Color {
         match self {
-            Health::Well => Color::Green,
-            Health::Suspect => Color::Yellow,
-            Health::Down => Color::Red,
-            Health::Unknown => Color::DarkGray,
+            ModuleHealth::Well => Color::Green,
+            ModuleHealth::Suspect => Color::Yellow,
+            ModuleHealth::Down => Color::Red,
+            ModuleHealth::Unknown => Color::DarkGray,
         }
     }
 
     fn glyph(self) -> &'static str {
         match self {
-            Health::Well => "●",
-            Health::Suspect => "◐",
-            Health::Down => "✗",
-            Health::Unknown => "·",
+            ModuleHealth::Well => "●",
+            ModuleHealth::Suspect => "◐",
+            ModuleHealth::Down => "✗",
+            ModuleHealth::Unknown => "·",
         }
     }
 
@@ -241,19 +246,19 @@ impl Health {
 
     fn wire(self) -> &'static str {
         match self {
-            Health::Well | Health::Suspect => "━━━━━━━━━━━━",
-            Health::Down => "━━━━╸  ╺━━━━",
-            Health::Unknown => "┄┄┄┄┄┄┄┄┄┄┄┄",
+            ModuleHealth::Well | ModuleHealth::Suspect => "━━━━━━━━━━━━",
+            ModuleHealth::Down => "━━━━╸  ╺━━━━",
+            ModuleHealth::Unknown => "┄┄┄┄┄┄┄┄┄┄┄┄",
         }
     }
 }
 
-fn cable_health(robot: &RobotState, cable: &DemoCable, now: MachineInstant) -> Health {
+fn cable_health(robot: &RobotState, cable: &DemoCable, now: MachineInstant) -> ModuleHealth {
     let is_fresh = |end: &Module| robot.heard_at(*end).is_some_and(|at| now - at < STALE);
     match (cable.ends().iter().any(is_fresh), robot.is_up(cable)) {
-        (false, _) => Health::Unknown,
-        (true, true) => Health::Well,
-        (true, false) => Health::Down,
+        (false, _) => ModuleHealth::Unknown,
+        (true, true) => ModuleHealth::Well,
+        (true, false) => ModuleHealth::Down,
     }
 }
 
@@ -291,19 +296,23 @@ mod tests {
         let module = |module: Module, health| ModuleView {
             module,
             health,
-            components: module.components().iter().map(|name| (*name, Health::Well)).collect(),
-            skin: module.skin().map(|_| Health::Well).collect(),
+            components: module
+                .components()
+                .iter()
+                .map(|name| (*name, ModuleHealth::Well))
+                .collect(),
+            skin: module.skin().map(|_| ModuleHealth::Well).collect(),
         };
         let mut modules = [
-            module(Module::Module2, Health::Well),
-            module(Module::Module1, Health::Well),
-            module(Module::Module3, Health::Suspect),
+            module(Module::Module2, ModuleHealth::Well),
+            module(Module::Module1, ModuleHealth::Well),
+            module(Module::Module3, ModuleHealth::Suspect),
         ];
-        modules[0].components[0].1 = Health::Down;
-        modules[0].skin[3] = Health::Suspect;
-        modules[2].skin.fill(Health::Unknown);
-        let mut cables: Vec<_> = CABLES.iter().map(|cable| (*cable, Health::Well)).collect();
-        cables[0].1 = Health::Down;
+        modules[0].components[0].1 = ModuleHealth::Down;
+        modules[0].skin[3] = ModuleHealth::Suspect;
+        modules[2].skin.fill(ModuleHealth::Unknown);
+        let mut cables: Vec<_> = CABLES.iter().map(|cable| (*cable, ModuleHealth::Well)).collect();
+        cables[0].1 = ModuleHealth::Down;
         let line = |millis, tone, text: &str| ProgressLine {
             after: Duration::from_millis(millis),
             tone,
@@ -368,9 +377,9 @@ mod tests {
         let fresh = ModuleView::new(&robot, Module::Module1, heard);
         let stale = ModuleView::new(&robot, Module::Module1, heard + STALE);
 
-        assert_eq!((fresh.health, stale.health), (Health::Well, Health::Suspect));
-        assert_eq!(cable_health(&robot, &CABLES[0], heard), Health::Well);
-        assert_eq!(cable_health(&robot, &CABLES[0], heard + STALE), Health::Unknown);
+        assert_eq!((fresh.health, stale.health), (ModuleHealth::Well, ModuleHealth::Suspect));
+        assert_eq!(cable_health(&robot, &CABLES[0], heard), ModuleHealth::Well);
+        assert_eq!(cable_health(&robot, &CABLES[0], heard + STALE), ModuleHealth::Unknown);
     }
 
     #[test]

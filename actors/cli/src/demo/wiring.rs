@@ -9,7 +9,7 @@ use std::net::{SocketAddr, UdpSocket};
 /// The address of both ends of each cable: module1's, then the far module's.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
-pub(crate) struct Wiring(BTreeMap<String, [SocketAddr; 2]>);
+pub(crate) struct CableAddresses(BTreeMap<String, [SocketAddr; 2]>);
 
 /// One cable, seen from one of its ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub(crate) struct CableEnd {
     pub(crate) neighbour: Module,
 }
 
-impl Wiring {
+impl CableAddresses {
     /// Chooses a free port for every end.
     ///
     /// Another process may take one before the module opens it; the module then says so and the
@@ -32,7 +32,7 @@ impl Wiring {
     ///
     /// # Errors
     /// The system refuses to open a socket on the loopback addresses.
-    pub(crate) fn choose() -> io::Result<Wiring> {
+    pub(crate) fn choose() -> io::Result<CableAddresses> {
         // All are held open until all are chosen, so that none is given out twice.
         let mut held = Vec::new();
         let mut ends = BTreeMap::new();
@@ -44,7 +44,7 @@ impl Wiring {
             ends.insert(cable.name.to_owned(), [near.local_addr()?, far.local_addr()?]);
             held.extend([near, far]);
         }
-        Ok(Wiring(ends))
+        Ok(CableAddresses(ends))
     }
 
     /// The cable ends of a module.
@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn the_two_ends_of_a_cable_know_each_other_and_no_address_is_given_twice() {
-        let wiring = Wiring::choose().expect("loopback sockets can be opened");
+        let wiring = CableAddresses::choose().expect("loopback sockets can be opened");
         let ends: Vec<_> =
             Module::ALL.into_iter().flat_map(|module| wiring.ends_of(module)).collect();
 

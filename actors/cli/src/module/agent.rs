@@ -7,7 +7,7 @@ use super::report::{event_of, links_of, objects_of, returned_of};
 use crate::demo::machine_instant::MachineInstant;
 use crate::demo::protocol::{DirectorCommand, ModuleEvent, OrderId, Snapshot};
 use crate::demo::robot::Module;
-use crate::demo::wiring::Wiring;
+use crate::demo::wiring::CableAddresses;
 use blastema::prelude::*;
 use blastema::{FaultEvent, FaultEvents};
 use std::pin::pin;
@@ -36,7 +36,11 @@ impl ModuleAgent {
     }
 
     /// Runs the node and executes commands until `Shutdown` or the end of the channel.
-    pub(super) async fn hold(self, wiring: Wiring, mut commands: Receiver<DirectorCommand>) {
+    pub(super) async fn hold(
+        self,
+        wiring: CableAddresses,
+        mut commands: Receiver<DirectorCommand>,
+    ) {
         let (node, mut faults) = match self.start(&wiring).await {
             Ok(started) => started,
             Err(event) => {
@@ -63,7 +67,7 @@ impl ModuleAgent {
     }
 
     /// Starts the node, or returns why it cannot be started.
-    async fn start(&self, wiring: &Wiring) -> Result<(Node, FaultEvents), ModuleEvent> {
+    async fn start(&self, wiring: &CableAddresses) -> Result<(Node, FaultEvents), ModuleEvent> {
         module_node::check_addresses(self.module, wiring).map_err(|error| {
             ModuleEvent::StartFailed { reason: error.to_string(), address_taken: true }
         })?;

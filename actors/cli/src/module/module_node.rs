@@ -12,9 +12,9 @@ use super::pacer::Pacer;
 use super::planner::Planner;
 use super::safety::Safety;
 use super::stopwatch::{Answerer, ECHO, Stopwatch};
-use super::ticker::{ChoosyListener, Listener, Ticker};
+use super::ticker::{ChoosyListener, PlainListener, Ticker};
 use crate::demo::robot::{FLOWS, Module, SIGN_OF_LIFE_MILLIS, skin};
-use crate::demo::wiring::{CableEnd, Wiring};
+use crate::demo::wiring::{CableAddresses, CableEnd};
 use blastema::core::detection::Pull;
 use blastema::prelude::*;
 use blastema::{Cable, Direction, Link, Network, NodeBuilder};
@@ -55,7 +55,11 @@ const SECOND_COST: u16 = 15;
 const PROBES_HZ: f64 = if cfg!(debug_assertions) { 20.0 } else { 100.0 };
 
 /// The robot's work, and what measures it, in the order of their start.
-pub(super) fn build(module: Module, wiring: &Wiring, measurements: &Measurements) -> NodeBuilder {
+pub(super) fn build(
+    module: Module,
+    wiring: &CableAddresses,
+    measurements: &Measurements,
+) -> NodeBuilder {
     let mut node = Node::builder(module.name())
         .supervisor(work_of(module, measurements))
         .supervisor(skin_of(module, measurements))
@@ -78,7 +82,7 @@ fn network(end: &CableEnd) -> Network {
 ///
 /// # Errors
 /// Another process took one since the director chose it.
-pub(super) fn check_addresses(module: Module, wiring: &Wiring) -> io::Result<()> {
+pub(super) fn check_addresses(module: Module, wiring: &CableAddresses) -> io::Result<()> {
     wiring.ends_of(module).iter().try_for_each(|end| UdpSocket::bind(end.here).map(drop))
 }
 
@@ -206,7 +210,7 @@ fn measurements_of(module: Module, measurements: &Measurements) -> SupervisorSpe
     // In one module only: listeners elsewhere would have the events sent over the network.
     if module == Module::Module1 {
         let (plain, choosy) = (measurements.clone(), measurements.clone());
-        let plain = move || Listener { measurements: plain.clone() };
+        let plain = move || PlainListener { measurements: plain.clone() };
         let choosy = move || ChoosyListener { measurements: choosy.clone() };
         instruments = instruments
             .child(ChildSpec::new("measure/listener", plain))

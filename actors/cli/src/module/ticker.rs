@@ -21,17 +21,17 @@ impl Component for Ticker {
 
 /// Listens without a condition.
 #[derive(Debug)]
-pub(super) struct Listener {
+pub(super) struct PlainListener {
     pub(super) measurements: Measurements,
 }
 
-impl Component for Listener {
+impl Component for PlainListener {
     fn ports(ports: &mut Ports<Self>) {
         ports.listen::<Tick>();
     }
 }
 
-impl Handle<Tick> for Listener {
+impl Handle<Tick> for PlainListener {
     async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
         self.measurements
             .heard(false, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));

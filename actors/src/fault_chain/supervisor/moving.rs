@@ -1,12 +1,12 @@
 //! A child goes on on a thread of its own.
 
-use super::{Outcome, SupervisorActor};
+use super::{RecoveryResult, SupervisorActor};
 use actix::prelude::*;
 use blastema_contract::supervisor::{GaveUp, MoveChild};
 use blastema_core::recovery::{GiveUpReason, ReplacementCause};
 
 impl Handler<MoveChild> for SupervisorActor {
-    type Result = ResponseFuture<Outcome>;
+    type Result = ResponseFuture<RecoveryResult>;
 
     /// The next life begins elsewhere: no restart that a budget counts, because nothing has failed.
     fn handle(&mut self, message: MoveChild, context: &mut Context<Self>) -> Self::Result {

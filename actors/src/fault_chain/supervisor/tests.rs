@@ -15,7 +15,7 @@ fn restart(bench: &Bench, child: &str, kind: FaultKind, life: u64) -> RestartChi
     RestartChild { object: object(child), fault: Some(fault(1, kind, child, life)) }
 }
 
-fn recovered(child: &str, life: u64) -> Outcome {
+fn recovered(child: &str, life: u64) -> RecoveryResult {
     Ok(Recovered { object: object(child), incarnation: Some(Incarnation(life)), waits: false })
 }
 

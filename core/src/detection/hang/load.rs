@@ -2,7 +2,7 @@
 
 use super::lateness::Counts;
 use super::{
-    Arbiter, Around, Component, ComponentSample, Episode, HangDetector, Late, LivenessEvent,
+    Arbiter, Around, ComponentRecord, ComponentSample, Episode, HangDetector, Late, LivenessEvent,
     Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
 use crate::Instant;
@@ -37,7 +37,7 @@ impl Arbiter {
     }
 }
 
-impl Component {
+impl ComponentRecord {
     /// Says so if it is silent. One that works meanwhile, or is kept from its thread, is late.
     pub(super) fn judge_silence(
         &mut self,

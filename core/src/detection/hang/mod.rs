@@ -57,7 +57,7 @@ struct Hang {
 }
 
 #[derive(Debug)]
-struct Component {
+struct ComponentRecord {
     judged: HangLimits,
     reading: Option<ComponentSample>,
     /// Its arbiter's beat at the last look.
@@ -96,7 +96,7 @@ pub struct HangDetector {
     looked_at: Option<Instant>,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
-    components: Vec<Option<Component>>,
+    components: Vec<Option<ComponentRecord>>,
     outputs: VecDeque<LivenessEvent>,
 }
 
@@ -118,7 +118,7 @@ impl HangDetector {
         if self.components.len() <= at {
             self.components.resize_with(at + 1, || None);
         }
-        self.components[at] = Some(Component::new(judged, now));
+        self.components[at] = Some(ComponentRecord::new(judged, now));
     }
 
     /// It is no longer.
@@ -251,7 +251,7 @@ impl HangDetector {
         self.outputs.push_back(LivenessEvent::Lost { arbiter: id, culprit, victims });
     }
 
-    fn component(&self, slot: SlotId) -> Option<&Component> {
+    fn component(&self, slot: SlotId) -> Option<&ComponentRecord> {
         self.components.get(slot as usize)?.as_ref()
     }
 
@@ -346,9 +346,9 @@ impl Around<'_> {
     }
 }
 
-impl Component {
+impl ComponentRecord {
     fn new(judged: HangLimits, now: Instant) -> Self {
-        Component {
+        ComponentRecord {
             judged,
             reading: None,
             beat: 0,
@@ -390,8 +390,8 @@ impl Component {
         let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
         let beats = std::mem::replace(&mut self.beat, beat) != beat;
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
-            let fresh = Component::new(self.judged.clone(), now);
-            *self = Component { reading: Some(reading), beat, ..fresh };
+            let fresh = ComponentRecord::new(self.judged.clone(), now);
+            *self = ComponentRecord { reading: Some(reading), beat, ..fresh };
             return;
         };
         let turned = before.turn != reading.turn;

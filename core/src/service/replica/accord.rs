@@ -67,7 +67,7 @@ pub(super) struct Accord {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Known {
     asked: Option<Instant>,
-    pub(super) opinion: Opinion,
+    pub(super) opinion: ConfigComparison,
     /// Since when it is known to have been told our terms.
     pub(super) bound: Option<Instant>,
     /// It was seen when this replica last looked around.
@@ -81,7 +81,7 @@ pub(super) struct Known {
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) enum Opinion {
+pub(super) enum ConfigComparison {
     #[default]
     Unheard,
     /// It was told the same.
@@ -141,7 +141,7 @@ impl Accord {
     fn differences(&self) -> Vec<&str> {
         let (mut members, mut others) = (Vec::new(), Vec::new());
         for (node, known) in &self.known {
-            if let Opinion::Differs { text, .. } = &known.opinion
+            if let ConfigComparison::Differs { text, .. } = &known.opinion
                 && !known.quiet
             {
                 let texts = if self.terms.list(node) { &mut members } else { &mut others };
@@ -175,18 +175,19 @@ impl Accord {
     }
 
     /// Somebody is to be told of this one.
-    fn is_wrong(&self, node: &NodeName, opinion: &Opinion) -> bool {
+    fn is_wrong(&self, node: &NodeName, opinion: &ConfigComparison) -> bool {
         match opinion {
-            Opinion::Differs { .. } => true,
-            Opinion::Absent { twice } => *twice && self.terms.list(node),
-            Opinion::Unheard | Opinion::Agrees => false,
+            ConfigComparison::Differs { .. } => true,
+            ConfigComparison::Absent { twice } => *twice && self.terms.list(node),
+            ConfigComparison::Unheard | ConfigComparison::Agrees => false,
         }
     }
 
     /// Who was told nothing at all.
     fn absent(&self) -> Option<String> {
         let absent = self.known.iter().filter(|(node, known)| {
-            matches!(known.opinion, Opinion::Absent { .. }) && self.is_wrong(node, &known.opinion)
+            matches!(known.opinion, ConfigComparison::Absent { .. })
+                && self.is_wrong(node, &known.opinion)
         });
         let absent: Vec<_> = absent.map(|(node, _)| node.as_str()).collect();
         (!absent.is_empty()).then(|| {
@@ -202,7 +203,7 @@ impl Accord {
     pub(super) fn roll(&self, config: &ReplicaConfig) -> Roll<'_> {
         let mut roll = Roll::default();
         for (node, known) in &self.known {
-            if matches!(known.opinion, Opinion::Differs { .. }) && !known.quiet {
+            if matches!(known.opinion, ConfigComparison::Differs { .. }) && !known.quiet {
                 roll.differing.push(node.as_str());
             }
         }
@@ -210,9 +211,12 @@ impl Accord {
             let known = self.known.get(member);
             match known.map(|known| (&known.opinion, self.reached.contains(member))) {
                 _ if *member == config.own => roll.there += 1,
-                Some((Opinion::Differs { .. }, _)) if known.is_some_and(|known| !known.quiet) => {}
-                Some((Opinion::Differs { .. }, _)) => roll.unheard.push(member.as_str()),
-                Some((opinion @ Opinion::Absent { .. }, _)) if self.is_wrong(member, opinion) => {
+                Some((ConfigComparison::Differs { .. }, _))
+                    if known.is_some_and(|known| !known.quiet) => {}
+                Some((ConfigComparison::Differs { .. }, _)) => roll.unheard.push(member.as_str()),
+                Some((opinion @ ConfigComparison::Absent { .. }, _))
+                    if self.is_wrong(member, opinion) =>
+                {
                     roll.without.push(member.as_str());
                 }
                 Some((_, true)) => roll.there += 1,
@@ -231,7 +235,7 @@ impl Accord {
     fn quieten(&mut self, now: Instant) {
         let away = |known: &Known| known.away_since.is_some_and(|since| now - since >= QUIET);
         let differing = |known: &Known| match known.opinion {
-            Opinion::Differs { terms, .. } => Some(terms),
+            ConfigComparison::Differs { terms, .. } => Some(terms),
             _ => None,
         };
         let terms: BTreeSet<u64> =
@@ -299,9 +303,9 @@ impl Replica {
         let members = &self.config.members;
         let concerns = |node: &NodeName| found.contains(node) || members.contains(node);
         self.accord.known.retain(|node, known| match &known.opinion {
-            Opinion::Differs { .. } => true,
-            Opinion::Unheard | Opinion::Absent { .. } => concerns(node),
-            Opinion::Agrees => found.contains(node),
+            ConfigComparison::Differs { .. } => true,
+            ConfigComparison::Unheard | ConfigComparison::Absent { .. } => concerns(node),
+            ConfigComparison::Agrees => found.contains(node),
         });
         for (node, known) in &mut self.accord.known {
             let seen = found.contains(node);
@@ -352,8 +356,11 @@ impl Replica {
             self.hear_answered(answered, now);
         }
         let opinion = match self.accord.terms.difference(from, &theirs) {
-            same if same.is_empty() => Opinion::Agrees,
-            text => Opinion::Differs { text: cut(text), terms: self.accord.rivals.note(theirs) },
+            same if same.is_empty() => ConfigComparison::Agrees,
+            text => ConfigComparison::Differs {
+                text: cut(text),
+                terms: self.accord.rivals.note(theirs),
+            },
         };
         let before = self.accord.known.get(from).map(|known| known.opinion.clone());
         self.note_opinion(from, opinion.clone(), now);
@@ -373,14 +380,14 @@ impl Replica {
     /// This node is there, and does not carry the service.
     pub fn handle_no_terms(&mut self, of: &NodeName, now: Instant) {
         let before = self.accord.known.get(of).map(|known| &known.opinion);
-        let twice = matches!(before, Some(Opinion::Absent { .. }));
-        self.note_opinion(of, Opinion::Absent { twice }, now);
+        let twice = matches!(before, Some(ConfigComparison::Absent { .. }));
+        self.note_opinion(of, ConfigComparison::Absent { twice }, now);
         self.settle_dispute(now);
     }
 
     /// This node has ended in order.
     pub fn handle_left(&mut self, node: &NodeName, now: Instant) {
-        self.note_opinion(node, Opinion::Unheard, now);
+        self.note_opinion(node, ConfigComparison::Unheard, now);
         self.settle_dispute(now);
     }
 
@@ -402,7 +409,7 @@ impl Replica {
     /// This node was told otherwise, as the fingerprint of its message says.
     pub(super) fn doubt(&mut self, from: &NodeName, now: Instant) {
         if let Some(known) = self.accord.known.get_mut(from)
-            && known.opinion == Opinion::Agrees
+            && known.opinion == ConfigComparison::Agrees
         {
             // It was another life that agreed.
             *known = Known { seen: known.seen, ..Known::default() };
@@ -417,11 +424,13 @@ impl Replica {
             return;
         };
         let again = match known.opinion {
-            Opinion::Agrees => return,
-            Opinion::Unheard | Opinion::Absent { twice: false } => ASK_AGAIN,
+            ConfigComparison::Agrees => return,
+            ConfigComparison::Unheard | ConfigComparison::Absent { twice: false } => ASK_AGAIN,
             // Whoever is out of sight may have left, which costs the line nothing to find out.
-            Opinion::Differs { .. } if known.bound.is_none() || !known.seen => ASK_AGAIN,
-            Opinion::Absent { twice: true } | Opinion::Differs { .. } => LOOK_AGAIN,
+            ConfigComparison::Differs { .. } if known.bound.is_none() || !known.seen => ASK_AGAIN,
+            ConfigComparison::Absent { twice: true } | ConfigComparison::Differs { .. } => {
+                LOOK_AGAIN
+            }
         };
         if known.asked.is_none_or(|asked| now - asked >= again) {
             known.asked = Some(now);
@@ -429,11 +438,11 @@ impl Replica {
         }
     }
 
-    fn note_opinion(&mut self, of: &NodeName, opinion: Opinion, now: Instant) {
+    fn note_opinion(&mut self, of: &NodeName, opinion: ConfigComparison, now: Instant) {
         let Some(known) = self.accord.known(of) else {
             self.refused += 1;
             // Whoever is not remembered may be anybody.
-            self.accord.rivals.overflow |= matches!(opinion, Opinion::Differs { .. });
+            self.accord.rivals.overflow |= matches!(opinion, ConfigComparison::Differs { .. });
             return;
         };
         if known.opinion == opinion {

@@ -31,7 +31,7 @@
 //! one of them does not serve.
 
 use super::super::terms::Terms;
-use super::accord::{Accord, Known, Opinion};
+use super::accord::{Accord, ConfigComparison, Known};
 use super::*;
 use std::collections::BTreeSet;
 
@@ -81,7 +81,7 @@ impl Accord {
         let known = self.known.values();
         let had: BTreeSet<u64> = known
             .filter_map(|known| match known.opinion {
-                Opinion::Differs { terms, .. } => Some(terms),
+                ConfigComparison::Differs { terms, .. } => Some(terms),
                 _ => None,
             })
             .collect();
@@ -93,7 +93,7 @@ impl Accord {
         let rivals = self.rivals.all.iter().map(|(fingerprint, rival)| (*fingerprint, rival));
         rivals.filter(|(fingerprint, rival)| {
             self.known.values().any(|known| {
-                matches!(known.opinion, Opinion::Differs { terms, .. } if terms == *fingerprint)
+                matches!(known.opinion, ConfigComparison::Differs { terms, .. } if terms == *fingerprint)
                     // Where each part goes on by itself, they concern each other where they meet.
                     && (known.seen || !self.terms.divide(&rival.terms))
             })
@@ -193,7 +193,7 @@ impl Accord {
     /// All such nodes that we do not list: they are to hear of us, too.
     pub(super) fn unlisted(&self) -> Vec<NodeName> {
         let shares = |(node, known): &(&NodeName, &Known)| match known.opinion {
-            Opinion::Differs { terms, .. } => {
+            ConfigComparison::Differs { terms, .. } => {
                 !self.terms.list(node) && known.seen && self.shares_state(node, terms)
             }
             _ => false,
@@ -205,12 +205,12 @@ impl Accord {
     pub(super) fn may_support(&self, node: &NodeName) -> bool {
         let known = self.known.get(node);
         self.terms.list(node)
-            && !known.is_some_and(|known| matches!(known.opinion, Opinion::Differs { .. }))
+            && !known.is_some_and(|known| matches!(known.opinion, ConfigComparison::Differs { .. }))
     }
 }
 
-fn holds(opinion: &Opinion, fingerprint: u64) -> bool {
-    matches!(opinion, Opinion::Differs { terms, .. } if *terms == fingerprint)
+fn holds(opinion: &ConfigComparison, fingerprint: u64) -> bool {
+    matches!(opinion, ConfigComparison::Differs { terms, .. } if *terms == fingerprint)
 }
 
 impl Replica {

@@ -15,7 +15,7 @@ fn a_robot_that_recovers_keeps_every_promise_in_less_than_thirty_seconds() {
     assert!(report.promises_kept, "{problems:?} {:?}", report.problems);
     assert!(report.took < Duration::from_secs(25), "{:?}", report.took);
     let faults: Vec<_> = report.rows.iter().map(|row| row.fault).collect();
-    let told: Vec<_> = script().iter().map(Injection::title).collect();
+    let told: Vec<_> = script().iter().map(FaultInjection::title).collect();
     assert_eq!(faults, told);
     for row in &report.rows {
         assert!(row.named.is_some(), "{row:?}");

@@ -73,10 +73,10 @@ pub struct AdapterControl {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     /// The command is to be written.
-    Saying(Step),
+    Saying(SetupStep),
     /// Its answer is to come.
     Waiting {
-        step: Step,
+        step: SetupStep,
         until: Instant,
     },
     Open,
@@ -84,7 +84,7 @@ enum State {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Step {
+enum SetupStep {
     Close,
     BitRate,
     DataRate,
@@ -107,7 +107,7 @@ impl AdapterControl {
         AdapterControl {
             rate,
             data_rate,
-            state: State::Saying(Step::Close),
+            state: State::Saying(SetupStep::Close),
             question: Some(Instant::ORIGIN),
             unanswered: 0,
             alarm: Alarm::Quiet,
@@ -150,16 +150,16 @@ impl AdapterControl {
             State::Open => return self.ask(now),
             State::Waiting { .. } | State::Failed(_) => return None,
         };
-        let patience = if step == Step::Close { PAUSE } else { PATIENCE };
+        let patience = if step == SetupStep::Close { PAUSE } else { PATIENCE };
         self.state = State::Waiting { step, until: now + patience };
         Some(match step {
-            Step::Close => AdapterCommand::Close,
-            Step::BitRate => AdapterCommand::BitRate(self.rate),
+            SetupStep::Close => AdapterCommand::Close,
+            SetupStep::BitRate => AdapterCommand::BitRate(self.rate),
             // Without one there is no such step.
-            Step::DataRate => {
+            SetupStep::DataRate => {
                 AdapterCommand::DataRate(self.data_rate.unwrap_or(DataRate::TwoMegabit))
             }
-            Step::Open => AdapterCommand::Open,
+            SetupStep::Open => AdapterCommand::Open,
         })
     }
 
@@ -199,14 +199,14 @@ impl AdapterControl {
             AdapterReply::Frame { .. } => return,
         };
         match self.state {
-            State::Waiting { step: Step::Close, .. } => {}
+            State::Waiting { step: SetupStep::Close, .. } => {}
             State::Waiting { step, .. } => {
                 self.state = match step {
-                    Step::BitRate if refused => {
+                    SetupStep::BitRate if refused => {
                         State::Failed(AdapterError::BitRate { hz: self.rate.hz() })
                     }
-                    Step::DataRate if refused => State::Failed(AdapterError::DataRate),
-                    Step::Open if refused => State::Failed(AdapterError::Open),
+                    SetupStep::DataRate if refused => State::Failed(AdapterError::DataRate),
+                    SetupStep::Open if refused => State::Failed(AdapterError::Open),
                     _ => self.after(step),
                 };
             }
@@ -231,12 +231,12 @@ impl AdapterControl {
         self.free = self.free.max(now) + time_on_bus(frame, self.rate);
     }
 
-    fn after(&self, step: Step) -> State {
+    fn after(&self, step: SetupStep) -> State {
         match step {
-            Step::Close => State::Saying(Step::BitRate),
-            Step::BitRate if self.data_rate.is_some() => State::Saying(Step::DataRate),
-            Step::BitRate | Step::DataRate => State::Saying(Step::Open),
-            Step::Open => State::Open,
+            SetupStep::Close => State::Saying(SetupStep::BitRate),
+            SetupStep::BitRate if self.data_rate.is_some() => State::Saying(SetupStep::DataRate),
+            SetupStep::BitRate | SetupStep::DataRate => State::Saying(SetupStep::Open),
+            SetupStep::Open => State::Open,
         }
     }
 
@@ -283,12 +283,12 @@ mod tests {
         let with = |state| AdapterControl { state, ..AdapterControl::new(rate(), None) };
         let waiting = |step| with(State::Waiting { step, until: at(200) });
         [
-            ("saying close", with(State::Saying(Step::Close))),
-            ("waiting for close", waiting(Step::Close)),
-            ("saying the rate", with(State::Saying(Step::BitRate))),
-            ("waiting for the rate", waiting(Step::BitRate)),
-            ("saying open", with(State::Saying(Step::Open))),
-            ("waiting for open", waiting(Step::Open)),
+            ("saying close", with(State::Saying(SetupStep::Close))),
+            ("waiting for close", waiting(SetupStep::Close)),
+            ("saying the rate", with(State::Saying(SetupStep::BitRate))),
+            ("waiting for the rate", waiting(SetupStep::BitRate)),
+            ("saying open", with(State::Saying(SetupStep::Open))),
+            ("waiting for open", waiting(SetupStep::Open)),
             ("open", with(State::Open)),
             ("failed", with(State::Failed(AdapterError::Open))),
         ]

@@ -39,7 +39,7 @@ pub(crate) struct DisjointPath {
 impl Topology<'_> {
     /// Ways to `to`, the cheapest first.
     pub(crate) fn ways(&self, to: NodeId) -> Vec<DisjointPath> {
-        let mut flow = Flow::of(self, to);
+        let mut flow = FlowNetwork::of(self, to);
         let mut found = 0;
         while found < COPIES_MAX {
             let Some((cost, path)) = flow.search() else { break };
@@ -80,7 +80,7 @@ struct Stretch {
 
 /// Each node is two vertices, with what it costs to pass it between them: 2n for coming, 2n + 1 for
 /// going.
-struct Flow {
+struct FlowNetwork {
     ids: Vec<NodeId>,
     arcs: Vec<Arc>,
     /// Which arcs begin at which vertex.
@@ -92,8 +92,8 @@ struct Flow {
     sink: usize,
 }
 
-impl Flow {
-    fn of(topology: &Topology<'_>, to: NodeId) -> Flow {
+impl FlowNetwork {
+    fn of(topology: &Topology<'_>, to: NodeId) -> FlowNetwork {
         let here = topology.here;
         let mut ids: Vec<NodeId> = topology.known.keys().copied().collect();
         ids.extend(topology.links.values().map(|link| link.id).chain([here, to]));
@@ -102,7 +102,7 @@ impl Flow {
         let place: BTreeMap<NodeId, usize> = ids.iter().zip(0..).map(|(id, n)| (*id, n)).collect();
         let (coming, going) = (|id| 2 * place[&id], |id| 2 * place[&id] + 1);
         let vertices = 2 * ids.len();
-        let mut flow = Flow {
+        let mut flow = FlowNetwork {
             source: going(here),
             sink: coming(to),
             arcs: Vec::new(),
