@@ -59,14 +59,14 @@ fn a_running_node_is_shown_as_tables_and_as_json_and_no_more_once_it_has_stopped
             let rows = picture[part].as_array().expect("a list");
             rows.iter().find(|row| row[key] == value).cloned().unwrap_or_default()
         };
-        assert_eq!(row("table", "place", "module1:lamp")["state"], "active", "{picture}");
+        assert_eq!(row("table", "location", "module1:lamp")["state"], "active", "{picture}");
         let thread = row("threads", "kind", "shared");
         assert_eq!(thread["state"], "alive", "{picture}");
         assert_eq!(thread["components"], serde_json::json!(["lamp", "light/room/replica"]));
         let service = row("services", "name", "light/room");
         assert_eq!(service["state"], "candidate", "{picture}");
-        assert_eq!(service["unheard"], serde_json::json!(["module2"]));
-        assert_eq!(row("claims", "name", "light")["object"], "lamp");
+        assert_eq!(service["missing_members"], serde_json::json!(["module2"]));
+        assert_eq!(row("global_names", "name", "light")["object"], "lamp");
 
         let tables = monitor(&[text(&socket)]).await;
         let shown = String::from_utf8(tables.stdout).expect("text");
