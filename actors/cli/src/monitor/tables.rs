@@ -257,7 +257,7 @@ mod tests {
         let text = "\
 module1 running
 
-claimed names
+global names
  name  node     object  epoch  known for
  map   module1  slam        7    0.25 ms
  base  -        b          12     61.0 s
