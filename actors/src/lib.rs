@@ -137,7 +137,7 @@ pub use platform::sleep;
 pub use crate::actuator::{ActuatorRow, ActuatorSpec, Commander};
 pub use crate::host::reference::ActorRef;
 pub use crate::messaging::dead_letters::DeadLetterLog;
-pub use crate::messaging::death_watch::{Down, Ending};
+pub use crate::messaging::death_watch::{Down, DownReason};
 pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 pub use crate::messaging::sender::{DEFAULT_DEADLINE, Repeatable, Sender};
 pub use blastema_core::delivery::dead_letters::DeadReason;
@@ -181,7 +181,7 @@ pub use blastema_core::detection::{
     CheckFailed, FaultRecord, FaultStatus, FaultTransition, Freshness, Invariant, MonitorRow,
     Opinion, Range, Rate,
 };
-pub use blastema_core::{Fault, FaultId, FaultKind, Instant, Lifecycle, Place, Severity};
+pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifecycle, Severity};
 
 /// What an application needs for a medium of its own; it is given to [`Network::own`].
 pub mod medium {

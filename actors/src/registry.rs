@@ -8,7 +8,7 @@ pub(crate) mod lookup;
 pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
-use crate::messaging::death_watch::{Deaths, Down, Ending, Watchable, Watcher};
+use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::injection::Injection;
 use crate::messaging::reply::{ReplyFuture, Responder};
@@ -489,7 +489,7 @@ impl Registry {
             None => deaths.watch(&object, mourner),
         };
         if let Some(mourner) = unknown {
-            let (incarnation, ending) = (Incarnation(0), Ending::Unknown);
+            let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
             (mourner.tell)(Down { object, node: None, incarnation, ending });
         }
     }

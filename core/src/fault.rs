@@ -49,13 +49,13 @@ pub enum FaultKind {
     /// serves.
     NodeAtRest,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
-    Unprotected,
+    Unreplicated,
     /// A service went on without a part of its state that somebody had been answered for: nobody
     /// who held it was left.
     StateLost,
     /// A service has no primary, as far as a node knows that carries it, for longer than a takeover
     /// takes.
-    NotServed,
+    ServiceUnavailable,
     /// Something that a component needs to begin its work, such as its device, is not there yet. It
     /// tries again by itself, for as long as that takes.
     Unavailable,
@@ -100,9 +100,9 @@ impl FaultKind {
         FaultKind::NameTaken,
         FaultKind::CommanderGone,
         FaultKind::NodeAtRest,
-        FaultKind::Unprotected,
+        FaultKind::Unreplicated,
         FaultKind::StateLost,
-        FaultKind::NotServed,
+        FaultKind::ServiceUnavailable,
         FaultKind::Unavailable,
         FaultKind::CrashLoop,
         FaultKind::NodePaused,
@@ -130,9 +130,9 @@ impl FaultKind {
             FaultKind::NameTaken => "B16",
             FaultKind::CommanderGone => "B17",
             FaultKind::NodeAtRest => "B18",
-            FaultKind::Unprotected => "B19",
+            FaultKind::Unreplicated => "B19",
             FaultKind::StateLost => "B20",
-            FaultKind::NotServed => "B21",
+            FaultKind::ServiceUnavailable => "B21",
             FaultKind::Unavailable => "B22",
             FaultKind::CrashLoop => "B23",
             FaultKind::NodePaused => "B24",
@@ -161,9 +161,9 @@ impl FaultKind {
             FaultKind::NameTaken => "name taken",
             FaultKind::CommanderGone => "commander gone",
             FaultKind::NodeAtRest => "node at rest",
-            FaultKind::Unprotected => "service unprotected",
+            FaultKind::Unreplicated => "service unreplicated",
             FaultKind::StateLost => "state lost",
-            FaultKind::NotServed => "service not served",
+            FaultKind::ServiceUnavailable => "service unavailable",
             FaultKind::Unavailable => "unavailable",
             FaultKind::CrashLoop => "crash loop",
             FaultKind::NodePaused => "node paused",
@@ -178,7 +178,7 @@ impl FaultKind {
             | FaultKind::LinkDegraded
             | FaultKind::CheckFailed
             | FaultKind::CommanderGone
-            | FaultKind::Unprotected
+            | FaultKind::Unreplicated
             | FaultKind::NodePaused => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
@@ -200,7 +200,7 @@ impl fmt::Display for FaultKind {
 
 /// Where a fault is.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub enum Place {
+pub enum FaultLocation {
     /// In an object.
     Object(ObjectAddress),
     /// In a link from one node to a neighbour, by the link's name.
@@ -216,15 +216,15 @@ pub enum Place {
     Node(NodeName),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for FaultLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Place::Object(address) => write!(f, "{address}"),
-            Place::Link { node, link, neighbour: Some(neighbour) } => {
+            FaultLocation::Object(address) => write!(f, "{address}"),
+            FaultLocation::Link { node, link, neighbour: Some(neighbour) } => {
                 write!(f, "{node} -{link}- {neighbour}")
             }
-            Place::Link { node, link, neighbour: None } => write!(f, "{node} -{link}-"),
-            Place::Node(node) => write!(f, "{node}"),
+            FaultLocation::Link { node, link, neighbour: None } => write!(f, "{node} -{link}-"),
+            FaultLocation::Node(node) => write!(f, "{node}"),
         }
     }
 }
@@ -250,7 +250,7 @@ pub struct Fault {
     /// How bad it is.
     pub severity: Severity,
     /// Where it is.
-    pub place: Place,
+    pub place: FaultLocation,
     /// Which life of the place it struck.
     pub incarnation: Incarnation,
     /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
@@ -270,7 +270,7 @@ impl Fault {
     /// It does for an object: a component that was restarted is as good as new. A link or a node is
     /// repaired only when it is there again, whatever path the traffic takes meanwhile.
     pub fn is_repaired_by_recovery(&self) -> bool {
-        matches!(self.place, Place::Object(_))
+        matches!(self.place, FaultLocation::Object(_))
     }
 
     /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
@@ -279,7 +279,7 @@ impl Fault {
             id: FaultId(0),
             severity: Severity::Critical,
             kind,
-            place: Place::Node(node),
+            place: FaultLocation::Node(node),
             incarnation: Incarnation::FIRST,
             detail,
             found_at,

@@ -41,7 +41,7 @@ pub use contract::{
 pub use delivery::quarantine::MessageId;
 pub use delivery::retry::RetryPolicy;
 pub use delivery::{Delivery, DeliveryError, Outcome};
-pub use fault::{Fault, FaultId, FaultKind, Place, Severity};
+pub use fault::{Fault, FaultId, FaultKind, FaultLocation, Severity};
 pub use incarnation::Incarnation;
 pub use lifecycle::Lifecycle;
 pub use machine::Machine;

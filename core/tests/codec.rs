@@ -314,7 +314,7 @@ proptest! {
         check_any_bytes::<Tree>(&bytes);
         check_any_bytes::<Scan>(&bytes);
         check_any_bytes::<blastema_core::PeerIdentity>(&bytes);
-        check_any_bytes::<blastema_core::Place>(&bytes);
+        check_any_bytes::<blastema_core::FaultLocation>(&bytes);
     }
 
     #[test]

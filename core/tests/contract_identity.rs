@@ -4,8 +4,8 @@ use blastema_core::contract::codec::{decode_bounded, encode_bounded};
 use blastema_core::contract::layout::difference::{ContractPart, compare};
 use blastema_core::contract::layout::{Field, Fields, Primitive, Shape};
 use blastema_core::{
-    ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, LayoutDescription,
-    Lifecycle, ObjectAddress, PeerIdentity, Place,
+    ContractIdentity, DecodeError, Described, DescriptionError, FaultKind, FaultLocation,
+    LayoutDescription, Lifecycle, ObjectAddress, PeerIdentity,
 };
 use blastema_macros::{Event, Request, Structure};
 use std::sync::Arc;
@@ -331,7 +331,7 @@ fn fingerprints_are_the_same_in_every_build_and_on_every_platform() {
 #[derive(Clone, Event)]
 #[contract(crate = "crate::facade")]
 struct Words {
-    _place: Place,
+    _place: FaultLocation,
     _address: ObjectAddress,
     _kind: FaultKind,
     _state: Lifecycle,

@@ -291,7 +291,7 @@ fn a_peer_that_never_finishes_a_message_costs_no_more_than_its_bound() {
         };
         session.handle_segment(Segment::Datagram(datagram).encode(), Instant::ORIGIN);
     }
-    assert!(session.counters().unfinished > 99_900, "{:?}", session.counters());
+    assert!(session.counters().incomplete > 99_900, "{:?}", session.counters());
 }
 
 #[test]

@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Direction, Link, LinkRow, LinkState, Network, Place};
+use blastema::{Direction, FaultLocation, Link, LinkRow, LinkState, Network};
 use std::f32::consts::FRAC_PI_2;
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
@@ -125,7 +125,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         node.cable("left").expect("it is faulty").cut(Direction::Both, true);
     }
     while let Some(event) = faults.next().await {
-        let Place::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
         if event.fault.kind == FaultKind::LinkDown && link.as_ref() == "left" {
             println!("{}: {}", event.fault.kind, event.fault.place);
             break;

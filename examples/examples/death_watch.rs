@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Down, Ending};
+use blastema::{Down, DownReason};
 
 /// Moves the arm.
 #[derive(Debug, Request)]
@@ -52,7 +52,7 @@ impl Handle<Down> for ToolChanger {
     async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
         self.deaths += 1;
         match down.ending {
-            Ending::Panicked { text, during, .. } => {
+            DownReason::Panicked { text, during, .. } => {
                 println!("{}{} died in {during}: {text}", down.object, down.incarnation);
             }
             other => println!("{}{}: {other:?}", down.object, down.incarnation),

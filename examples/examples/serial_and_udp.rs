@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Direction, FaultEvents, FaultTransition, Link, LinkState, Network, Place};
+use blastema::{Direction, FaultEvents, FaultLocation, FaultTransition, Link, LinkState, Network};
 use blastema_ptys::Cable;
 use std::net::UdpSocket;
 use std::path::Path;
@@ -98,7 +98,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Waits until this link fails, and says so.
 async fn link_down(faults: &mut FaultEvents, name: &str) -> String {
     while let Some(event) = faults.next().await {
-        let Place::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
         let found = event.turn == FaultTransition::Found && link.as_ref() == name;
         if found && event.fault.kind == FaultKind::LinkDown {
             return format!("{}: {}", event.fault.kind, event.fault.place);

@@ -6,7 +6,7 @@
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
-use blastema::{Direction, Link, Network, Place};
+use blastema::{Direction, FaultLocation, Link, Network};
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
@@ -102,7 +102,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("300 requests answered, one after the other");
 
     while let Some(event) = faults.next().await {
-        let Place::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
         if event.fault.kind == FaultKind::LinkDown && link.as_ref() == "ethernet" {
             println!("{}: {}", event.fault.kind, event.fault.place);
             break;

@@ -8,7 +8,7 @@ use blastema::core::net::{RouterConfig, SessionConfig};
 use blastema::core::recovery::{LadderStep, RecovererLimits, SupervisorRules};
 use blastema::core::service::MEMBERS_MAX;
 use blastema::prelude::*;
-use blastema::{DEFAULT_DEADLINE, Incarnation, NodeName, Place};
+use blastema::{DEFAULT_DEADLINE, FaultLocation, Incarnation, NodeName};
 use blastema_testkit::TestNode;
 use std::fs;
 use std::path::Path;
@@ -40,7 +40,7 @@ fn the_list_of_faults_is_that_of_the_code_with_the_measures_of_the_default_plan(
     };
     for kind in &FaultKind::BUILT_IN {
         let row = row(&page, &format!("`{}`", kind.code()));
-        let ladder = plan.answer(&node(), kind, &Place::Node(node()));
+        let ladder = plan.answer(&node(), kind, &FaultLocation::Node(node()));
         let measures: Vec<String> = ladder.steps().iter().map(rung).collect();
 
         assert_eq!(row[1], kind.text());

@@ -207,7 +207,8 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
         for restarts in 0..5 {
             let mut process = Process::start("bystander", &addresses);
             let seen = async {
-                let place = blastema::Place::Node(blastema::NodeName::new("module1").unwrap());
+                let place =
+                    blastema::FaultLocation::Node(blastema::NodeName::new("module1").unwrap());
                 while !node.table().await.iter().any(|row| {
                     row.place == place && row.restarts == restarts && row.incarnation.0 > 0
                 }) {

@@ -287,7 +287,7 @@ fn bulk_both_ways(baud: u32, bound: Duration) {
         assert!(longest < bound, "{longest:?}");
         for end in &ends {
             assert_eq!(*end.states.borrow(), [LinkState::Up], "up once, and never suspect");
-            assert_eq!(end.session.borrow().counters().repeated, 0);
+            assert_eq!(end.session.borrow().counters().retransmitted, 0);
         }
     });
 }

@@ -82,7 +82,7 @@ pub(crate) enum Subcommand {
     /// Show the state of a running node
     ///
     /// Its objects with what the monitor thinks of each, the threads that components live on,
-    /// links, sessions with other nodes, claimed names, services and who serves them, actuators and
+    /// links, sessions with other nodes, global names, services and who serves them, actuators and
     /// who commands them, and faults, as they are now. A node is shown if its program opens an
     /// inspection socket, by `NodeBuilder::inspection_socket`, to the user who runs it and no
     /// other. A value that is not known is a dash; a table that is left out is empty, and one whose

@@ -12,20 +12,20 @@ const WHY_MAX: usize = 16 * 1024;
 #[contract(
     crate = "crate",
     name = "blastema/command",
-    version = 1,
-    reply = Ordered,
+    version = 2,
+    reply = CommandReply,
     max_size = 1024 * 1024
 )]
 pub(crate) struct ActuatorCommand {
     /// Name, version and fingerprint of the actuator's contract.
     pub(crate) identity: Vec<u8>,
-    pub(crate) wish: Wish,
+    pub(crate) wish: CommandKind,
 }
 
 /// Which.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Wish {
+pub(crate) enum CommandKind {
     Claim { commander: String, life: u64 },
     Renew { epoch: u64 },
     Release { epoch: u64 },
@@ -35,7 +35,7 @@ pub(crate) enum Wish {
 /// What came of it.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Ordered {
+pub(crate) enum CommandReply {
     Granted {
         epoch: u64,
         span_us: u64,
@@ -50,13 +50,13 @@ pub(crate) enum Ordered {
     },
 }
 
-impl Ordered {
+impl CommandReply {
     pub(crate) fn refused(why: &DeliveryError) -> Self {
         let mut bytes = Vec::new();
         if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
             bytes.clear();
         }
-        Ordered::Refused { why: bytes }
+        CommandReply::Refused { why: bytes }
     }
 
     /// Reads an error that [`refused`](Self::refused) wrote.

@@ -20,7 +20,7 @@ use blastema_core::contract::codec;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
 };
-use command::{ActuatorCommand, Ordered, Wish};
+use command::{ActuatorCommand, CommandKind, CommandReply};
 use std::fmt;
 use std::future::Future;
 use std::marker::PhantomData;
@@ -155,7 +155,7 @@ async fn renew_lease(helm: Weak<Helm>) {
         match held {
             Some(Held { epoch, span, .. }) => {
                 let asked = platform::now();
-                let renewed = present.send_command(Wish::Renew { epoch }, span).await;
+                let renewed = present.send_command(CommandKind::Renew { epoch }, span).await;
                 present.take_note(epoch, asked, renewed.map(|_| ()));
                 drop(present);
                 tokio::time::sleep(span / 4).await;
@@ -179,11 +179,15 @@ impl Helm {
         *self.lock()
     }
 
-    async fn send_command(&self, wish: Wish, within: Duration) -> Result<Ordered, DeliveryError> {
+    async fn send_command(
+        &self,
+        wish: CommandKind,
+        within: Duration,
+    ) -> Result<CommandReply, DeliveryError> {
         let order = ActuatorCommand { identity: self.identity.clone(), wish };
         let asked = self.sender.ask_within(order, within).await;
         match asked.map_err(|error| error.kind)? {
-            Ordered::Refused { why } => Err(Ordered::why(&why)),
+            CommandReply::Refused { why } => Err(CommandReply::why(&why)),
             ordered => Ok(ordered),
         }
     }
@@ -205,8 +209,10 @@ impl Helm {
 impl Drop for Helm {
     fn drop(&mut self) {
         if let Some(Held { epoch, .. }) = self.held() {
-            let order =
-                ActuatorCommand { identity: self.identity.clone(), wish: Wish::Release { epoch } };
+            let order = ActuatorCommand {
+                identity: self.identity.clone(),
+                wish: CommandKind::Release { epoch },
+            };
             // Where it does not get through, the lease ends by itself.
             let _ = self.sender.tell(order);
         }
@@ -257,9 +263,9 @@ impl<M: Contract> Commander<M> {
     async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
         let Helm { name, life, .. } = &*self.0;
         let asked = platform::now();
-        let wish = Wish::Claim { commander: name.clone(), life: life.0 };
+        let wish = CommandKind::Claim { commander: name.clone(), life: life.0 };
         match self.0.send_command(wish, within).await? {
-            Ordered::Granted { epoch, span_us } => {
+            CommandReply::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);
                 *self.0.lock() = Some(Held { epoch, span, until: asked + span });
                 self.0.claimed.notify_one();
@@ -288,11 +294,11 @@ impl<M: Contract> Commander<M> {
         let mut bytes = Vec::new();
         codec::encode(&message, &mut bytes)
             .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;
-        let done = self.0.send_command(Wish::Command { epoch, message: bytes }, span).await;
+        let done = self.0.send_command(CommandKind::Command { epoch, message: bytes }, span).await;
         let noted = done.as_ref().map(|_| ()).map_err(Clone::clone);
         self.0.take_note(epoch, now, noted);
         match done? {
-            Ordered::Done(reply) => codec::decode_reply::<M>(&reply)
+            CommandReply::Done(reply) => codec::decode_reply::<M>(&reply)
                 .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() }),
             other => Err(odd::<M>(other)),
         }
@@ -306,7 +312,7 @@ impl<M: Contract> Commander<M> {
         let held = self.0.lock().take();
         match held {
             Some(Held { epoch, .. }) => {
-                self.0.send_command(Wish::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
+                self.0.send_command(CommandKind::Release { epoch }, CLAIM_WITHIN).await.map(|_| ())
             }
             None => Ok(()),
         }
@@ -322,8 +328,8 @@ fn comes_later(why: &DeliveryError) -> bool {
     )
 }
 
-fn odd<M: Contract>(ordered: Ordered) -> DeliveryError {
-    let Ordered::Differs { identity } = ordered else {
+fn odd<M: Contract>(ordered: CommandReply) -> DeliveryError {
+    let CommandReply::Differs { identity } = ordered else {
         return DeliveryError::Undecodable {
             reason: format!("an answer to another order: {ordered:?}"),
         };

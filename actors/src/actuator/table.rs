@@ -4,7 +4,7 @@
 //! watches the time, on the fault chain's arbiter: a component that hangs keeps nobody from being
 //! safe.
 
-use super::command::{ActuatorCommand, Ordered, Wish};
+use super::command::{ActuatorCommand, CommandKind, CommandReply};
 use crate::messaging::reply::Responder;
 use crate::platform;
 use crate::registry::service_fn::ServiceFn;
@@ -205,42 +205,44 @@ impl ActuatorTable {
             Ok(theirs) => theirs,
             Err(error) => {
                 let why = DeliveryError::Undecodable { reason: error.to_string() };
-                return answer.give(Ordered::refused(&why));
+                return answer.give(CommandReply::refused(&why));
             }
         };
         let Some(actuator) = self.find(object, &theirs) else {
             let why = DeliveryError::Unknown { name: format!("{} of {object}", theirs.name) };
-            return answer.give(Ordered::refused(&why));
+            return answer.give(CommandReply::refused(&why));
         };
         if actuator.identity.check(&theirs).is_err() {
             let identity = actuator.identity.full().encode();
-            return answer.give(Ordered::Differs { identity });
+            return answer.give(CommandReply::Differs { identity });
         }
         let now = platform::now();
         let mut lease = lock(&actuator.lease);
         // Looked at under the lease's lock: who comes later finds that it has ended.
         if self.rests.load(SeqCst) {
             drop(lease);
-            return answer.give(Ordered::refused(&DeliveryError::Stopped));
+            return answer.give(CommandReply::refused(&DeliveryError::Stopped));
         }
         let done = match wish {
             // Its first command would wait, perhaps for longer than the lease.
-            Wish::Claim { .. } if !actuator.doorway.is_at_work() => Err(DeliveryError::Restarting),
-            Wish::Claim { commander, life } => {
+            CommandKind::Claim { .. } if !actuator.doorway.is_at_work() => {
+                Err(DeliveryError::Restarting)
+            }
+            CommandKind::Claim { commander, life } => {
                 let commander = CommanderId { name: commander, life: Incarnation(life) };
                 lease.handle_claim(commander, now).map(|grant| {
                     let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
-                    Ordered::Granted { epoch: grant.epoch, span_us }
+                    CommandReply::Granted { epoch: grant.epoch, span_us }
                 })
             }
-            Wish::Renew { epoch } => {
-                lease.handle_renewal(epoch, now).map(|()| Ordered::Done(Vec::new()))
+            CommandKind::Renew { epoch } => {
+                lease.handle_renewal(epoch, now).map(|()| CommandReply::Done(Vec::new()))
             }
-            Wish::Release { epoch } => {
+            CommandKind::Release { epoch } => {
                 lease.handle_release(epoch);
-                Ok(Ordered::Done(Vec::new()))
+                Ok(CommandReply::Done(Vec::new()))
             }
-            Wish::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
+            CommandKind::Command { epoch, message } => match lease.handle_renewal(epoch, now) {
                 Ok(()) => {
                     drop(lease);
                     return actuator.command(message, answer);
@@ -250,11 +252,11 @@ impl ActuatorTable {
         };
         drop(lease);
         self.carry_out(&actuator);
-        if matches!(done, Ok(Ordered::Granted { .. })) {
+        if matches!(done, Ok(CommandReply::Granted { .. })) {
             self.take_back(&actuator);
         }
         self.look();
-        answer.give(done.unwrap_or_else(|why| Ordered::refused(&why)));
+        answer.give(done.unwrap_or_else(|why| CommandReply::refused(&why)));
     }
 
     /// Somebody commands again: that the one before has gone is no fault any more, unless another
@@ -358,14 +360,14 @@ impl Actuator {
     /// carried out after its lease has ended.
     fn command(&self, message: Vec<u8>, answer: Responder<ActuatorCommand>) {
         if self.busy.swap(true, Relaxed) {
-            return answer.give(Ordered::refused(&DeliveryError::Full));
+            return answer.give(CommandReply::refused(&DeliveryError::Full));
         }
         let busy = self.busy.clone();
         let reply_to: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
             busy.store(false, Relaxed);
             answer.give(match result {
-                Ok(reply) => Ordered::Done(reply.into_bytes().into()),
-                Err(why) => Ordered::refused(&why),
+                Ok(reply) => CommandReply::Done(reply.into_bytes().into()),
+                Err(why) => CommandReply::refused(&why),
             });
         });
         // What came of it is told to the closure in every case.

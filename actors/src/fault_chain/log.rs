@@ -15,7 +15,7 @@
 
 use blastema_contract::detector::FaultEvent;
 use blastema_core::detection::FaultTransition;
-use blastema_core::{Fault, NodeName, Place, Severity};
+use blastema_core::{Fault, FaultLocation, NodeName, Severity};
 use std::io::{self, Write};
 use tracing::{Level, event};
 
@@ -80,10 +80,10 @@ fn shown(fault: &Fault, turn: &FaultTransition) -> Shown {
     }
 }
 
-fn object(place: &Place) -> Option<&str> {
+fn object(place: &FaultLocation) -> Option<&str> {
     match place {
-        Place::Object(address) => Some(address.object.as_str()),
-        Place::Link { .. } | Place::Node(_) => None,
+        FaultLocation::Object(address) => Some(address.object.as_str()),
+        FaultLocation::Link { .. } | FaultLocation::Node(_) => None,
     }
 }
 
@@ -136,7 +136,7 @@ mod tests {
             id: FaultId(7),
             severity: kind.severity(),
             kind,
-            place: Place::Object("module1:arm".parse().unwrap()),
+            place: FaultLocation::Object("module1:arm".parse().unwrap()),
             incarnation: Incarnation(2),
             detail: "boom\nat arm.rs:7".to_owned(),
             found_at: Instant::ORIGIN,

@@ -8,7 +8,7 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::recovery::{ChildRules, SupervisorRules};
-use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, ObjectName, Place};
+use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, ObjectName};
 use blastema_doubles::Probe;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -205,7 +205,7 @@ pub(crate) fn fault(id: u64, kind: FaultKind, name: &str, life: u64) -> Fault {
         id: FaultId(id),
         severity: kind.severity(),
         kind,
-        place: Place::Object(format!("here:{name}").parse().expect("a good name")),
+        place: FaultLocation::Object(format!("here:{name}").parse().expect("a good name")),
         incarnation: Incarnation(life),
         detail: String::new(),
         found_at: Instant::ORIGIN,

@@ -4,7 +4,7 @@ mod moving;
 mod tree;
 
 use super::directory::{SupervisorDirectory, SupervisorRecipients};
-use crate::messaging::death_watch::{Deaths, Ending};
+use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian;
@@ -281,7 +281,7 @@ impl MachineActor for SupervisorActor {
                 } else {
                     self.declare_storm(&reason);
                 }
-                self.watched.end(&self.name, Ending::Fatal);
+                self.watched.end(&self.name, DownReason::Fatal);
                 self.tell_parent(ChildEvent::Escalated { reason });
             }
             SupervisorOutput::AllStarted => {
@@ -366,7 +366,7 @@ impl Handler<AbandonChildren> for SupervisorActor {
     type Result = ();
 
     fn handle(&mut self, _: AbandonChildren, context: &mut Context<Self>) {
-        self.watched.end(&self.name, Ending::Abandoned);
+        self.watched.end(&self.name, DownReason::Abandoned);
         self.machine.handle_forsake(platform::now());
         self.drive(context);
     }

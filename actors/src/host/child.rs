@@ -8,7 +8,7 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::control::HostCommand;
 use crate::liveness::label;
-use crate::messaging::death_watch::{Down, Ending, Watchable, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use actix::dev::channel;
 use actix::{Addr, Recipient};
@@ -145,7 +145,7 @@ impl<C: Component> Child for ComponentChild<C> {
         self.order(HostCommand::Wake);
         self.anchor.set_control(None);
         record.announce(|listener| listener.deactivated());
-        let (object, ending) = (record.name.clone(), Ending::Abandoned);
+        let (object, ending) = (record.name.clone(), DownReason::Abandoned);
         record.mourners.tell(&Down { object, node: None, incarnation, ending });
     }
 
@@ -230,7 +230,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
                 object: self.record.name.clone(),
                 node: None,
                 incarnation: self.record.incarnation(),
-                ending: Ending::NotAlive,
+                ending: DownReason::NotAlive,
             });
         }
     }

@@ -4,7 +4,7 @@ use super::lock::{JournalLock, LockError};
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use super::writer::set_aside;
 use super::{JournalEntry, JournalStatus, NODE_ENDED, ReadError, WallTime, read};
-use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, NodeName, Place};
+use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, NodeName};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -38,7 +38,7 @@ fn line(id: u64, found: Moment) -> JournalRow {
         id: FaultId(id),
         severity: FaultKind::LinkDown.severity(),
         kind: FaultKind::LinkDown,
-        place: Place::Link { node: node("a"), link: "eth".into(), neighbour: None },
+        place: FaultLocation::Link { node: node("a"), link: "eth".into(), neighbour: None },
         incarnation: Incarnation(0),
         detail: "no hello".to_owned(),
         found_at: found.monotonic,

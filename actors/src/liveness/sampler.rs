@@ -16,7 +16,7 @@ use blastema_core::detection::hang::{
     LivenessEvent, Looked, MaxSilence, QueueReading, SlotId,
 };
 use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, Pull, QueueSample};
-use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName, Place};
+use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -195,7 +195,7 @@ impl SampledComponents {
     pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
         let glances = self.glances();
         for row in rows {
-            let Place::Object(address) = &row.place else { continue };
+            let FaultLocation::Object(address) = &row.place else { continue };
             let Some(glance) = glances.get(&address.object).filter(|_| address.node == *node)
             else {
                 continue;

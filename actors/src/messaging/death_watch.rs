@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A life of a watched object has ended.
 #[derive(Clone, Debug, PartialEq, Eq, Event)]
-#[contract(crate = "crate", name = "blastema/down", version = 1)]
+#[contract(crate = "crate", name = "blastema/down", version = 2)]
 pub struct Down {
     /// Who.
     pub object: ObjectName,
@@ -19,13 +19,13 @@ pub struct Down {
     /// Which of its lives; 0 for one that never lived.
     pub incarnation: Incarnation,
     /// How it ended.
-    pub ending: Ending,
+    pub ending: DownReason,
 }
 
 /// How a life ended.
 #[derive(Clone, Debug, PartialEq, Eq, Structure)]
 #[contract(crate = "crate")]
-pub enum Ending {
+pub enum DownReason {
     /// It ended itself, in order.
     Returned,
     /// It could not go on: it did not come to work, or declared a fatal fault.
@@ -57,18 +57,18 @@ pub enum Ending {
     },
 }
 
-impl From<&ExitReason> for Ending {
+impl From<&ExitReason> for DownReason {
     fn from(exit: &ExitReason) -> Self {
         match exit {
-            ExitReason::Returned => Ending::Returned,
-            ExitReason::Fatal => Ending::Fatal,
-            ExitReason::Panicked { text, at, during } => Ending::Panicked {
+            ExitReason::Returned => DownReason::Returned,
+            ExitReason::Fatal => DownReason::Fatal,
+            ExitReason::Panicked { text, at, during } => DownReason::Panicked {
                 text: text.clone(),
                 at: at.clone(),
                 during: (*during).to_owned(),
             },
-            ExitReason::Aborted => Ending::Aborted,
-            ExitReason::Stopped => Ending::Stopped,
+            ExitReason::Aborted => DownReason::Aborted,
+            ExitReason::Stopped => DownReason::Stopped,
         }
     }
 }
@@ -139,13 +139,13 @@ impl Deaths {
     pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
         match state {
             Lifecycle::Active => self.begin(object, incarnation),
-            Lifecycle::Finalized => self.end(object, Ending::Stopped),
+            Lifecycle::Finalized => self.end(object, DownReason::Stopped),
             _ => {}
         }
     }
 
     /// The present life of the object has ended; without effect where none is.
-    pub(crate) fn end(&self, object: &ObjectName, ending: Ending) {
+    pub(crate) fn end(&self, object: &ObjectName, ending: DownReason) {
         let mut objects = self.lock();
         let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
         let Some(Watched { incarnation, is_alive, mourners }) = alive else { return };
@@ -166,7 +166,7 @@ impl Deaths {
         let mourner = Arc::new(mourner);
         mourners.join(mourner.clone());
         if !is_alive {
-            let (object, ending) = (object.clone(), Ending::NotAlive);
+            let (object, ending) = (object.clone(), DownReason::NotAlive);
             (mourner.tell)(Down { object, node: None, incarnation, ending });
         }
         None

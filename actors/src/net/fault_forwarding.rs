@@ -9,7 +9,7 @@ use blastema_contract::recoverer::Recover;
 use blastema_core::contract::codec;
 use blastema_core::contract::codec::DecodeError;
 use blastema_core::net::NodeId;
-use blastema_core::{Fault, FaultId, FaultKind, Incarnation, Instant, Place, Severity};
+use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Severity};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -24,7 +24,7 @@ struct Travelling {
     id: FaultId,
     kind: FaultKind,
     severity: Severity,
-    place: Place,
+    place: FaultLocation,
     incarnation: Incarnation,
     detail: String,
     age_us: u64,
@@ -108,7 +108,7 @@ mod tests {
             id: FaultId(7),
             kind: FaultKind::Custom("grip".into()),
             severity: Severity::Error,
-            place: Place::Node(NodeName::new("module2").unwrap()),
+            place: FaultLocation::Node(NodeName::new("module2").unwrap()),
             incarnation: Incarnation(3),
             detail: "ä".repeat(100_000),
             found_at: Instant::from_millis(900),

@@ -34,7 +34,7 @@ use blastema_core::net::peer_protocol::{
 };
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
-use blastema_core::{DeliveryError, FaultKind, GatherBuffer, NodeName, Place};
+use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, NodeName};
 use bytes::Bytes;
 use inbound::{InboundBacklog, LOOK, PeerBinding};
 use peer::GatewayPeer;
@@ -341,9 +341,9 @@ impl GatewayActor {
         // A node is believed about its own objects and links. What it thinks of other nodes, or of
         // ours, is no reason to do anything here: everybody sees that for itself.
         let theirs = match &fault.place {
-            Place::Object(address) => NodeId::of(&address.node) == peer,
-            Place::Link { node, .. } => NodeId::of(node) == peer,
-            Place::Node(_) => false,
+            FaultLocation::Object(address) => NodeId::of(&address.node) == peer,
+            FaultLocation::Link { node, .. } => NodeId::of(node) == peer,
+            FaultLocation::Node(_) => false,
         };
         if !theirs {
             self.exchange.handle_noticed(peer, epoch, number);

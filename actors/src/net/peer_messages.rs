@@ -24,8 +24,8 @@ const SENDERS_MAX: usize = 512;
 
 /// One letter.
 #[derive(Clone, Debug, Event)]
-#[contract(crate = "crate", name = "blastema/letter", version = 1, max_size = 128 * 1024)]
-struct Letter {
+#[contract(crate = "crate", name = "blastema/actor-message", version = 1, max_size = 128 * 1024)]
+struct ActorMessage {
     bytes: Vec<u8>,
 }
 
@@ -41,7 +41,7 @@ pub(crate) struct ActorMessageReceived {
 pub(crate) struct PeerChannel {
     registry: Registry,
     place: ObjectName,
-    senders: BTreeMap<NodeName, Sender<Letter>>,
+    senders: BTreeMap<NodeName, Sender<ActorMessage>>,
     slot: Arc<Slot>,
 }
 
@@ -62,7 +62,7 @@ impl PeerChannel {
         let (unread, dropped) = (AtomicUsize::new(0), AtomicU64::new(0));
         let slot = Arc::new(Slot { reader, unread, dropped });
         let doorway: Arc<dyn Skeleton> = slot.clone();
-        registry.register_hidden(place.clone(), ContractPort::of_doorway::<Letter>(doorway));
+        registry.register_hidden(place.clone(), ContractPort::of_doorway::<ActorMessage>(doorway));
         PeerChannel { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
     }
 
@@ -70,14 +70,14 @@ impl PeerChannel {
     pub(crate) fn send(&mut self, to: &NodeName, bytes: &Bytes) {
         if !self.senders.contains_key(to) {
             let address = format!("{to}:{}", self.place);
-            let Ok(sender) = self.registry.sender::<Letter>(&address) else { return };
+            let Ok(sender) = self.registry.sender::<ActorMessage>(&address) else { return };
             if self.senders.len() >= SENDERS_MAX {
                 self.senders.pop_first();
             }
             self.senders.insert(to.clone(), sender);
         }
         if let Some(sender) = self.senders.get(to)
-            && sender.tell(Letter { bytes: bytes.to_vec() }).is_err()
+            && sender.tell(ActorMessage { bytes: bytes.to_vec() }).is_err()
         {
             self.slot.dropped.fetch_add(1, Relaxed);
         }
@@ -92,7 +92,7 @@ impl PeerChannel {
 /// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown
 /// object.
 pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
-    registry.register_hidden(place, ContractPort::of_doorway::<Letter>(Arc::new(Nobody)));
+    registry.register_hidden(place, ContractPort::of_doorway::<ActorMessage>(Arc::new(Nobody)));
 }
 
 struct Nobody;
@@ -122,7 +122,7 @@ impl Skeleton for Slot {
         postmark: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
-        let read = codec::decode::<Letter>(message)
+        let read = codec::decode::<ActorMessage>(message)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
         let delivered = read.and_then(|letter| {
             let Some(from) = postmark.from else {

@@ -19,7 +19,7 @@ use blastema_core::detection::NodeCondition;
 use blastema_core::net::routing::RouterAlarm;
 use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
-use blastema_core::{FaultKind, Incarnation, NodeName, Place};
+use blastema_core::{FaultKind, FaultLocation, Incarnation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
 use tokio::sync::oneshot;
 use tracing::{debug, error, info};
@@ -339,7 +339,7 @@ impl Handler<Reroute> for RouterActor {
     fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
         let Reroute { place } = message;
         let node = match place {
-            Place::Link { neighbour: Some(node), .. } | Place::Node(node) => node,
+            FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
             other => {
                 let error = format!("nobody is known to be behind {other}");
                 return Box::pin(async { Err(error.into()) });

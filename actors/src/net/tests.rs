@@ -40,7 +40,8 @@ use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::net::{LinkId, LinkState};
 use blastema_core::{
-    DeliveryError, Fault, FaultId, FaultKind, Incarnation, NodeName, ObjectName, Place, Severity,
+    DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
+    Severity,
 };
 use blastema_doubles::{Probe, advance, paused, settle};
 use blastema_transports::{FaultInjector, FaultInjectorConfig, Memory, MemoryConfig, MemoryMedium};

@@ -93,13 +93,13 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
     #[cfg(feature = "unix")]
-    let window = assembly.make_window(builder.shown_at);
+    let inspection = assembly.make_inspection(builder.shown_at);
     let actors = assembly.enrol_all(planting.harvest).await?;
     assembly.look_out(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
     let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors, manager);
     #[cfg(feature = "unix")]
-    node.open(window).await?;
+    node.open(inspection).await?;
     if builder.handles_signals {
         node.node.apply_safe_outputs_on_signals()?;
     }
@@ -266,13 +266,16 @@ impl NodeAssembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    fn make_window(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
-        let (name, FaultChainParts { guardian, chain, state, .. }) = (named("window"), &self.parts);
-        let window = InspectionActor::new(path?, state.clone(), self.environment.reports.clone());
+    fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
+        let (name, FaultChainParts { guardian, chain, state, .. }) =
+            (named("inspection"), &self.parts);
+        let inspection =
+            InspectionActor::new(path?, state.clone(), self.environment.reports.clone());
         let place = chain.arbiter.as_ref();
-        let window = guardian.start(name.clone(), place, |_: &mut Context<InspectionActor>| window);
-        self.enrolments.push(middleware(name, Some(window.clone().recipient())));
-        Some(window)
+        let inspection =
+            guardian.start(name.clone(), place, |_: &mut Context<InspectionActor>| inspection);
+        self.enrolments.push(middleware(name, Some(inspection.clone().recipient())));
+        Some(inspection)
     }
 
     /// From here on everything is watched.
@@ -368,10 +371,10 @@ struct StartingNode {
 
 impl StartingNode {
     #[cfg(feature = "unix")]
-    async fn open(&self, window: Option<Addr<InspectionActor>>) -> Result<(), StartError> {
-        let Some(window) = window else { return Ok(()) };
+    async fn open(&self, inspection: Option<Addr<InspectionActor>>) -> Result<(), StartError> {
+        let Some(inspection) = inspection else { return Ok(()) };
         // The fault chain's mailboxes close only when the node has ended.
-        let shown = window.send(StartInspection::node(&self.node)).await.unwrap_or(Ok(()));
+        let shown = inspection.send(StartInspection::node(&self.node)).await.unwrap_or(Ok(()));
         shown.map_err(StartError::Shown)
     }
 

@@ -88,7 +88,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
     #[cfg(feature = "journal")]
     builder.journal.as_deref().map_or(Ok(()), check_journal)?;
     #[cfg(feature = "unix")]
-    builder.shown_at.as_deref().map_or(Ok(()), check_window)?;
+    builder.shown_at.as_deref().map_or(Ok(()), check_socket)?;
     Ok(())
 }
 
@@ -147,15 +147,15 @@ pub(super) fn check_names<'a>(
     }
 }
 
-/// The window lies where it is said to lie, wherever the program is started.
+/// The path of the inspection socket does not depend on the directory of the process.
 #[cfg(feature = "unix")]
-fn check_window(path: &Path) -> Result<(), StartError> {
+fn check_socket(path: &Path) -> Result<(), StartError> {
     if path.is_absolute() {
         return Ok(());
     }
     Err(StartError::Shown(format!(
         "where {path:?} lies depends on where the program is started: give an absolute path, such as \
-         /run/robot/module1.window"
+         /run/robot/module1.sock"
     )))
 }
 

@@ -1,7 +1,7 @@
 //! The last signs of life of links and of the nodes at their other ends.
 
 use blastema_contract::link::LinkRow;
-use blastema_core::Place;
+use blastema_core::FaultLocation;
 use blastema_core::detection::MonitorRow;
 
 /// Completes the rows of links and nodes by when the last hello came. A node without a link to here
@@ -9,19 +9,19 @@ use blastema_core::detection::MonitorRow;
 pub(super) fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
     for row in rows {
         match &row.place {
-            Place::Link { link, .. } => {
+            FaultLocation::Link { link, .. } => {
                 if let Some(seen) = links.iter().find(|seen| seen.link == *link) {
                     row.last_sign = seen.last_sign;
                 }
             }
-            Place::Node(node) => {
+            FaultLocation::Node(node) => {
                 let there = |link: &&LinkRow| {
                     link.neighbour.as_ref().is_some_and(|neighbour| neighbour.node == *node)
                 };
                 let signs = links.iter().filter(there).filter_map(|link| link.last_sign);
                 row.last_sign = signs.min();
             }
-            Place::Object(_) => {}
+            FaultLocation::Object(_) => {}
         }
     }
 }
@@ -68,9 +68,9 @@ mod tests {
         };
         let of_link = |name: &str| {
             let (node, link) = (node("a"), name.into());
-            stale(Place::Link { node, link, neighbour: None }, ObjectKind::Link)
+            stale(FaultLocation::Link { node, link, neighbour: None }, ObjectKind::Link)
         };
-        let of_node = |name: &str| stale(Place::Node(node(name)), ObjectKind::Node);
+        let of_node = |name: &str| stale(FaultLocation::Node(node(name)), ObjectKind::Node);
         let mut rows =
             [of_link("eth"), of_link("can"), of_node("b"), of_node("behind-b"), of_link("gone")];
         let links = [link("eth", "b", Some(70)), link("can", "b", Some(20))];

@@ -99,7 +99,7 @@ impl NodeSnapshot {
             "threads": rows_of(&self.threads, thread),
             "links": self.links.as_deref().map(|rows| rows_of(rows, link)),
             "sessions": self.sessions.as_deref().map(|rows| rows_of(rows, session)),
-            "claims": rows_of(&self.claims, claim),
+            "global_names": rows_of(&self.claims, claim),
             "services": rows_of(&self.services, service),
             "actuators": rows_of(&self.actuators, actuator),
             "topics": rows_of(&self.topics, topic),
@@ -125,7 +125,7 @@ fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
 
 fn object(row: &MonitorRow) -> Value {
     json!({
-        "place": row.place.to_string(),
+        "location": row.place.to_string(),
         "kind": match row.kind {
             ObjectKind::Component => "component",
             ObjectKind::Middleware => "middleware",
@@ -194,10 +194,10 @@ fn session(row: &SessionRow) -> Value {
         "in_flight": standing.in_flight,
         "window": standing.window,
         "sent": counters.sent,
-        "repeated": counters.repeated,
-        "doubled": counters.doubled,
-        "late": counters.overtaken,
-        "unfinished": counters.unfinished,
+        "retransmitted": counters.retransmitted,
+        "duplicates": counters.duplicates,
+        "superseded": counters.superseded,
+        "incomplete": counters.incomplete,
         "returned": counters.returned,
         "refused": standing.refusals.total(),
         "differences": row.differences,
@@ -225,8 +225,8 @@ fn service(row: &ServiceRow) -> Value {
         "epoch": row.epoch,
         "primary": row.primary.as_ref().map(NodeName::as_str),
         "members": names(&row.members),
-        "unheard": names(&row.unheard),
-        "unprotected": row.unprotected,
+        "missing_members": names(&row.missing_members),
+        "unreplicated": row.unreplicated,
         "seen_ms": millis(row.age),
     })
 }
@@ -276,7 +276,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
             Severity::Error => "error",
             Severity::Critical => "critical",
         },
-        "place": fault.place.to_string(),
+        "location": fault.place.to_string(),
         "incarnation": fault.incarnation.0,
         "detail": fault.detail,
         "count": fault.count,

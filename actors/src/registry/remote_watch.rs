@@ -11,7 +11,7 @@
 //! ends of each watched object, so that none between two questions is missed. That the object's node is
 //! lost is seen by the session, which resolves the request.
 
-use crate::messaging::death_watch::{Down, Ending, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
@@ -40,7 +40,7 @@ const TEXT_MAX: usize = 4096;
 /// Asks for the next end of a life of the object, after so many that the asker knows of; without a
 /// number, how the object stands now.
 #[derive(Clone, Debug, Request)]
-#[contract(crate = "crate", name = "blastema/await_end", version = 1, reply = Watched)]
+#[contract(crate = "crate", name = "blastema/await-end", version = 1, reply = Watched)]
 struct AwaitEnd {
     object: ObjectName,
     seen: Option<u64>,
@@ -59,13 +59,13 @@ struct Watched {
 #[contract(crate = "crate")]
 struct LastEnd {
     incarnation: Incarnation,
-    ending: Ending,
+    ending: DownReason,
 }
 
 impl From<Down> for LastEnd {
     fn from(down: Down) -> Self {
         let Down { incarnation, mut ending, .. } = down;
-        if let Ending::Panicked { text, .. } = &mut ending {
+        if let DownReason::Panicked { text, .. } = &mut ending {
             let end = (0..=TEXT_MAX.min(text.len())).rev().find(|at| text.is_char_boundary(*at));
             text.truncate(end.unwrap_or(0));
         }
@@ -87,7 +87,7 @@ pub(crate) fn follow(
         };
         let incarnation = Incarnation(0);
         let lost = |why: &DeliveryError| {
-            down(LastEnd { incarnation, ending: Ending::NodeLost { reason: why.to_string() } });
+            down(LastEnd { incarnation, ending: DownReason::NodeLost { reason: why.to_string() } });
         };
         match sender {
             Ok(sender) => ask_on(&sender, &object, down, lost).await,
@@ -110,7 +110,7 @@ async fn ask_on(
             Ok(Watched { ends, ended }) => {
                 (seen, is_lost) = (Some(ends), false);
                 if let Some(ended) = ended {
-                    let is_unknown = ended.ending == Ending::Unknown;
+                    let is_unknown = ended.ending == DownReason::Unknown;
                     down(ended);
                     if is_unknown {
                         return;
@@ -176,7 +176,7 @@ impl DeathDesk {
                 counted.waiting.len()
             })
             .sum();
-        if absent.as_ref().is_some_and(|absent| absent.ending == Ending::Unknown) {
+        if absent.as_ref().is_some_and(|absent| absent.ending == DownReason::Unknown) {
             let counted = objects.remove(&object).unwrap_or_default();
             drop(objects);
             let watched = Watched { ends: counted.ends, ended: absent };
@@ -207,7 +207,7 @@ impl DeathDesk {
         let (desk, told) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
-            Ending::NotAlive | Ending::Unknown => {
+            DownReason::NotAlive | DownReason::Unknown => {
                 *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(LastEnd::from(down));
             }
             _ => desk.end(down),

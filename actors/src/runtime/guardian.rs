@@ -5,7 +5,7 @@
 //! sees it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox
 //! live on. Only the message that it was serving is lost.
 
-use crate::messaging::death_watch::{Deaths, Ending};
+use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
 use crate::platform::panics;
 use actix::dev::{ContextFut, channel};
@@ -149,7 +149,7 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
             ExitReason::Panicked { text, at: panics::take_place(), during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
         let (object, incarnation) = (self.name.clone(), self.incarnation);
-        self.watched.end(&object, Ending::from(&exit));
+        self.watched.end(&object, DownReason::from(&exit));
         if let Some(next) = restarted_as {
             self.watched.begin(&object, next);
         }
@@ -173,7 +173,7 @@ impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
         };
         match caught {
             Ok(Poll::Ready(())) => {
-                self.watched.end(&self.name, Ending::Stopped);
+                self.watched.end(&self.name, DownReason::Stopped);
                 Poll::Ready(())
             }
             Ok(Poll::Pending) => Poll::Pending,

@@ -8,7 +8,7 @@ use super::words::{
     Task, WhoServes,
 };
 use crate::component::environment::ComponentEnvironment;
-use crate::messaging::death_watch::{Down, Ending, Watcher};
+use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
@@ -131,7 +131,7 @@ impl ReplicaBody {
         registry.register(&carried.name, ports, Arc::new(Undying))?;
         let told = body.clone().recipient::<Died>();
         let tell = move |down: Down| {
-            if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
+            if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
                 told.do_send(Died);
             }
         };

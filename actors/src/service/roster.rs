@@ -45,10 +45,10 @@ pub struct ServiceRow {
     /// All nodes that carry it, as this one was told.
     pub members: Vec<NodeName>,
     /// Those of them that are not there with this service, as far as this node sees.
-    pub unheard: Vec<NodeName>,
-    /// This node serves, and too few others hold the state: the fault *service unprotected* says
+    pub missing_members: Vec<NodeName>,
+    /// This node serves, and too few others hold the state: the fault *service unreplicated* says
     /// whom to look after.
-    pub unprotected: bool,
+    pub unreplicated: bool,
     /// How long ago the replica has said so: it does when its role or a fault changes, and twice a
     /// second.
     pub age: Duration,
@@ -103,8 +103,8 @@ impl Roster {
                 epoch: view.epoch,
                 primary: view.primary.clone(),
                 members: entry.members.clone(),
-                unheard: view.unheard.clone(),
-                unprotected: view.unprotected,
+                missing_members: view.unheard.clone(),
+                unreplicated: view.unprotected,
                 age: now - *at,
             })
         });

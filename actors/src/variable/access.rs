@@ -14,21 +14,21 @@ const WHY_MAX: usize = 16 * 1024;
 #[contract(
     crate = "crate",
     name = "blastema/variables",
-    version = 1,
-    reply = Accessed,
+    version = 2,
+    reply = VariableReply,
     max_size = 1024 * 1024
 )]
 pub(crate) enum VariableRequest {
-    Read { variable: Wanted },
-    Watch { variable: Wanted, after: u64 },
-    Write { writes: Vec<Written> },
-    Choose { variable: Wanted, choice: Chosen },
+    Read { variable: VariableSelector },
+    Watch { variable: VariableSelector, after: u64 },
+    Write { writes: Vec<WriteEntry> },
+    Choose { variable: VariableSelector, choice: RestoreMessage },
 }
 
 /// A variable, and what its value is taken for.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) struct Wanted {
+pub(crate) struct VariableSelector {
     pub(crate) object: ObjectName,
     /// The contract's name, version and fingerprint.
     pub(crate) identity: Vec<u8>,
@@ -37,8 +37,8 @@ pub(crate) struct Wanted {
 /// One value to be written.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) struct Written {
-    pub(crate) variable: Wanted,
+pub(crate) struct WriteEntry {
+    pub(crate) variable: VariableSelector,
     pub(crate) value: Vec<u8>,
     pub(crate) if_revision: Option<u64>,
 }
@@ -46,7 +46,7 @@ pub(crate) struct Written {
 /// A decision.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Chosen {
+pub(crate) enum RestoreMessage {
     Restore,
     Default,
     Value(Vec<u8>),
@@ -55,11 +55,11 @@ pub(crate) enum Chosen {
 /// What came of it.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Accessed {
+pub(crate) enum VariableReply {
     Value {
         value: Vec<u8>,
         revision: u64,
-        state: Reliance,
+        state: ValidityMessage,
         age_us: u64,
     },
     Revision(u64),
@@ -75,29 +75,29 @@ pub(crate) enum Accessed {
 /// How far a value can be relied on.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
-pub(crate) enum Reliance {
+pub(crate) enum ValidityMessage {
     Current,
     Held,
     Undecided,
 }
 
-impl From<Chosen> for RestoreChoice {
-    fn from(chosen: Chosen) -> Self {
+impl From<RestoreMessage> for RestoreChoice {
+    fn from(chosen: RestoreMessage) -> Self {
         match chosen {
-            Chosen::Restore => RestoreChoice::Restore,
-            Chosen::Default => RestoreChoice::Default,
-            Chosen::Value(value) => RestoreChoice::Value(value.into()),
+            RestoreMessage::Restore => RestoreChoice::Restore,
+            RestoreMessage::Default => RestoreChoice::Default,
+            RestoreMessage::Value(value) => RestoreChoice::Value(value.into()),
         }
     }
 }
 
-impl Accessed {
+impl VariableReply {
     pub(crate) fn refused(why: &DeliveryError) -> Self {
         let mut bytes = Vec::new();
         if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
             bytes.clear();
         }
-        Accessed::Refused { why: bytes }
+        VariableReply::Refused { why: bytes }
     }
 
     /// Reads an error that [`refused`](Self::refused) wrote.
@@ -107,25 +107,25 @@ impl Accessed {
     }
 }
 
-impl From<ValueReport> for Accessed {
+impl From<ValueReport> for VariableReply {
     fn from(report: ValueReport) -> Self {
         let state = match report.state {
-            ValueState::Current => Reliance::Current,
-            ValueState::Held => Reliance::Held,
-            ValueState::Undecided => Reliance::Undecided,
+            ValueState::Current => ValidityMessage::Current,
+            ValueState::Held => ValidityMessage::Held,
+            ValueState::Undecided => ValidityMessage::Undecided,
         };
         let age_us = u64::try_from(report.age.as_micros()).unwrap_or(u64::MAX);
         let value = report.value.into();
-        Accessed::Value { value, revision: report.revision, state, age_us }
+        VariableReply::Value { value, revision: report.revision, state, age_us }
     }
 }
 
-impl From<Reliance> for ValueState {
-    fn from(reliance: Reliance) -> Self {
+impl From<ValidityMessage> for ValueState {
+    fn from(reliance: ValidityMessage) -> Self {
         match reliance {
-            Reliance::Current => ValueState::Current,
-            Reliance::Held => ValueState::Held,
-            Reliance::Undecided => ValueState::Undecided,
+            ValidityMessage::Current => ValueState::Current,
+            ValidityMessage::Held => ValueState::Held,
+            ValidityMessage::Undecided => ValueState::Undecided,
         }
     }
 }

@@ -19,7 +19,9 @@ pub(crate) use store::{DeclaredVariable, VariableStore};
 
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
-use access::{Accessed, Chosen, VariableRequest, WATCH_WITHIN, Wanted, Written};
+use access::{
+    RestoreMessage, VariableReply, VariableRequest, VariableSelector, WATCH_WITHIN, WriteEntry,
+};
 use blastema_core::contract::codec;
 use blastema_core::{
     ContractIdentity, DeliveryError, NodeName, ObjectAddress, ObjectName, PeerIdentity, Variable,
@@ -138,16 +140,16 @@ pub(crate) fn find<V: Variable>(
 }
 
 impl<V: Variable> VariableRef<V> {
-    fn wanted(&self) -> Wanted {
+    fn wanted(&self) -> VariableSelector {
         let identity = ContractIdentity::of::<V>().brief().encode();
-        Wanted { object: self.object.clone(), identity }
+        VariableSelector { object: self.object.clone(), identity }
     }
 
     async fn ask(
         &self,
         access: VariableRequest,
         within: Duration,
-    ) -> Result<Accessed, DeliveryError> {
+    ) -> Result<VariableReply, DeliveryError> {
         let asked = self.sender.ask_within(access, within).await;
         understood::<V>(asked.map_err(|error| error.kind)?)
     }
@@ -158,7 +160,7 @@ impl<V: Variable> VariableRef<V> {
         within: Duration,
     ) -> Result<Reading<V>, DeliveryError> {
         match self.ask(access, within).await? {
-            Accessed::Value { value, revision, state, age_us } => {
+            VariableReply::Value { value, revision, state, age_us } => {
                 let value = codec::decode::<V>(&value)
                     .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
                 let age = Duration::from_micros(age_us);
@@ -202,13 +204,13 @@ impl<V: Variable> VariableRef<V> {
     /// more.
     pub async fn decide(&self, decision: RestoreDecision<V>) -> Result<u64, DeliveryError> {
         let choice = match decision {
-            RestoreDecision::Restore => Chosen::Restore,
-            RestoreDecision::Default => Chosen::Default,
-            RestoreDecision::Value(value) => Chosen::Value(store::encoded(&value)?),
+            RestoreDecision::Restore => RestoreMessage::Restore,
+            RestoreDecision::Default => RestoreMessage::Default,
+            RestoreDecision::Value(value) => RestoreMessage::Value(store::encoded(&value)?),
         };
         let access = VariableRequest::Choose { variable: self.wanted(), choice };
         match self.ask(access, WATCH_WITHIN).await? {
-            Accessed::Revision(revision) => Ok(revision),
+            VariableReply::Revision(revision) => Ok(revision),
             other => Err(odd(&other)),
         }
     }
@@ -256,7 +258,7 @@ impl<V: Variable> VariableWatch<V> {
 #[derive(Debug, Default)]
 #[must_use = "nothing is written before commit()"]
 pub struct Transaction {
-    writes: Vec<Written>,
+    writes: Vec<WriteEntry>,
     place: Option<(Sender<VariableRequest>, Option<NodeName>)>,
     wrong: Option<DeliveryError>,
 }
@@ -291,7 +293,7 @@ impl Transaction {
         }
         match store::encoded(value) {
             Ok(value) => {
-                self.writes.push(Written { variable: variable.wanted(), value, if_revision });
+                self.writes.push(WriteEntry { variable: variable.wanted(), value, if_revision });
             }
             Err(why) => {
                 self.wrong.get_or_insert(why);
@@ -316,9 +318,9 @@ impl Transaction {
         let asked =
             sender.ask_within(VariableRequest::Write { writes: self.writes }, WATCH_WITHIN).await;
         match asked.map_err(|error| error.kind)? {
-            Accessed::Revision(revision) => Ok(revision),
-            Accessed::Refused { why } => Err(Accessed::why(&why)),
-            Accessed::Differs { identity } => {
+            VariableReply::Revision(revision) => Ok(revision),
+            VariableReply::Refused { why } => Err(VariableReply::why(&why)),
+            VariableReply::Differs { identity } => {
                 let name = PeerIdentity::decode(&identity).map(|known| known.name);
                 let name = name.unwrap_or_default();
                 let difference = format!("{name} is another one there: read it to see how");
@@ -329,10 +331,10 @@ impl Transaction {
     }
 }
 
-fn understood<V: Variable>(accessed: Accessed) -> Result<Accessed, DeliveryError> {
+fn understood<V: Variable>(accessed: VariableReply) -> Result<VariableReply, DeliveryError> {
     match accessed {
-        Accessed::Refused { why } => Err(Accessed::why(&why)),
-        Accessed::Differs { identity } => {
+        VariableReply::Refused { why } => Err(VariableReply::why(&why)),
+        VariableReply::Differs { identity } => {
             let theirs = PeerIdentity::decode(&identity)
                 .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
             let difference = match ContractIdentity::of::<V>().check(&theirs) {
@@ -345,6 +347,6 @@ fn understood<V: Variable>(accessed: Accessed) -> Result<Accessed, DeliveryError
     }
 }
 
-fn odd(accessed: &Accessed) -> DeliveryError {
+fn odd(accessed: &VariableReply) -> DeliveryError {
     DeliveryError::Undecodable { reason: format!("an answer to another question: {accessed:?}") }
 }

@@ -1,8 +1,8 @@
 //! The node's variables: the body of the machine in the core.
 
-use super::access::{Accessed, VariableRequest, Wanted, Written};
+use super::access::{VariableReply, VariableRequest, VariableSelector, WriteEntry};
 use super::kept_file::{self, LoadError, PersistenceFile, WriteDone};
-use crate::messaging::death_watch::{Ending, Watcher};
+use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform;
@@ -28,7 +28,7 @@ type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// Somebody who waits, and what is told.
-type Told = (Responder<VariableRequest>, Accessed);
+type Told = (Responder<VariableRequest>, VariableReply);
 
 /// A variable as a component declares it, without its type.
 pub(crate) struct DeclaredVariable {
@@ -223,7 +223,7 @@ impl VariableStore {
         let store = self.clone();
         let serve = move |access: VariableRequest, answer: Responder<VariableRequest>| {
             match is_isolated() {
-                true => answer.give(Accessed::refused(&DeliveryError::Isolated)),
+                true => answer.give(VariableReply::refused(&DeliveryError::Isolated)),
                 false => store.serve(access, answer),
             }
         };
@@ -234,7 +234,7 @@ impl VariableStore {
     pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
         let (store, of) = (self.clone(), object.clone());
         let tell = move |down: crate::messaging::death_watch::Down| {
-            if !matches!(down.ending, Ending::NotAlive | Ending::Unknown) {
+            if !matches!(down.ending, DownReason::NotAlive | DownReason::Unknown) {
                 let mut inner = store.lock();
                 inner.machine.handle_owner_ended(&of, platform::now());
                 store.answer(inner);
@@ -264,7 +264,7 @@ impl VariableStore {
         let accessed = match access {
             VariableRequest::Read { variable } => self.find(&variable).and_then(|(key, _)| {
                 let report = self.lock().machine.read(&key, now);
-                report.map(Accessed::from).map_err(|why| Accessed::refused(&why))
+                report.map(VariableReply::from).map_err(|why| VariableReply::refused(&why))
             }),
             VariableRequest::Watch { variable, after } => match self.find(&variable) {
                 Ok((key, _)) => return self.watch(key, after, answer),
@@ -325,7 +325,7 @@ impl VariableStore {
         let mut inner = self.lock();
         if inner.file.as_ref().is_some_and(|file| !file.has_room()) {
             drop(inner);
-            return answer.give(Accessed::refused(&DeliveryError::Full));
+            return answer.give(VariableReply::refused(&DeliveryError::Full));
         }
         let changed = change(&mut inner.machine);
         let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();
@@ -333,16 +333,16 @@ impl VariableStore {
             (Ok(revision), Some(file)) => {
                 let then: WriteDone = Box::new(move |kept| {
                     answer.give(match kept {
-                        Ok(()) => Accessed::Revision(revision),
-                        Err(reason) => Accessed::refused(&DeliveryError::NotKept { reason }),
+                        Ok(()) => VariableReply::Revision(revision),
+                        Err(reason) => VariableReply::refused(&DeliveryError::NotKept { reason }),
                     });
                 });
                 // Under the lock: a later file has all that an earlier one has.
                 file.keep(inner.worth_keeping(), then);
                 None
             }
-            (Ok(revision), None) => Some((answer, Accessed::Revision(revision))),
-            (Err(why), _) => Some((answer, Accessed::refused(&why))),
+            (Ok(revision), None) => Some((answer, VariableReply::Revision(revision))),
+            (Err(why), _) => Some((answer, VariableReply::refused(&why))),
         };
         self.answer(inner);
         observed.into_iter().for_each(|(observer, value)| observer(&value));
@@ -359,39 +359,39 @@ impl VariableStore {
 
     fn chosen(
         &self,
-        wanted: &Wanted,
+        wanted: &VariableSelector,
         choice: RestoreChoice,
-    ) -> Result<(VariableKey, RestoreChoice), Accessed> {
+    ) -> Result<(VariableKey, RestoreChoice), VariableReply> {
         let (key, facts) = self.find(wanted)?;
         if let RestoreChoice::Value(value) = &choice {
-            (facts.check)(value).map_err(|why| Accessed::refused(&why))?;
+            (facts.check)(value).map_err(|why| VariableReply::refused(&why))?;
         }
         Ok((key, choice))
     }
 
-    fn checked(&self, writes: Vec<Written>) -> Result<Vec<ValueWrite>, Accessed> {
+    fn checked(&self, writes: Vec<WriteEntry>) -> Result<Vec<ValueWrite>, VariableReply> {
         let mut checked = Vec::new();
-        for Written { variable, value, if_revision } in writes {
+        for WriteEntry { variable, value, if_revision } in writes {
             let (variable, facts) = self.find(&variable)?;
-            (facts.check)(&value).map_err(|why| Accessed::refused(&why))?;
+            (facts.check)(&value).map_err(|why| VariableReply::refused(&why))?;
             checked.push(ValueWrite { variable, value: value.into(), if_revision });
         }
         Ok(checked)
     }
 
     /// The variable, if it is what the asker takes it for.
-    fn find(&self, wanted: &Wanted) -> Result<(VariableKey, Facts), Accessed> {
+    fn find(&self, wanted: &VariableSelector) -> Result<(VariableKey, Facts), VariableReply> {
         let theirs = PeerIdentity::decode(&wanted.identity).map_err(|error| {
-            Accessed::refused(&DeliveryError::Undecodable { reason: error.to_string() })
+            VariableReply::refused(&DeliveryError::Undecodable { reason: error.to_string() })
         })?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let facts = self.lock().facts.get(&key).cloned().ok_or_else(|| {
             let name = format!("{} of {}", key.1, key.0);
-            Accessed::refused(&DeliveryError::Unknown { name })
+            VariableReply::refused(&DeliveryError::Unknown { name })
         })?;
         match facts.identity.check(&theirs) {
             Ok(()) => Ok((key, facts)),
-            Err(_) => Err(Accessed::Differs { identity: facts.identity.full().encode() }),
+            Err(_) => Err(VariableReply::Differs { identity: facts.identity.full().encode() }),
         }
     }
 
@@ -401,8 +401,8 @@ impl VariableStore {
         while let Some(WatchReport { watcher, result }) = inner.machine.poll_output() {
             if let Some(answer) = inner.waiting.remove(&watcher) {
                 let accessed = match result {
-                    Ok(report) => Accessed::from(report),
-                    Err(why) => Accessed::refused(&why),
+                    Ok(report) => VariableReply::from(report),
+                    Err(why) => VariableReply::refused(&why),
                 };
                 told.push((answer, accessed));
             }

@@ -4,8 +4,8 @@ use crate::guard::Guard;
 use crate::probe::Probe;
 use blastema::detection::{FaultRecord, FaultTransition, MonitorRow};
 use blastema::{
-    Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, Injection, Lifecycle, Node,
-    NodeBuilder, Place, StartError,
+    Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, FaultLocation, Injection, Lifecycle,
+    Node, NodeBuilder, StartError,
 };
 use blastema_doubles::PATIENCE;
 use std::collections::BTreeSet;
@@ -294,12 +294,12 @@ impl TestNode {
     }
 }
 
-fn is_at(place: &Place, object: &str) -> bool {
+fn is_at(place: &FaultLocation, object: &str) -> bool {
     match place {
-        Place::Object(address) => {
+        FaultLocation::Object(address) => {
             address.object.as_str() == object || address.to_string() == object
         }
-        Place::Link { .. } | Place::Node(_) => place.to_string() == object,
+        FaultLocation::Link { .. } | FaultLocation::Node(_) => place.to_string() == object,
     }
 }
 

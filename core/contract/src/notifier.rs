@@ -10,7 +10,7 @@ use crate::Confirmed;
 use crate::recoverer::{CancelRecovery, Recover};
 use actix::{Message, Recipient};
 use blastema_core::detection::{RecovererPort, RecovererPortRow};
-use blastema_core::{Fault, FaultId, Place};
+use blastema_core::{Fault, FaultId, FaultLocation};
 
 /// The detector hands a fault over, and repeats it until it is confirmed.
 #[derive(Clone, Debug, PartialEq, Message)]
@@ -27,7 +27,7 @@ pub struct FaultCleared {
     /// Which.
     pub id: FaultId,
     /// Where it was.
-    pub place: Place,
+    pub place: FaultLocation,
 }
 
 /// Hands every fault to this recoverer too. Sent again for a known port, it replaces the recipients

@@ -2,7 +2,7 @@
 
 use crate::Confirmed;
 use actix::Message;
-use blastema_core::{Fault, FaultId, Place};
+use blastema_core::{Fault, FaultId, FaultLocation};
 
 /// A fault was found: do about it what the plan says. Repeated until it is confirmed; a recoverer
 /// that already has it confirms again and does nothing.
@@ -35,5 +35,5 @@ pub struct CancelRecovery {
     /// The fault's number in its finder's record.
     pub id: FaultId,
     /// Where it was.
-    pub place: Place,
+    pub place: FaultLocation,
 }

@@ -2,7 +2,7 @@
 
 use actix::Message;
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
-use blastema_core::{Fault, NodeName, Place};
+use blastema_core::{Fault, FaultLocation, NodeName};
 
 /// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
 /// for longer than the plan gives it, has failed.
@@ -15,7 +15,7 @@ pub struct ExecuteAction(pub RecoveryOrder);
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct Reroute {
     /// What is not to be used any more.
-    pub place: Place,
+    pub place: FaultLocation,
 }
 
 /// To the network: keep this node out everywhere, or let it in again.

@@ -1,7 +1,7 @@
 //! What depends on what, and so: which fault is a symptom of which.
 
 use super::FaultLog;
-use crate::{Fault, FaultId, FaultKind, NodeName, ObjectAddress, ObjectName, Place};
+use crate::{Fault, FaultId, FaultKind, FaultLocation, NodeName, ObjectAddress, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -47,7 +47,7 @@ impl DependencyIndex {
 
     /// Everything without which `place` cannot work, directly or through others; not itself, unless
     /// it stands on a cycle.
-    pub(super) fn needs_of(&self, place: &Place) -> BTreeSet<Place> {
+    pub(super) fn needs_of(&self, place: &FaultLocation) -> BTreeSet<FaultLocation> {
         let mut found = BTreeSet::new();
         let mut open = vec![place.clone()];
         while let Some(next) = open.pop() {
@@ -60,40 +60,46 @@ impl DependencyIndex {
         found
     }
 
-    fn direct_needs(&self, place: &Place) -> Vec<Place> {
+    fn direct_needs(&self, place: &FaultLocation) -> Vec<FaultLocation> {
         match place {
-            Place::Object(address) if address.node == self.node => {
+            FaultLocation::Object(address) if address.node == self.node => {
                 let needs = self.needs.get(&address.object);
                 needs
                     .into_iter()
                     .flat_map(|needs| needs.iter().cloned())
-                    .map(Place::Object)
+                    .map(FaultLocation::Object)
                     .collect()
             }
-            Place::Object(address) => vec![Place::Node(address.node.clone())],
-            Place::Link { neighbour: Some(node), .. } => vec![Place::Node(node.clone())],
-            Place::Link { neighbour: None, .. } | Place::Node(_) => Vec::new(),
+            FaultLocation::Object(address) => vec![FaultLocation::Node(address.node.clone())],
+            FaultLocation::Link { neighbour: Some(node), .. } => {
+                vec![FaultLocation::Node(node.clone())]
+            }
+            FaultLocation::Link { neighbour: None, .. } | FaultLocation::Node(_) => Vec::new(),
         }
     }
 
     /// The root of what a fault at `place` would be a symptom of: of everything needed that is
     /// down, what was found first.
-    pub(super) fn root_above(&self, place: &Place, chronicle: &FaultLog) -> Option<FaultId> {
+    pub(super) fn root_above(
+        &self,
+        place: &FaultLocation,
+        chronicle: &FaultLog,
+    ) -> Option<FaultId> {
         let needs = self.needs_of(place);
         let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));
         down.filter(|fault| fault.place != *place).map(|fault| chronicle.root(fault.id)).min()
     }
 
     /// Who here cannot work without `place`, directly or through others.
-    pub(super) fn users_of(&self, place: &Place) -> Dependents {
+    pub(super) fn users_of(&self, place: &FaultLocation) -> Dependents {
         let (mut objects, mut open) = (BTreeSet::new(), Vec::new());
         match place {
-            Place::Object(address) => open.extend(self.users.get(address)),
-            Place::Node(node) => {
+            FaultLocation::Object(address) => open.extend(self.users.get(address)),
+            FaultLocation::Node(node) => {
                 let there = |(address, _): &(&ObjectAddress, _)| address.node == *node;
                 open.extend(self.users.iter().filter(there).map(|(_, users)| users));
             }
-            Place::Link { .. } => {}
+            FaultLocation::Link { .. } => {}
         }
         while let Some(users) = open.pop() {
             for user in users {
@@ -104,8 +110,8 @@ impl DependencyIndex {
             }
         }
         let node = match place {
-            Place::Node(node) => Some(node.clone()),
-            Place::Object(_) | Place::Link { .. } => None,
+            FaultLocation::Node(node) => Some(node.clone()),
+            FaultLocation::Object(_) | FaultLocation::Link { .. } => None,
         };
         Dependents { here: self.node.clone(), objects, node }
     }
@@ -120,14 +126,14 @@ pub(super) struct Dependents {
 }
 
 impl Dependents {
-    pub(super) fn contain(&self, place: &Place) -> bool {
+    pub(super) fn contain(&self, place: &FaultLocation) -> bool {
         match place {
-            Place::Object(address) if address.node == self.here => {
+            FaultLocation::Object(address) if address.node == self.here => {
                 self.objects.contains(&address.object)
             }
-            Place::Object(address) => self.node.as_ref() == Some(&address.node),
-            Place::Link { neighbour, .. } => self.node.is_some() && self.node == *neighbour,
-            Place::Node(_) => false,
+            FaultLocation::Object(address) => self.node.as_ref() == Some(&address.node),
+            FaultLocation::Link { neighbour, .. } => self.node.is_some() && self.node == *neighbour,
+            FaultLocation::Node(_) => false,
         }
     }
 }
@@ -146,7 +152,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::NodeLost
         | FaultKind::NodeFaulty
         | FaultKind::NodeAtRest
-        | FaultKind::NotServed
+        | FaultKind::ServiceUnavailable
         | FaultKind::Unavailable
         | FaultKind::CrashLoop
         | FaultKind::RestartStorm => true,
@@ -156,7 +162,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::LinkDegraded
         | FaultKind::NameTaken
         | FaultKind::CommanderGone
-        | FaultKind::Unprotected
+        | FaultKind::Unreplicated
         | FaultKind::StateLost
         | FaultKind::NodePaused
         | FaultKind::Custom(_) => false,
@@ -189,9 +195,9 @@ mod tests {
     fn needs_are_followed_through_objects_nodes_and_cycles() {
         let dependencies = dependencies(&[("a", &["b"]), ("b", &["c", "n:x"]), ("c", &["a"])]);
 
-        let needs = dependencies.needs_of(&Place::Object(here("a")));
+        let needs = dependencies.needs_of(&FaultLocation::Object(here("a")));
 
-        let needs: Vec<String> = needs.iter().map(Place::to_string).collect();
+        let needs: Vec<String> = needs.iter().map(FaultLocation::to_string).collect();
         assert_eq!(needs, ["m:a", "m:b", "m:c", "n:x", "n"]);
     }
 
@@ -201,10 +207,14 @@ mod tests {
 
         dependencies.declare(&here("a").object, [here("c")].into());
         assert!(
-            !dependencies.users_of(&Place::Object(here("b"))).contain(&Place::Object(here("a")))
+            !dependencies
+                .users_of(&FaultLocation::Object(here("b")))
+                .contain(&FaultLocation::Object(here("a")))
         );
         assert!(
-            dependencies.users_of(&Place::Object(here("c"))).contain(&Place::Object(here("a")))
+            dependencies
+                .users_of(&FaultLocation::Object(here("c")))
+                .contain(&FaultLocation::Object(here("a")))
         );
 
         dependencies.forget(&here("a").object);
@@ -225,8 +235,8 @@ mod tests {
                 let needs = needs.into_iter().map(parse).collect();
                 dependencies.declare(&here(names[object]).object, needs);
             }
-            let mut places: Vec<Place> = names[..6].iter().map(|n| Place::Object(here(n))).collect();
-            places.push(Place::Node(node("n")));
+            let mut places: Vec<FaultLocation> = names[..6].iter().map(|n| FaultLocation::Object(here(n))).collect();
+            places.push(FaultLocation::Node(node("n")));
             for user in &places[..6] {
                 let needs = dependencies.needs_of(user);
                 for need in &places {

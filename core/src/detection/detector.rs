@@ -9,8 +9,8 @@ use super::{
     FaultTransition, Observation, RecoveryOutcome,
 };
 use crate::{
-    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectName,
-    Place,
+    Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
+    ObjectName,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -162,7 +162,7 @@ impl Seen {
 
 /// Where and when something was seen.
 struct Scene {
-    place: Place,
+    place: FaultLocation,
     incarnation: Incarnation,
     at: Instant,
 }
@@ -215,9 +215,9 @@ impl Detector {
         let Observation { place, incarnation, finding, seen_at } = observation;
         let scene = Scene { place, incarnation, at: seen_at };
         match scene.place.clone() {
-            Place::Object(address) => self.judge_object(&address.object, scene, finding),
-            Place::Link { .. } => self.judge_link(scene, finding),
-            Place::Node(_) => self.judge_node(scene, finding),
+            FaultLocation::Object(address) => self.judge_object(&address.object, scene, finding),
+            FaultLocation::Link { .. } => self.judge_link(scene, finding),
+            FaultLocation::Node(_) => self.judge_node(scene, finding),
         }
         self.handover.handle_timeout(now);
     }
@@ -381,7 +381,7 @@ impl Detector {
         let root = self.chronicle.root(id);
         let since = at - (Instant::ORIGIN + self.limits.hindsight);
         let is_behind = |fault: &Fault| match &fault.place {
-            Place::Object(address) => self.behind.get(&address.object) == Some(&id),
+            FaultLocation::Object(address) => self.behind.get(&address.object) == Some(&id),
             _ => false,
         };
         let users = self.needs.users_of(&place);

@@ -1,7 +1,7 @@
 //! What the monitor remembers of one object.
 
 use super::{CurrentHandler, ExitReason, Liveness, MonitorRow, ObjectKind, Opinion};
-use crate::{FaultKind, Incarnation, Instant, Lifecycle, Place};
+use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle};
 
 /// One line of the monitor's table, as it is kept.
 #[derive(Clone, Debug)]
@@ -103,7 +103,7 @@ impl MonitoredObject {
     }
 
     /// The row of the table, but for what only the watchdog and the inquiry know.
-    pub(super) fn row(&self, place: Place, now: Instant) -> MonitorRow {
+    pub(super) fn row(&self, place: FaultLocation, now: Instant) -> MonitorRow {
         MonitorRow {
             incarnation: self.incarnation,
             state: self.state,

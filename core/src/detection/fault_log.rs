@@ -1,7 +1,7 @@
 //! The record of faults, and which of them stand.
 
 use super::{FaultEntry, FaultRecord};
-use crate::{Fault, FaultId, FaultKind, Instant, Place};
+use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The record of faults: found, decided, recovered, repaired, with the instants; and the latches.
@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 #[derive(Clone, Debug)]
 pub struct FaultLog {
     entries: BTreeMap<FaultId, FaultEntry>,
-    latches: BTreeMap<(Place, FaultKind), FaultId>,
+    latches: BTreeMap<(FaultLocation, FaultKind), FaultId>,
     capacity: usize,
     dropped: u64,
 }
@@ -42,12 +42,12 @@ impl FaultLog {
     }
 
     /// The fault of this kind that stands at this place.
-    pub fn standing(&self, place: &Place, kind: &FaultKind) -> Option<FaultId> {
+    pub fn standing(&self, place: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
         self.latches.get(&(seat(place), kind.clone())).copied()
     }
 
     /// Every fault that stands at this place, in the order of their kinds.
-    pub fn standing_at(&self, place: &Place) -> impl Iterator<Item = &Fault> {
+    pub fn standing_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
         let seat = seat(place);
         // The first kind of the list: all latches of the place follow.
         let first = (seat.clone(), FaultKind::Panic);
@@ -123,9 +123,11 @@ impl FaultLog {
 }
 
 /// A place as latches know it: a link is the same whether or not its neighbour is known yet.
-fn seat(place: &Place) -> Place {
+fn seat(place: &FaultLocation) -> FaultLocation {
     match place.clone() {
-        Place::Link { node, link, .. } => Place::Link { node, link, neighbour: None },
+        FaultLocation::Link { node, link, .. } => {
+            FaultLocation::Link { node, link, neighbour: None }
+        }
         other => other,
     }
 }
@@ -140,11 +142,15 @@ mod tests {
         NodeName::new(name).expect("a name")
     }
 
-    fn cable(neighbour: Option<&str>) -> Place {
-        Place::Link { node: node("a"), link: "cable".into(), neighbour: neighbour.map(node) }
+    fn cable(neighbour: Option<&str>) -> FaultLocation {
+        FaultLocation::Link {
+            node: node("a"),
+            link: "cable".into(),
+            neighbour: neighbour.map(node),
+        }
     }
 
-    fn fault(id: u64, place: Place, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
+    fn fault(id: u64, place: FaultLocation, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
         Fault {
             id: FaultId(id),
             severity: kind.severity(),
@@ -199,7 +205,7 @@ mod tests {
     #[test]
     fn each_root_is_read_before_its_symptoms_and_symptoms_follow_their_root() {
         let mut chronicle = FaultLog::new(8);
-        let place = |name| Place::Node(node(name));
+        let place = |name| FaultLocation::Node(node(name));
         chronicle.open(fault(1, place("symptom"), FaultKind::Silence, Some(3)));
         chronicle.open(fault(2, place("other"), FaultKind::Silence, None));
         chronicle.open(fault(3, place("root"), FaultKind::Panic, None));
@@ -221,16 +227,16 @@ mod tests {
     #[test]
     fn the_oldest_that_has_ended_makes_room_and_is_counted() {
         let mut chronicle = FaultLog::new(2);
-        chronicle.open(fault(1, Place::Node(node("a")), FaultKind::NodeLost, None));
-        chronicle.open(fault(2, Place::Node(node("b")), FaultKind::NodeLost, None));
+        chronicle.open(fault(1, FaultLocation::Node(node("a")), FaultKind::NodeLost, None));
+        chronicle.open(fault(2, FaultLocation::Node(node("b")), FaultKind::NodeLost, None));
         chronicle.repair(FaultId(2), Instant::from_millis(5));
 
-        chronicle.open(fault(3, Place::Node(node("c")), FaultKind::NodeLost, None));
+        chronicle.open(fault(3, FaultLocation::Node(node("c")), FaultKind::NodeLost, None));
         assert_eq!(ids(&chronicle.read()), [1, 3]);
 
-        chronicle.open(fault(4, Place::Node(node("d")), FaultKind::NodeLost, None));
+        chronicle.open(fault(4, FaultLocation::Node(node("d")), FaultKind::NodeLost, None));
         assert_eq!(ids(&chronicle.read()), [3, 4]);
         assert_eq!(chronicle.read().dropped, 2);
-        assert_eq!(chronicle.standing(&Place::Node(node("a")), &FaultKind::NodeLost), None);
+        assert_eq!(chronicle.standing(&FaultLocation::Node(node("a")), &FaultKind::NodeLost), None);
     }
 }

@@ -9,7 +9,8 @@ use super::{
     Registration, RegistrationError, Verdict, WorkProgress,
 };
 use crate::{
-    FaultKind, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress, ObjectName, Place,
+    FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress,
+    ObjectName,
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -353,7 +354,7 @@ impl Monitor {
     pub fn read_table(&self, now: Instant) -> Vec<MonitorRow> {
         let objects = self.objects.iter().map(|(object, entry)| {
             let address = ObjectAddress::new(self.node.clone(), object.clone());
-            entry.row(Place::Object(address), now)
+            entry.row(FaultLocation::Object(address), now)
         });
         objects.chain(self.around.rows(now)).collect()
     }
@@ -452,10 +453,16 @@ impl Monitor {
         now: Instant,
     ) {
         let address = ObjectAddress::new(self.node.clone(), object.clone());
-        self.observe(Place::Object(address), incarnation, finding, now);
+        self.observe(FaultLocation::Object(address), incarnation, finding, now);
     }
 
-    fn observe(&mut self, place: Place, incarnation: Incarnation, finding: Finding, now: Instant) {
+    fn observe(
+        &mut self,
+        place: FaultLocation,
+        incarnation: Incarnation,
+        finding: Finding,
+        now: Instant,
+    ) {
         if self.ending && !finding.is_own_doing() {
             return;
         }

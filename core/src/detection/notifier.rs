@@ -259,7 +259,7 @@ impl Machine for Notifier {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Fault, FaultKind, Incarnation, Place};
+    use crate::{Fault, FaultKind, FaultLocation, Incarnation};
 
     fn at(millis: u64) -> Instant {
         Instant::from_millis(millis)
@@ -278,7 +278,7 @@ mod tests {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
-            place: Place::Node(node("x")),
+            place: FaultLocation::Node(node("x")),
             incarnation: Incarnation::FIRST,
             detail: String::new(),
             found_at: at(0),
@@ -288,7 +288,7 @@ mod tests {
     }
 
     fn cleared(id: u64) -> FaultNotice {
-        FaultNotice::Cleared { id: FaultId(id), place: Place::Node(node("x")) }
+        FaultNotice::Cleared { id: FaultId(id), place: FaultLocation::Node(node("x")) }
     }
 
     fn notifier(ports: &[RecovererPort]) -> Notifier {

@@ -1,7 +1,7 @@
 //! What the monitor saw, before the detector has judged it.
 
 use crate::detection::hang::OverloadFigures;
-use crate::{FaultKind, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName, Place};
+use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, ObjectAddress, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {
     /// Where.
-    pub place: Place,
+    pub place: FaultLocation,
     /// In which of its lives; zero for a link.
     pub incarnation: Incarnation,
     /// What.

@@ -1,6 +1,6 @@
 //! What becomes of a fault after it was found.
 
-use crate::{Fault, FaultId, Instant, Place, Severity};
+use crate::{Fault, FaultId, FaultLocation, Instant, Severity};
 use std::fmt;
 use std::time::Duration;
 
@@ -61,7 +61,7 @@ pub enum FaultNotice {
         /// Which.
         id: FaultId,
         /// Where it was.
-        place: Place,
+        place: FaultLocation,
     },
 }
 

@@ -1,7 +1,7 @@
 //! What this node sees of its links and of other nodes.
 
 use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Opinion};
-use crate::{Incarnation, Instant, NodeName, Place};
+use crate::{FaultLocation, Incarnation, Instant, NodeName};
 use std::collections::BTreeMap;
 use std::mem::discriminant;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ pub(super) struct PeerTable {
 
 /// Something that was not known before.
 pub(super) struct PeerChange {
-    pub(super) place: Place,
+    pub(super) place: FaultLocation,
     pub(super) incarnation: Incarnation,
     pub(super) finding: Finding,
 }
@@ -90,7 +90,8 @@ impl PeerTable {
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
-            let (place, incarnation) = (Place::Link { node, link, neighbour }, Incarnation(0));
+            let (place, incarnation) =
+                (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
             return Some(PeerChange { place, incarnation, finding: Finding::Link(condition) });
         }
         let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
@@ -102,8 +103,11 @@ impl PeerTable {
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
-        let place =
-            Place::Link { node: node.clone(), link: link.clone(), neighbour: neighbour.clone() };
+        let place = FaultLocation::Link {
+            node: node.clone(),
+            link: link.clone(),
+            neighbour: neighbour.clone(),
+        };
         // A node that leaves takes its ends of the cables along.
         let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
         let is_news = !known && (carries || !left);
@@ -181,7 +185,7 @@ impl PeerTable {
         let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding }))
+        Ok(is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding }))
     }
 
     /// What others think of a node, or what it has done: whatever life of it is known.
@@ -196,7 +200,7 @@ impl PeerTable {
         seen.isolated = isolated;
         let is_news = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding })
+        is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding })
     }
 
     /// What a node says of itself: another one, or this.
@@ -226,7 +230,7 @@ impl PeerTable {
         let is_news = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(PeerChange { place: Place::Node(node), incarnation, finding }))
+        Ok(is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding }))
     }
 
     /// Links, then nodes.
@@ -245,7 +249,7 @@ impl PeerTable {
                 opinion,
                 note: note.cloned(),
                 last_sign: seen.last_sign.map(|sign| now - sign),
-                ..MonitorRow::blank(Place::Link { node, link, neighbour }, ObjectKind::Link)
+                ..MonitorRow::blank(FaultLocation::Link { node, link, neighbour }, ObjectKind::Link)
             }
         });
         let nodes = self.nodes.iter().map(move |(node, seen)| {
@@ -270,7 +274,7 @@ impl PeerTable {
                 note: isolated.or(note),
                 last_sign: seen.last_sign.map(|sign| now - sign),
                 restarts: seen.restarts,
-                ..MonitorRow::blank(Place::Node(node.clone()), ObjectKind::Node)
+                ..MonitorRow::blank(FaultLocation::Node(node.clone()), ObjectKind::Node)
             }
         });
         links.chain(nodes)
@@ -313,7 +317,8 @@ mod tests {
                 let news = report(&to, None);
 
                 assert_eq!(news.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange { place: Place::Link { neighbour, .. }, .. }) = news {
+                if let Some(PeerChange { place: FaultLocation::Link { neighbour, .. }, .. }) = news
+                {
                     assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
                 }
             }

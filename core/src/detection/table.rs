@@ -1,7 +1,7 @@
 //! The monitor's table, as it is read.
 
 use super::ObjectKind;
-use crate::{Incarnation, Lifecycle, Place};
+use crate::{FaultLocation, Incarnation, Lifecycle};
 use std::fmt;
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use std::time::Duration;
 #[non_exhaustive]
 pub struct MonitorRow {
     /// What the row is about.
-    pub place: Place,
+    pub place: FaultLocation,
     /// What kind of thing that is.
     pub kind: ObjectKind,
     /// Which of its lives everything else in the row is about; zero for a link.
@@ -51,7 +51,7 @@ pub struct MonitorRow {
 
 impl MonitorRow {
     /// A row of which nothing is known yet.
-    pub fn blank(place: Place, kind: ObjectKind) -> Self {
+    pub fn blank(place: FaultLocation, kind: ObjectKind) -> Self {
         MonitorRow {
             place,
             kind,

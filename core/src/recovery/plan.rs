@@ -2,7 +2,7 @@
 
 use super::{Ladder, LadderStep, RecoveryAction};
 use crate::suggestion::nearest;
-use crate::{FaultKind, NodeName, ObjectName, Place};
+use crate::{FaultKind, FaultLocation, NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -152,9 +152,9 @@ impl Default for Plan {
             // It is over when it is found.
             FaultKind::NodePaused => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
-            FaultKind::Unprotected | FaultKind::StateLost => observe.clone(),
+            FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
             // Its nodes elect somebody by themselves as soon as they can.
-            FaultKind::NotServed => observe.clone(),
+            FaultKind::ServiceUnavailable => observe.clone(),
             // The component tries again by itself until what it needs is there.
             FaultKind::Unavailable => observe.clone(),
             // Without an alternative nothing helps but the link's, or the node's, return.
@@ -194,14 +194,16 @@ impl Plan {
     }
 
     /// The answer that the recoverer of `node` has to a kind of fault at a place.
-    pub fn answer(&self, node: &NodeName, kind: &FaultKind, place: &Place) -> &Ladder {
+    pub fn answer(&self, node: &NodeName, kind: &FaultKind, place: &FaultLocation) -> &Ladder {
         match place {
-            Place::Object(address) if address.node == *node => {
+            FaultLocation::Object(address) if address.node == *node => {
                 self.answer_for(kind, Some(&address.object))
             }
-            Place::Link { node: here, .. } if here == node => self.answer_for(kind, None),
-            Place::Node(_) => self.answer_for(kind, None),
-            Place::Object(_) | Place::Link { .. } => self.abroad.get(kind).unwrap_or(&self.observe),
+            FaultLocation::Link { node: here, .. } if here == node => self.answer_for(kind, None),
+            FaultLocation::Node(_) => self.answer_for(kind, None),
+            FaultLocation::Object(_) | FaultLocation::Link { .. } => {
+                self.abroad.get(kind).unwrap_or(&self.observe)
+            }
         }
     }
 
@@ -400,7 +402,7 @@ mod tests {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default();
 
-        let place = Place::Node(node.clone());
+        let place = FaultLocation::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
@@ -416,7 +418,7 @@ mod tests {
 
         assert!(!plan.restarts_on_the_spot(&name("laser")));
         assert!(plan.restarts_on_the_spot(&name("planner")));
-        let laser = Place::Object("module1:laser".parse().expect("a good name"));
+        let laser = FaultLocation::Object("module1:laser".parse().expect("a good name"));
         let first = |node: &str| {
             let node = node.parse().expect("a good name");
             plan.answer(&node, &FaultKind::Panic, &laser).steps()[0].measure.clone()

@@ -10,7 +10,7 @@
 //! Whether a restart is still worth it is not decided here but by the supervisor.
 
 use super::{Ladder, Plan, RecoveryAction};
-use crate::{Fault, FaultId, FaultKind, Instant, Machine, NodeName, Place};
+use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
 use std::collections::{BTreeMap, VecDeque};
 
 mod safe_state;
@@ -97,10 +97,10 @@ pub struct Recoverer {
     limits: RecovererLimits,
     seed: u64,
     orders: u64,
-    cases: BTreeMap<Place, Case>,
+    cases: BTreeMap<FaultLocation, Case>,
     symptoms: BTreeMap<FaultId, Symptom>,
-    memories: BTreeMap<(Place, FaultKind), LadderProgress>,
-    open: BTreeMap<u64, (Place, RecoveryAction)>,
+    memories: BTreeMap<(FaultLocation, FaultKind), LadderProgress>,
+    open: BTreeMap<u64, (FaultLocation, RecoveryAction)>,
     engaged: BTreeMap<RecoveryAction, Engaged>,
     standstill: Option<Standstill>,
     outputs: VecDeque<RecovererOutput>,
@@ -173,7 +173,7 @@ impl Recoverer {
     }
 
     /// A fault has gone by itself.
-    pub fn handle_stand_down(&mut self, id: FaultId, place: &Place, now: Instant) {
+    pub fn handle_stand_down(&mut self, id: FaultId, place: &FaultLocation, now: Instant) {
         if self.symptoms.remove(&id).is_some() {
             self.release_symptoms(&[id], now);
         }
@@ -226,7 +226,7 @@ impl Recoverer {
         if ladder.steps()[0].measure == RecoveryAction::Observe {
             return self.tell(&fault, FaultResolution::Observed);
         }
-        if let (Some(standstill), Place::Object(_)) = (self.standstill, &fault.place) {
+        if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.place) {
             return self.tell_rest(&fault, standstill);
         }
         let place = fault.place.clone();
@@ -265,7 +265,7 @@ impl Recoverer {
     }
 
     /// The attempt did not help: the next one, or the next rung.
-    fn climb(&mut self, place: &Place, reason: String, now: Instant) {
+    fn climb(&mut self, place: &FaultLocation, reason: String, now: Instant) {
         let case = self.cases.get_mut(place).expect("a case that climbs is open");
         if case.faults.iter().all(|noted| noted.over) {
             // The answer was late, or lost; what it was about has gone.
@@ -282,7 +282,7 @@ impl Recoverer {
     }
 
     /// Waits for the next attempt, or makes it.
-    fn approach(&mut self, place: &Place, reason: String, now: Instant) {
+    fn approach(&mut self, place: &FaultLocation, reason: String, now: Instant) {
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         if case.rung == case.ladder.steps().len() && !self.fall_back(place, reason, now) {
             return;
@@ -304,7 +304,7 @@ impl Recoverer {
 
     /// The ladder is at its end. Safe stop is left, or, if that has been tried, the node's own
     /// rest; then the case is closed.
-    fn fall_back(&mut self, place: &Place, reason: String, now: Instant) -> bool {
+    fn fall_back(&mut self, place: &FaultLocation, reason: String, now: Instant) -> bool {
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
         let untold = !std::mem::replace(&mut case.given_up, true);
         let rested =
@@ -326,13 +326,13 @@ impl Recoverer {
     }
 
     /// Ends a case that has no cure.
-    fn close(&mut self, place: &Place, now: Instant) -> Vec<Fault> {
+    fn close(&mut self, place: &FaultLocation, now: Instant) -> Vec<Fault> {
         let faults = self.cases.remove(place).map(|case| case.known()).unwrap_or_default();
         self.release_symptoms(&ids(&faults), now);
         faults
     }
 
-    fn give_order(&mut self, place: &Place, now: Instant) {
+    fn give_order(&mut self, place: &FaultLocation, now: Instant) {
         self.orders += 1;
         let number = self.orders;
         let case = self.cases.get_mut(place).expect("a case in treatment is open");
@@ -359,7 +359,7 @@ impl Recoverer {
     /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
     fn settle_case(
         &mut self,
-        place: &Place,
+        place: &FaultLocation,
         measure: &RecoveryAction,
         done: RecoveryDone,
         now: Instant,
@@ -397,7 +397,13 @@ impl Recoverer {
         }
     }
 
-    fn remember(&mut self, what: (Place, FaultKind), rung: usize, attempt: u32, now: Instant) {
+    fn remember(
+        &mut self,
+        what: (FaultLocation, FaultKind),
+        rung: usize,
+        attempt: u32,
+        now: Instant,
+    ) {
         self.memories.retain(|_, memory| now <= memory.until);
         // More than that at once is a storm, in which nobody's past matters.
         if self.memories.len() < self.limits.cases {
@@ -421,7 +427,11 @@ impl Recoverer {
         }
     }
 
-    fn close_order(&mut self, number: u64, now: Instant) -> Option<(Place, RecoveryAction)> {
+    fn close_order(
+        &mut self,
+        number: u64,
+        now: Instant,
+    ) -> Option<(FaultLocation, RecoveryAction)> {
         let (place, measure) = self.open.remove(&number)?;
         if let Some(engaged) = self.engaged.get_mut(&measure) {
             engaged.orders -= 1;
@@ -446,9 +456,9 @@ impl Recoverer {
     /// here.
     fn is_ours(&self, fault: &Fault) -> bool {
         match &fault.place {
-            Place::Object(address) => address.node == self.node,
-            Place::Link { node, .. } => *node == self.node,
-            Place::Node(_) => true,
+            FaultLocation::Object(address) => address.node == self.node,
+            FaultLocation::Link { node, .. } => *node == self.node,
+            FaultLocation::Node(_) => true,
         }
     }
 
@@ -481,7 +491,7 @@ impl Machine for Recoverer {
         let due = |case: &Case| match case.progress {
             Progress::Waiting { due } | Progress::Acting { due } => due <= now,
         };
-        let due_cases: Vec<(Place, Progress)> = (self.cases.iter())
+        let due_cases: Vec<(FaultLocation, Progress)> = (self.cases.iter())
             .filter(|(_, case)| due(case))
             .map(|(place, case)| (place.clone(), case.progress))
             .collect();

@@ -5,6 +5,7 @@
 //! that cannot fail proves nothing.
 
 mod imports;
+mod names;
 mod packages;
 mod pages;
 mod sources;
@@ -152,6 +153,15 @@ fn every_file_and_folder_begins_with_its_story() {
 #[test]
 fn names_say_what_is_named() {
     holds(sources::empty_names, "name it by the noun that it defines");
+}
+
+#[test]
+fn a_type_that_other_files_can_name_has_a_name_of_its_own() {
+    holds(
+        names::of_types,
+        "name one of them by the field's term for what it is; the machine or the message of the \
+         glossary keeps the name",
+    );
 }
 
 #[test]
@@ -432,6 +442,14 @@ mod a_rule_can_fail {
         ];
         let lines = [3, 4, 6, 8].map(|line| ("actors/src/lib.rs", line));
         check(sources::facade, &texts, &lines);
+    }
+
+    #[test]
+    fn when_a_type_has_the_name_of_another_that_is_visible() {
+        let a = "mod b;\npub(crate) struct State;\nenum Phase {}\nstruct Link;\nmod c { trait Mode {} }";
+        let b = "type State = u8;\nstruct Phase;\npub struct Link;\n#[cfg(test)]\npub struct Mode;";
+        let texts = [("core/src/lib.rs", a), ("core/src/b.rs", b)];
+        check(names::of_types, &texts, &[("core/src/b.rs", 1), ("core/src/lib.rs", 2)]);
     }
 
     #[test]

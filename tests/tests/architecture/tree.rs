@@ -288,7 +288,8 @@ fn collect_test_lines(items: &[syn::Item], lines: &mut Vec<(usize, usize)>) {
     }
 }
 
-fn attributes(item: &syn::Item) -> &[syn::Attribute] {
+/// The attributes of an item that can be left out of a build.
+pub(crate) fn attributes(item: &syn::Item) -> &[syn::Attribute] {
     match item {
         syn::Item::Const(item) => &item.attrs,
         syn::Item::Enum(item) => &item.attrs,
@@ -300,13 +301,14 @@ fn attributes(item: &syn::Item) -> &[syn::Attribute] {
         syn::Item::Struct(item) => &item.attrs,
         syn::Item::Trait(item) => &item.attrs,
         syn::Item::Type(item) => &item.attrs,
+        syn::Item::Union(item) => &item.attrs,
         syn::Item::Use(item) => &item.attrs,
         _ => &[],
     }
 }
 
 /// Whether the attributes hold `#[cfg(test)]`, or `test` as one condition of `all`.
-fn only_in_tests(attributes: &[syn::Attribute]) -> bool {
+pub(crate) fn only_in_tests(attributes: &[syn::Attribute]) -> bool {
     attributes.iter().filter(|attribute| attribute.path().is_ident("cfg")).any(|attribute| {
         let syn::Meta::List(list) = &attribute.meta else { return false };
         let tokens = tokens_of(list.tokens.clone());

@@ -4,7 +4,7 @@ use crate::puppet::{Deed, Do, Strings, ask, life, strike};
 use blastema::core::detection::Opinion;
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{Fault, NodeBuilder, Place};
+use blastema::{Fault, FaultLocation, NodeBuilder};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -68,7 +68,7 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
     assert!(reason.contains("drive"), "{reason}");
     let rested = rested.lock().unwrap().clone();
     assert_eq!(rested[0].kind, FaultKind::RestartStorm);
-    assert_eq!(rested[0].place, Place::Node(node.name().clone()));
+    assert_eq!(rested[0].place, FaultLocation::Node(node.name().clone()));
     assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");
     let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is at rest");
     assert_eq!(refused.kind, DeliveryError::Stopped);

@@ -12,8 +12,8 @@ use blastema::core::net::LinkState;
 use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{
-    Direction, FaultStatus, Link, MemoryMedium, Network, NodeBuilder, Place, RecoveryStrategy,
-    SessionState, StrategyContext,
+    Direction, FaultLocation, FaultStatus, Link, MemoryMedium, Network, NodeBuilder,
+    RecoveryStrategy, SessionState, StrategyContext,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -174,7 +174,7 @@ async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_dif
     robot.module1.advance(5000 * MS).await;
     let after = session().await;
     assert_eq!((after.standing.state, after.standing.unacknowledged), (SessionState::Open, 0));
-    assert!(after.standing.counters.repeated > before.standing.counters.repeated);
+    assert!(after.standing.counters.retransmitted > before.standing.counters.retransmitted);
     assert_eq!(after.differences, [""; 0], "it is a new session");
 }
 
@@ -195,7 +195,7 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
 
     let place = "module1 -ethernet- module2";
     let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
-    assert!(matches!(fault.place, Place::Link { .. }));
+    assert!(matches!(fault.place, FaultLocation::Link { .. }));
     robot.module1.await_recovered(FaultKind::LinkDown, place).await;
     let heard = strings.lines("note");
     let sent: Vec<String> = (0..200).map(|n| format!("laser#1 note {n}")).collect();

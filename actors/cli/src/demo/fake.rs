@@ -11,7 +11,7 @@ use super::robot::{CABLES, FLOWS, Flow, Module, address};
 use super::robot_state::RobotState;
 use super::scenario::{Scenario, ScenarioOutput};
 use super::trial::TrialOutput;
-use blastema::core::{FaultKind, NodeName, Place};
+use blastema::core::{FaultKind, FaultLocation, NodeName};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -93,7 +93,7 @@ impl FakeRobot {
         }
         self.plan(100, Happening::Snapshots);
         if self.flaw == Flaw::NeverTogether {
-            let place = Place::Node(NodeName::new("module3").expect("a name"));
+            let place = FaultLocation::Node(NodeName::new("module3").expect("a name"));
             let note = self.note(FaultKind::NodeLost, place, 60);
             self.says(Module::Module1, 60, ModuleEvent::Found(note));
         }
@@ -173,7 +173,7 @@ impl FakeRobot {
             TrialOutput::Kill(module) => {
                 scenario.handle_killed(self.now, self.now);
                 self.die(module, None);
-                let place = Place::Node(NodeName::new(module.name()).expect("a name"));
+                let place = FaultLocation::Node(NodeName::new(module.name()).expect("a name"));
                 let note = self.note(FaultKind::NodeLost, place, 30);
                 self.says(Module::Module1, 30, ModuleEvent::Found(note));
             }
@@ -200,7 +200,8 @@ impl FakeRobot {
                 for cable in CABLES.iter().filter(|cable| cables.iter().any(|n| n == cable.name)) {
                     self.cut.insert(cable.name);
                     let node = NodeName::new(module.name()).expect("a name");
-                    let place = Place::Link { node, link: cable.name.into(), neighbour: None };
+                    let place =
+                        FaultLocation::Link { node, link: cable.name.into(), neighbour: None };
                     let note = self.note(FaultKind::LinkDown, place, 20);
                     self.says(module, 20, ModuleEvent::Found(note));
                 }
@@ -357,7 +358,7 @@ impl FakeRobot {
         (self.now - self.began[&flow.from]).as_millis() as u64 / 10 + 1
     }
 
-    fn note(&mut self, kind: FaultKind, place: Place, after: u64) -> FaultNote {
+    fn note(&mut self, kind: FaultKind, place: FaultLocation, after: u64) -> FaultNote {
         let id = self.next_fault;
         self.next_fault += 1;
         let detail = "as ordered".into();
@@ -382,8 +383,8 @@ impl FakeRobot {
     }
 }
 
-fn object(module: Module, name: &str) -> Place {
-    Place::Object(address(module, name))
+fn object(module: Module, name: &str) -> FaultLocation {
+    FaultLocation::Object(address(module, name))
 }
 
 /// Returns the state of an assembled robot.

@@ -2,7 +2,7 @@
 
 use super::protocol::{DirectorCommand, FaultNote, ObjectFault, OrderId};
 use super::robot::{CABLES, DemoCable, FLOWS, Flow, Module, address};
-use blastema::core::{FaultKind, ObjectName, Place};
+use blastema::core::{FaultKind, FaultLocation, ObjectName};
 use std::fmt;
 
 /// An injected fault.
@@ -153,7 +153,7 @@ impl FaultInjection {
     pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
             FaultInjection::Object { module, object, fault } => {
-                let here = note.place == Place::Object(address(*module, object));
+                let here = note.place == FaultLocation::Object(address(*module, object));
                 let comes_along = companions_of(*fault).contains(&note.kind);
                 (here && note.kind == kind_of(*fault), here && comes_along)
             }
@@ -167,13 +167,13 @@ impl FaultInjection {
                 (lost || here && note.kind == FaultKind::LinkDown, here || lost)
             }
             FaultInjection::Router { module } => {
-                let here = matches!(&note.place, Place::Object(address)
+                let here = matches!(&note.place, FaultLocation::Object(address)
                     if is_node(address.node.as_str(), *module)
                         && address.object.as_str().contains("router"));
                 (here && note.kind == FaultKind::Panic, here)
             }
             FaultInjection::Kill { module } => {
-                let here = note.place == Place::Node(address(*module, "node").node);
+                let here = note.place == FaultLocation::Node(address(*module, "node").node);
                 (here && note.kind == FaultKind::NodeLost, here || touches(&note.place, *module))
             }
         };
@@ -258,15 +258,15 @@ fn is_node(name: &str, module: Module) -> bool {
     name == module.name()
 }
 
-fn is_cable(place: &Place, cable: &DemoCable) -> bool {
-    matches!(place, Place::Link { link, .. } if **link == *cable.name)
+fn is_cable(place: &FaultLocation, cable: &DemoCable) -> bool {
+    matches!(place, FaultLocation::Link { link, .. } if **link == *cable.name)
 }
 
-fn touches(place: &Place, module: Module) -> bool {
+fn touches(place: &FaultLocation, module: Module) -> bool {
     match place {
-        Place::Object(address) => is_node(address.node.as_str(), module),
-        Place::Node(node) => is_node(node.as_str(), module),
-        Place::Link { node, link, .. } => {
+        FaultLocation::Object(address) => is_node(address.node.as_str(), module),
+        FaultLocation::Node(node) => is_node(node.as_str(), module),
+        FaultLocation::Link { node, link, .. } => {
             is_node(node.as_str(), module)
                 || CABLES.iter().any(|cable| *cable.name == **link && cable.touches(module))
         }
@@ -279,7 +279,7 @@ mod tests {
     use crate::demo::machine_instant::MachineInstant;
     use blastema::core::NodeName;
 
-    fn note(kind: FaultKind, place: Place) -> FaultNote {
+    fn note(kind: FaultKind, place: FaultLocation) -> FaultNote {
         let detail = String::new();
         FaultNote {
             id: 1,
@@ -291,13 +291,13 @@ mod tests {
         }
     }
 
-    fn object(module: Module, object: &str) -> Place {
-        Place::Object(address(module, object))
+    fn object(module: Module, object: &str) -> FaultLocation {
+        FaultLocation::Object(address(module, object))
     }
 
-    fn link(node: &str, link: &str) -> Place {
+    fn link(node: &str, link: &str) -> FaultLocation {
         let node = NodeName::new(node).expect("a name");
-        Place::Link { node, link: link.into(), neighbour: None }
+        FaultLocation::Link { node, link: link.into(), neighbour: None }
     }
 
     fn strike(fault: ObjectFault) -> FaultInjection {
@@ -335,7 +335,7 @@ mod tests {
     #[test]
     fn a_killed_node_takes_its_links_and_objects_along() {
         let kill = FaultInjection::Kill { module: Module::Module3 };
-        let node = |name| Place::Node(NodeName::new(name).expect("a name"));
+        let node = |name| FaultLocation::Node(NodeName::new(name).expect("a name"));
         let check = |kind, place, wanted| {
             assert_eq!(kill.judge(&note(kind, place)), wanted);
         };

@@ -12,7 +12,7 @@ use super::robot::{CABLES, Module};
 use super::robot_state::RobotState;
 use super::tone::LineTone;
 use super::trial::{FaultTrial, TrialOutput, TrialTimeouts};
-use blastema::core::{FaultKind, Place};
+use blastema::core::{FaultKind, FaultLocation};
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ pub(crate) struct Scenario {
     stray: BTreeMap<(Module, u64), String>,
     overloads: u64,
     /// Faults found during the assembly.
-    hindrances: BTreeMap<Place, String>,
+    hindrances: BTreeMap<FaultLocation, String>,
     outputs: VecDeque<ScenarioOutput>,
 }
 
@@ -165,7 +165,7 @@ impl Scenario {
             (Scene::Pausing { .. }, ModuleEvent::Found(note)) => self.judge_between(from, note),
             // During the assembly missing cables and nodes are expected; missing objects are not.
             (Scene::Assembling { .. }, ModuleEvent::Found(note))
-                if matches!(note.place, Place::Object(_)) =>
+                if matches!(note.place, FaultLocation::Object(_)) =>
             {
                 self.judge_between(from, note);
                 self.hinder(from, note);

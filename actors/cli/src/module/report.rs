@@ -5,7 +5,7 @@ use crate::demo::protocol::{CableState, FaultNote, ModuleEvent, ObjectOpinion, O
 use crate::demo::robot::Flow;
 use blastema::core::delivery::dead_letters::DeadLetterCount;
 use blastema::core::detection::{self, FaultTransition, MonitorRow, ObjectKind};
-use blastema::{DeadReason, FaultEvent, Lifecycle, Place};
+use blastema::{DeadReason, FaultEvent, FaultLocation, Lifecycle};
 
 /// Returns the event of a fault that the director receives.
 pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
@@ -35,7 +35,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
 /// Returns the components of the table.
 pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
     let object = |row: &MonitorRow| match (&row.place, row.kind) {
-        (Place::Object(address), ObjectKind::Component) => Some(ObjectState {
+        (FaultLocation::Object(address), ObjectKind::Component) => Some(ObjectState {
             name: address.object.to_string(),
             state: row.state.unwrap_or(Lifecycle::Created),
             opinion: opinion_of(row.opinion),
@@ -49,7 +49,7 @@ pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
 /// Returns the cables of the table.
 pub(super) fn links_of(table: &[MonitorRow]) -> Vec<CableState> {
     let link = |row: &MonitorRow| match &row.place {
-        Place::Link { link, .. } => Some(CableState {
+        FaultLocation::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
             // A degraded link is suspected, and still carries messages.
             up: row.opinion != detection::Opinion::Failed,

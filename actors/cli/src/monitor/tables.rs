@@ -13,7 +13,7 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
         "objects",
         "table",
         &[
-            ("place", "place"),
+            ("location", "location"),
             ("kind", "kind"),
             ("incarnation", "incarnation"),
             ("state", "state"),
@@ -74,18 +74,18 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("in flight", "in_flight"),
             ("window", "window"),
             ("sent", "sent"),
-            ("repeated", "repeated"),
-            ("doubled", "doubled"),
-            ("late", "late"),
-            ("unfinished", "unfinished"),
+            ("retransmitted", "retransmitted"),
+            ("duplicates", "duplicates"),
+            ("superseded", "superseded"),
+            ("incomplete", "incomplete"),
             ("returned", "returned"),
             ("refused", "refused"),
             ("differences", "differences"),
         ],
     ),
     (
-        "claimed names",
-        "claims",
+        "global names",
+        "global_names",
         &[
             ("name", "name"),
             ("node", "node"),
@@ -105,8 +105,8 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("epoch", "epoch"),
             ("primary", "primary"),
             ("nodes", "members"),
-            ("not heard", "unheard"),
-            ("unprotected", "unprotected"),
+            ("missing", "missing_members"),
+            ("unreplicated", "unreplicated"),
             ("seen before", "seen_ms"),
         ],
     ),
@@ -146,7 +146,7 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("fault", "id"),
             ("code", "code"),
             ("kind", "kind"),
-            ("place", "place"),
+            ("location", "location"),
             ("incarnation", "incarnation"),
             ("times", "count"),
             ("symptom of", "symptom_of"),
@@ -246,7 +246,7 @@ mod tests {
     fn each_table_is_aligned_and_what_is_unknown_is_a_dash() {
         let picture = json!({
             "node": "module1", "state": "running", "reason": null,
-            "claims": [
+            "global_names": [
                 { "name": "map", "node": "module1", "object": "slam", "epoch": 7, "age_ms": 0.25 },
                 { "name": "base", "node": null, "object": "b", "epoch": 12, "age_ms": 61000.0 },
             ],
@@ -257,7 +257,7 @@ mod tests {
         let text = "\
 module1 running
 
-claimed names
+global names
  name  node     object  epoch  known for
  map   module1  slam        7    0.25 ms
  base  -        b          12     61.0 s

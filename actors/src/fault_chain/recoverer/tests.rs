@@ -6,7 +6,7 @@ use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_core::recovery::{Ladder, Plan, RecovererLimits, SupervisorRules};
-use blastema_core::{Fault, FaultId, FaultKind, NodeName, Place};
+use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, NodeName};
 use blastema_doubles::{Probe, advance, paused, settle};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -29,7 +29,7 @@ impl Chain {
         let root = bench.serving(SupervisorRules::default(), &["laser", "arm"]).await;
         let (outcomes, node) = (Probe::start(), Probe::start());
         let router = Probe::replying(|Reroute { place }| match place {
-            Place::Node(_) => Err("no other way leads there".into()),
+            FaultLocation::Node(_) => Err("no other way leads there".into()),
             _ => Ok(RecoveryDone::default()),
         });
         let here = NodeName::new("here").expect("a good name");
@@ -74,7 +74,7 @@ impl Chain {
     }
 
     async fn recover(&self, fault: Fault) {
-        if let (FaultKind::Panic, Place::Object(address)) = (&fault.kind, &fault.place) {
+        if let (FaultKind::Panic, FaultLocation::Object(address)) = (&fault.kind, &fault.place) {
             self.bench.script.dies(address.object.as_str());
         }
         let confirmed = self.recoverer.send(Recover { fault }).await;
@@ -190,8 +190,8 @@ fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
     paused(async {
         let chain = Chain::built_in().await;
         let here = NodeName::new("here").expect("a good name");
-        let link = Place::Link { node: here, link: "ethernet".into(), neighbour: None };
-        let there = Place::Node(NodeName::new("there").expect("a good name"));
+        let link = FaultLocation::Link { node: here, link: "ethernet".into(), neighbour: None };
+        let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
 
         let down = fault(1, FaultKind::LinkDown, "laser", 1);
         chain.recover(Fault { place: link.clone(), ..down.clone() }).await;
@@ -210,7 +210,7 @@ fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
         let chain = Chain::built_in().await;
         let contained = "given up: contained by isolate; service is not restored";
         for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
-            let place = Place::Node(NodeName::new(node).expect("a good name"));
+            let place = FaultLocation::Node(NodeName::new(node).expect("a good name"));
             let fault = Fault { place, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
             chain.recover(fault).await;
             let told = chain.told_until(&format!("{id} {last}")).await;

@@ -10,7 +10,7 @@ use blastema_contract::supervisor::{
     GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
-use blastema_core::{Contract, DeliveryError, Fault, NodeName, ObjectName, Place};
+use blastema_core::{Contract, DeliveryError, Fault, FaultLocation, NodeName, ObjectName};
 use std::sync::{Arc, OnceLock};
 
 /// Where the tools reach to.
@@ -71,7 +71,7 @@ impl StrategyContext {
     ///
     /// # Errors
     /// It could not, or has no life.
-    pub async fn reset(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+    pub async fn reset(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, keeper) = self.keeper(place)?;
         // It is the same life as before.
         judge(keeper.reset.send(ResetChild { object }).await).map(|_| RecoveryDone::default())
@@ -83,7 +83,7 @@ impl StrategyContext {
     /// # Errors
     /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
     /// network.
-    pub async fn isolate(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+    pub async fn isolate(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(place, true, "a recovery strategy says so").await
     }
 
@@ -91,7 +91,7 @@ impl StrategyContext {
     ///
     /// # Errors
     /// As [`isolate`](StrategyContext::isolate).
-    pub async fn admit(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+    pub async fn admit(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(place, false, "a recovery strategy says so").await
     }
 
@@ -107,7 +107,7 @@ impl StrategyContext {
     ///
     /// # Errors
     /// There is no other way, or no network.
-    pub async fn reroute(&self, place: &Place) -> Result<RecoveryDone, RecoveryFailed> {
+    pub async fn reroute(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         let (router, _) = self.0.router.get().ok_or("this node has no network")?;
         match router.send(Reroute { place: place.clone() }).await {
             Ok(outcome) => outcome,
@@ -121,7 +121,7 @@ impl StrategyContext {
     /// # Errors
     /// The object is not kept by any supervisor.
     pub async fn safe_stop(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        if !matches!(fault.place, Place::Object(_)) {
+        if !matches!(fault.place, FaultLocation::Object(_)) {
             self.rest_node(fault, "the plan says so");
             return Ok(RecoveryDone::default());
         }
@@ -139,11 +139,11 @@ impl StrategyContext {
 
     async fn set_isolated(
         &self,
-        place: &Place,
+        place: &FaultLocation,
         isolated: bool,
         cause: &str,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        if let Place::Node(node) = place {
+        if let FaultLocation::Node(node) = place {
             if *node == self.0.node {
                 return Err("a node cannot isolate itself: let it enter the safe state".into());
             }
@@ -158,9 +158,9 @@ impl StrategyContext {
 
     fn keeper(
         &self,
-        place: &Place,
+        place: &FaultLocation,
     ) -> Result<(ObjectName, Arc<SupervisorRecipients>), RecoveryFailed> {
-        let Place::Object(address) = place else {
+        let FaultLocation::Object(address) = place else {
             return Err(format!("{place} is no object").into());
         };
         if address.node != self.0.node {

@@ -7,7 +7,7 @@ use crate::component::life::{DeferredCommands, IncarnationState};
 use crate::host::executor::outbox::DeferredReport;
 use crate::host::lifecycle::{EndReason, IncarnationLifecycle};
 use crate::liveness::label;
-use crate::messaging::death_watch::{Down, Ending};
+use crate::messaging::death_watch::{Down, DownReason};
 use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
@@ -121,7 +121,7 @@ impl<C: Component> ComponentExecutor<C> {
             record.announce(|listener| listener.deactivated());
         }
         let object = record.name.clone();
-        let ending = Ending::from(exit);
+        let ending = DownReason::from(exit);
         record.mourners.tell(&Down { object, node: None, incarnation, ending });
         let event = match (exit, self.course.is_starting() && restarted_as.is_none()) {
             (ExitReason::Stopped, _) => ChildEvent::Stopped,

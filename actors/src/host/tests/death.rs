@@ -2,7 +2,7 @@
 
 use super::{Acc, Add, Boom, Note, Slow, Stage, acc, boom, logged, order};
 use crate::{
-    ChildSpec, Component, Context, DeliveryError, Down, Ending, Event, Handle, Incarnation,
+    ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Handle, Incarnation,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
@@ -267,7 +267,7 @@ fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
 
         widow.tell(Look("nobody".into())).unwrap();
         settle().await;
-        assert_eq!(endings(), [(0, Ending::Unknown)]);
+        assert_eq!(endings(), [(0, DownReason::Unknown)]);
 
         widow.tell(Look("acc".into())).unwrap();
         widow.tell(Look("acc".into())).unwrap();
@@ -276,14 +276,14 @@ fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
         acc.tell(boom("x")).unwrap();
         settle().await;
         let first = endings();
-        assert!(matches!(&first[..], [(1, Ending::Panicked { text, .. })] if text == "x"));
+        assert!(matches!(&first[..], [(1, DownReason::Panicked { text, .. })] if text == "x"));
 
         child.stop();
         settle().await;
-        assert_eq!(endings(), [(2, Ending::Stopped)]);
+        assert_eq!(endings(), [(2, DownReason::Stopped)]);
         widow.tell(Look("acc".into())).unwrap();
         settle().await;
-        assert_eq!(endings(), [(2, Ending::NotAlive)]);
+        assert_eq!(endings(), [(2, DownReason::NotAlive)]);
 
         widow.tell(boom("grief")).unwrap();
         settle().await;

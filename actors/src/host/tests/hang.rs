@@ -12,7 +12,7 @@ use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, ObjectKind};
-use blastema_core::{NodeName, ObjectAddress, Place};
+use blastema_core::{FaultLocation, NodeName, ObjectAddress};
 use blastema_doubles::{Probe, advance, paused};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
@@ -160,7 +160,7 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
         let here = NodeName::new("here").unwrap();
-        let place = Place::Object(ObjectAddress::new(here.clone(), name("blocker")));
+        let place = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
         let mut row = MonitorRow::blank(place, ObjectKind::Component);
         row.incarnation = Incarnation(1);
         site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));

@@ -3,7 +3,7 @@
 use super::{Acc, Boom, Stage, acc, boom, order};
 use crate::messaging::queue::WhenFull;
 use crate::{
-    ActorRef, ChildSpec, Component, Context, Down, Ending, Event, Failure, Handle, Incarnation,
+    ActorRef, ChildSpec, Component, Context, Down, DownReason, Event, Failure, Handle, Incarnation,
     Ports, Variable, VariableSpec,
 };
 use blastema_contract::child::ChildEvent;
@@ -25,7 +25,7 @@ struct Mood(u64);
 
 #[derive(Clone, Debug, PartialEq)]
 enum Told {
-    Down(String, u64, Ending),
+    Down(String, u64, DownReason),
     Chatter(u64),
 }
 
@@ -119,7 +119,10 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
                 panic!("{policy:?}: {told:?}")
             };
             assert_eq!((first.as_str(), other.as_str()), ("one", "two"), "before what waits");
-            assert!(matches!(end, Ending::Panicked { text, .. } if text == "second"), "{end:?}");
+            assert!(
+                matches!(end, DownReason::Panicked { text, .. } if text == "second"),
+                "{end:?}"
+            );
             assert_eq!(widow.queued(), 0, "Chatter(2) is in service");
         });
     }

@@ -155,17 +155,17 @@ fn what_is_of_the_past_is_told_and_held_against_nobody_for_others_may_repeat_it(
 fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
     paused(async {
         let (_robot, [left, right, middle]) = three().await;
-        let tell = |place: Place| {
+        let tell = |place: FaultLocation| {
             let name = NodeName::new("left").unwrap();
             let kind = FaultKind::NodeFaulty;
             let fault = Fault::of_node(name, kind, "it floods".into(), platform::now());
             let port = right.net.recoverer_of(&NodeName::new("left").unwrap());
             async move { port.send(Recover { fault: Fault { place, ..fault } }).await }
         };
-        let object = |text: &str| Place::Object(text.parse().unwrap());
+        let object = |text: &str| FaultLocation::Object(text.parse().unwrap());
         let others = [
-            Place::Node(NodeName::new("middle").unwrap()),
-            Place::Node(NodeName::new("left").unwrap()),
+            FaultLocation::Node(NodeName::new("middle").unwrap()),
+            FaultLocation::Node(NodeName::new("left").unwrap()),
             object("left:acc"),
             object("middle:acc"),
         ];

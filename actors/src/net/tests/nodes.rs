@@ -62,7 +62,7 @@ fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
             id: FaultId(1),
             kind: FaultKind::Panic,
             severity: Severity::Error,
-            place: Place::Object("left:acc".parse().unwrap()),
+            place: FaultLocation::Object("left:acc".parse().unwrap()),
             incarnation: Incarnation(1),
             detail: "boom".into(),
             found_at: platform::now(),

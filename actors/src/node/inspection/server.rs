@@ -145,15 +145,15 @@ impl InspectionServer {
         self.listener = None;
         match open(&self.path) {
             Ok(listener) => {
-                info!(path = %self.path.display(), "the node's window was gone, and is made again");
+                info!(path = %self.path.display(), "the inspection socket was removed, and is created again");
                 self.listener = Some(listener);
                 if self.told.replace(false) != Some(false) {
-                    self.reports.mend("window");
+                    self.reports.mend("inspection");
                 }
             }
             Err(reason) if self.told.replace(true) != Some(true) => {
                 let detail = format!("the node is not shown any more: {reason}");
-                self.reports.declare("window", detail);
+                self.reports.declare("inspection", detail);
             }
             Err(_) => {}
         }

@@ -2,7 +2,7 @@
 
 use super::{Described, Field, Fields, Layout, Primitive, Shape, Variant};
 use crate::{
-    FaultId, FaultKind, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName, Place,
+    FaultId, FaultKind, FaultLocation, Incarnation, Lifecycle, NodeName, ObjectAddress, ObjectName,
     Severity,
 };
 use std::any::TypeId;
@@ -239,7 +239,7 @@ describe! { struct FaultId(u64) }
 describe! { enum Severity { Warning, Error, Critical } }
 describe! { enum Lifecycle { Created, Initialized, Active, Error, Fatal, Finalized } }
 describe! {
-    enum Place {
+    enum FaultLocation {
         Object(ObjectAddress),
         Link { node: NodeName, link: Arc<str>, neighbour: Option<NodeName> },
         Node(NodeName),
@@ -249,7 +249,7 @@ describe! {
     enum FaultKind {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
-        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unprotected,
-        StateLost, NotServed, Unavailable, CrashLoop, NodePaused, Custom(Arc<str>),
+        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unreplicated,
+        StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Custom(Arc<str>),
     }
 }

@@ -5,7 +5,7 @@
 //! recover.
 
 use super::{DecisionTimeout, Detector};
-use crate::{Fault, FaultId, Instant, Lifecycle, Place};
+use crate::{Fault, FaultId, FaultLocation, Instant, Lifecycle};
 use std::iter;
 
 impl Detector {
@@ -14,7 +14,7 @@ impl Detector {
         self.unhanded.insert(id);
         let Some(entry) = self.chronicle.entry(id) else { return };
         let Fault { place, incarnation, .. } = entry.fault.clone();
-        let Place::Object(address) = &place else { return };
+        let FaultLocation::Object(address) = &place else { return };
         let seen = self.objects.get(&address.object);
         match seen.filter(|seen| seen.incarnation > incarnation).map(|seen| seen.state) {
             Some(Lifecycle::Active) => {
@@ -36,7 +36,7 @@ impl Detector {
 
     /// An object that ended in order takes along what only its next life could have ended, unless
     /// it was stopped to be replaced: then that life begins soon.
-    pub(super) fn end_unhanded_at(&mut self, place: &Place, at: Instant) {
+    pub(super) fn end_unhanded_at(&mut self, place: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(place).map(|fault| fault.id).collect();
         for id in ended {
             self.reminders.set(id, DecisionTimeout { due: at + self.limits.decision, sent: 0 });
@@ -46,7 +46,7 @@ impl Detector {
     /// No life has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
-        let Place::Object(address) = &entry.fault.place else { return };
+        let FaultLocation::Object(address) = &entry.fault.place else { return };
         let seen = self.objects.get(&address.object);
         if seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
             self.repair(id, at);
@@ -63,7 +63,7 @@ impl Detector {
         iter::once(id).chain(before).collect()
     }
 
-    fn unhanded_at(&self, place: &Place) -> impl Iterator<Item = &Fault> {
+    fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
         self.chronicle.standing_at(place).filter(|fault| self.unhanded.contains(&fault.id))
     }
 }

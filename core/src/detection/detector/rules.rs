@@ -5,7 +5,7 @@ use crate::detection::correlation::is_down;
 use crate::detection::hang::OverloadFigures;
 use crate::detection::{ExitReason, Finding, LinkCondition, NodeCondition};
 use crate::{
-    Fault, FaultId, FaultKind, Incarnation, Instant, Lifecycle, NodeName, ObjectName, Place,
+    Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, NodeName, ObjectName,
 };
 use std::time::Duration;
 
@@ -272,7 +272,8 @@ impl Detector {
     }
 
     pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
-        let (Finding::Node(condition), Place::Node(node)) = (finding, scene.place.clone()) else {
+        let (Finding::Node(condition), FaultLocation::Node(node)) = (finding, scene.place.clone())
+        else {
             return;
         };
         match condition {
@@ -348,7 +349,8 @@ impl Detector {
         self.recover(id, scene.at);
         self.pause = Some((id, scene.at + self.limits.after_pause));
         let suffers = |fault: &&Fault| {
-            let of_network = matches!(fault.place, Place::Link { .. } | Place::Node(_));
+            let of_network =
+                matches!(fault.place, FaultLocation::Link { .. } | FaultLocation::Node(_));
             let fresh = scene.at - fault.found_at <= span;
             of_network && fresh && fault.place != scene.place && fault.symptom_of.is_none()
         };
@@ -372,7 +374,8 @@ impl Detector {
 
     /// A node that has stayed up for long enough is in a crash loop no more.
     pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
-        let scene = Scene { place: Place::Node(node), incarnation: Incarnation::default(), at };
+        let scene =
+            Scene { place: FaultLocation::Node(node), incarnation: Incarnation::default(), at };
         self.end_kind(&scene, &FaultKind::CrashLoop);
     }
 
@@ -385,11 +388,11 @@ impl Detector {
     /// A node that leaves in order takes its ends of the cables along.
     fn end_links_to(&mut self, node: &NodeName, at: Instant) {
         let leads_there = |fault: &&Fault| match &fault.place {
-            Place::Link { neighbour, .. } => neighbour.as_ref() == Some(node),
-            Place::Object(_) | Place::Node(_) => false,
+            FaultLocation::Link { neighbour, .. } => neighbour.as_ref() == Some(node),
+            FaultLocation::Object(_) | FaultLocation::Node(_) => false,
         };
         let places = self.chronicle.all_standing().filter(leads_there);
-        let places: Vec<Place> = places.map(|fault| fault.place.clone()).collect();
+        let places: Vec<FaultLocation> = places.map(|fault| fault.place.clone()).collect();
         for place in places {
             let scene = Scene { place, incarnation: Incarnation::default(), at };
             self.end_all_at(&scene, |_| true, false);

@@ -28,18 +28,18 @@ fn node(name: &str) -> NodeName {
 
 /// A place as it is written: `arm` is an object here, `n:arm` one there, `-eth-n` a link to n, `@n`
 /// a node.
-fn place(text: &str) -> Place {
+fn place(text: &str) -> FaultLocation {
     if let Some(name) = text.strip_prefix('@') {
-        return Place::Node(node(name));
+        return FaultLocation::Node(node(name));
     }
     if let Some((link, neighbour)) = text.strip_prefix('-').and_then(|t| t.split_once('-')) {
-        return Place::Link {
+        return FaultLocation::Link {
             node: node("m"),
             link: link.into(),
             neighbour: Some(node(neighbour)),
         };
     }
-    Place::Object(address(text))
+    FaultLocation::Object(address(text))
 }
 
 fn address(text: &str) -> ObjectAddress {

@@ -4,7 +4,7 @@
 use super::Monitor;
 use crate::detection::hang::{OverloadFigures, QueueReading};
 use crate::detection::{Finding, NodeCondition};
-use crate::{Incarnation, Instant, ObjectName, Place};
+use crate::{FaultLocation, Incarnation, Instant, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -137,7 +137,7 @@ impl Monitor {
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
         self.inquiry.handle_stall(gap, now);
         if gap >= self.limits.pause {
-            let (place, life) = (Place::Node(self.node.clone()), Incarnation::default());
+            let (place, life) = (FaultLocation::Node(self.node.clone()), Incarnation::default());
             let finding = Finding::Node(NodeCondition::Paused { span: gap });
             self.observe(place, life, finding, now);
         }

@@ -82,16 +82,16 @@ pub type Refused = (DeliveryError, Bytes);
 /// What a session did so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SessionCounters {
-    /// Parts sent, repetitions included.
+    /// Chunks sent, retransmissions included.
     pub sent: u64,
-    /// Parts sent again.
-    pub repeated: u64,
-    /// Parts and best-effort messages that had arrived before.
-    pub doubled: u64,
-    /// Best-effort messages that came after a newer one of their channel.
-    pub overtaken: u64,
-    /// Messages that were never finished.
-    pub unfinished: u64,
+    /// Chunks sent again.
+    pub retransmitted: u64,
+    /// Chunks and best-effort messages that had been received before.
+    pub duplicates: u64,
+    /// Best-effort messages that were received after a newer one of their channel.
+    pub superseded: u64,
+    /// Fragmented messages that were given up before all of their chunks were received.
+    pub incomplete: u64,
     /// Packets that came back undelivered; what is reliable of them was sent again.
     pub returned: u64,
     /// Why the last of them did.

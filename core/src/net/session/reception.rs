@@ -34,7 +34,7 @@ impl Session {
             self.outputs.extend(outputs.map(|message| SessionOutput::Message { stream, message }));
             match arrived {
                 Ok(ChunkStatus::New) => {}
-                Ok(ChunkStatus::Again) => self.counters.doubled += 1,
+                Ok(ChunkStatus::Again) => self.counters.duplicates += 1,
                 Ok(ChunkStatus::Beyond) => self.refusals.unexpected += 1,
                 Err(error) => {
                     // The peer is broken; whatever it says next cannot be trusted to be in order.
@@ -72,8 +72,8 @@ impl Session {
                 self.outputs.push_back(SessionOutput::Newest { channel, message });
             }
             DatagramStatus::InPart => {}
-            DatagramStatus::Again => self.counters.doubled += 1,
-            DatagramStatus::Overtaken => self.counters.overtaken += 1,
+            DatagramStatus::Again => self.counters.duplicates += 1,
+            DatagramStatus::Overtaken => self.counters.superseded += 1,
             DatagramStatus::TooMany => self.refusals.too_large += 1,
         }
     }

@@ -82,7 +82,7 @@ impl Session {
         let unfinished = self.pieces.given_up + self.best_effort.unfinished();
         let DuplicateDiscard { dropped, missed, alone, .. } = self.replicas;
         SessionCounters {
-            unfinished: self.counters.unfinished + unfinished,
+            incomplete: self.counters.incomplete + unfinished,
             replicas: self.counters.replicas + dropped,
             missed: self.counters.missed + missed,
             alone: self.counters.alone + alone,

@@ -131,7 +131,7 @@ impl Session {
     ) {
         let again = part.is_repeated();
         self.counters.sent += 1;
-        self.counters.repeated += u64::from(again);
+        self.counters.retransmitted += u64::from(again);
         let lane = lane(stream);
         self.orders[lane] += 1;
         self.retransmit_at[lane].get_or_insert(self.now + self.rtt[lane].timeout());

@@ -1,6 +1,6 @@
 //! What a recoverer does while its node is in the safe state, or ends.
 
-use super::{FaultResolution, Place, Recoverer};
+use super::{FaultLocation, FaultResolution, Recoverer};
 use crate::{Fault, Instant};
 
 /// Why faults of objects are not treated.
@@ -28,8 +28,8 @@ impl Recoverer {
 
     fn stand_still(&mut self, standstill: Standstill, now: Instant) {
         self.standstill = Some(standstill);
-        let rests = |place: &&Place| matches!(place, Place::Object(_));
-        let places: Vec<Place> = self.cases.keys().filter(rests).cloned().collect();
+        let rests = |place: &&FaultLocation| matches!(place, FaultLocation::Object(_));
+        let places: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
         for place in places {
             let told = self.cases[&place].given_up;
             for fault in self.close(&place, now).iter().filter(|_| !told) {

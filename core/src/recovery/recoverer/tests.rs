@@ -15,11 +15,11 @@ fn node() -> NodeName {
     NodeName::new("here").expect("a good name")
 }
 
-fn at(object: &str) -> Place {
-    Place::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
+fn at(object: &str) -> FaultLocation {
+    FaultLocation::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
 }
 
-fn fault(id: u64, kind: FaultKind, place: Place, life: u64) -> Fault {
+fn fault(id: u64, kind: FaultKind, place: FaultLocation, life: u64) -> Fault {
     Fault {
         id: FaultId(id),
         severity: kind.severity(),
@@ -324,7 +324,7 @@ fn kinds_without_a_measure_are_observed_and_do_not_hold_symptoms_back() {
 #[test]
 fn a_lost_node_is_observed_when_no_other_way_leads_there() {
     let mut rig = Rig::new();
-    let there = Place::Node(NodeName::new("there").expect("a good name"));
+    let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
 
     assert_eq!(
         rig.find(fault(1, FaultKind::NodeLost, there, 1)),
@@ -335,7 +335,7 @@ fn a_lost_node_is_observed_when_no_other_way_leads_there() {
 
 #[test]
 fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
-    let there = Place::Object("there:laser".parse().expect("a good name"));
+    let there = FaultLocation::Object("there:laser".parse().expect("a good name"));
     let mut rig = Rig::new();
     assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), [""; 0]);
     assert_eq!(rig.machine.open_cases(), 0);
@@ -439,8 +439,8 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
 fn every_fault_is_settled_whatever_the_strategies_do() {
     let places = [
         at("arm"),
-        Place::Node(NodeName::new("there").expect("a good name")),
-        Place::Link { node: node(), link: "ethernet".into(), neighbour: None },
+        FaultLocation::Node(NodeName::new("there").expect("a good name")),
+        FaultLocation::Link { node: node(), link: "ethernet".into(), neighbour: None },
     ];
     for kind in FaultKind::BUILT_IN {
         for place in &places {
@@ -536,7 +536,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     let checked = fault(4, FaultKind::CheckFailed, at("lamp"), 1);
     assert_eq!(rig.find(checked), ["4 observed"]);
     // The network goes on.
-    let link = Place::Link { node: node(), link: "eth".into(), neighbour: None };
+    let link = FaultLocation::Link { node: node(), link: "eth".into(), neighbour: None };
     let down = fault(5, FaultKind::LinkDown, link, 0);
     assert_eq!(rig.find(down), ["#2 reroute here -eth- against link down, 1"]);
     assert_eq!(rig.machine.open_cases(), 1);

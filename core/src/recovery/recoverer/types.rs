@@ -1,7 +1,7 @@
 //! What a recoverer orders, is told, and is bounded by.
 
 use super::RecoveryAction;
-use crate::{Fault, FaultId, Incarnation, Place};
+use crate::{Fault, FaultId, FaultLocation, Incarnation};
 use std::time::Duration;
 
 /// One measure to be carried out.
@@ -88,7 +88,7 @@ pub enum RecovererOutput {
         /// The fault's number in its finder's record.
         fault: FaultId,
         /// Where it is.
-        place: Place,
+        place: FaultLocation,
         /// What became of it.
         settled: FaultResolution,
     },

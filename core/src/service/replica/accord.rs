@@ -400,7 +400,7 @@ impl Replica {
         next.faults = self.faults.clone();
         next.end_faults();
         // If it still stands, it is found again.
-        next.set_fault(FaultKind::NotServed, None);
+        next.set_fault(FaultKind::ServiceUnavailable, None);
         next.accord.told = None;
         next.settle_dispute(now);
         next

@@ -31,7 +31,7 @@ impl Replica {
         let config = &self.config;
         if config.kind == StandbyKind::Cold || primary.holders() + 1 >= config.majority() {
             primary.alone_since = None;
-            self.set_fault(FaultKind::Unprotected, None);
+            self.set_fault(FaultKind::Unreplicated, None);
             return false;
         }
         let since = *primary.alone_since.get_or_insert(now);
@@ -43,7 +43,7 @@ impl Replica {
             return false;
         }
         let detail = primary.describe_exposure(config, now);
-        self.set_fault(FaultKind::Unprotected, Some(detail));
+        self.set_fault(FaultKind::Unreplicated, Some(detail));
         true
     }
 
@@ -63,7 +63,7 @@ impl Replica {
 
     /// What concerns whoever serves is over for this one.
     pub(super) fn end_faults(&mut self) {
-        self.set_fault(FaultKind::Unprotected, None);
+        self.set_fault(FaultKind::Unreplicated, None);
         self.set_fault(FaultKind::StateLost, None);
     }
 

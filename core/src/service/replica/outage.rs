@@ -88,7 +88,7 @@ impl Replica {
         let outage = &mut self.outage;
         if served {
             *outage = Outage { served: true, ..Outage::default() };
-            self.set_fault(FaultKind::NotServed, None);
+            self.set_fault(FaultKind::ServiceUnavailable, None);
         } else if outage.since.is_none() {
             outage.since = Some(self.now);
         }
@@ -101,7 +101,7 @@ impl Replica {
         }
         self.outage.worded = Some(now);
         let detail = self.describe_outage(now);
-        self.set_fault(FaultKind::NotServed, Some(detail));
+        self.set_fault(FaultKind::ServiceUnavailable, Some(detail));
     }
 
     fn describe_outage(&self, now: Instant) -> String {

@@ -18,7 +18,7 @@ impl Replica {
             epoch: self.epoch,
             primary,
             unheard: self.config.members.iter().filter(unheard).cloned().collect(),
-            unprotected: self.faults.contains_key(&FaultKind::Unprotected),
+            unprotected: self.faults.contains_key(&FaultKind::Unreplicated),
         }
     }
 

@@ -26,18 +26,18 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
     }
     robot.asker.advance(200 * MS).await;
 
-    let told = standing(&robot.members[first], &FaultKind::Unprotected).await.expect("it is told");
+    let told = standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is told");
     assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
     assert!(told.detail.contains("service counter: no standby holds its state"), "{}", told.detail);
     assert_eq!(robot.add(1).await, Ok(6), "it goes on");
     robot.members[others[0]].restart().await.unwrap();
     robot.asker.advance(500 * MS).await;
-    let left = standing(&robot.members[first], &FaultKind::Unprotected).await;
+    let left = standing(&robot.members[first], &FaultKind::Unreplicated).await;
     assert_eq!(left, None, "one of them holds it again");
 
     bring_to_rest(&robot.members[others[0]]).await;
     robot.asker.advance(200 * MS).await;
-    assert!(standing(&robot.members[first], &FaultKind::Unprotected).await.is_some());
+    assert!(standing(&robot.members[first], &FaultKind::Unreplicated).await.is_some());
     robot.members[first].shutdown().await;
     for member in &others {
         robot.members[*member].restart().await.unwrap();
@@ -60,7 +60,7 @@ async fn standbys_whose_components_were_removed_hold_nothing() {
     }
     robot.asker.advance(500 * MS).await;
 
-    let told = standing(&robot.members[first], &FaultKind::Unprotected).await.expect("it is told");
+    let told = standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is told");
     assert!(told.detail.contains("at rest, stopped"), "{}", told.detail);
     assert_eq!(robot.add(1).await, Ok(6));
 }

@@ -3,7 +3,7 @@
 use super::*;
 
 async fn outage(node: &TestNode) -> Option<String> {
-    standing(node, &FaultKind::NotServed).await.map(|fault| fault.detail)
+    standing(node, &FaultKind::ServiceUnavailable).await.map(|fault| fault.detail)
 }
 
 #[blastema_testkit::test]
@@ -15,7 +15,7 @@ async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_unti
     for member in (0..3).filter(|member| *member != first) {
         assert_eq!(outage(&robot.members[member]).await, None, "a takeover is none");
     }
-    let told = standing(&robot.members[first], &FaultKind::NotServed).await;
+    let told = standing(&robot.members[first], &FaultKind::ServiceUnavailable).await;
     let told = told.expect("whoever is cut off sees nobody who serves");
     assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
     assert!(told.detail.contains("service counter: nobody is known here"), "{}", told.detail);

@@ -9,8 +9,8 @@ fn row(node: &TestNode) -> ServiceRow {
     row.clone()
 }
 
-fn unheard(node: &TestNode) -> Vec<String> {
-    row(node).unheard.iter().map(ToString::to_string).collect()
+fn missing(node: &TestNode) -> Vec<String> {
+    row(node).missing_members.iter().map(ToString::to_string).collect()
 }
 
 #[blastema_testkit::test]
@@ -23,8 +23,8 @@ async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there
         let state = if member == first { ServiceState::Primary } else { ServiceState::Standby };
         assert_eq!((row.name.as_str(), row.state), ("counter", state), "{}", own.name());
         assert_eq!(row.primary.as_ref(), Some(robot.members[first].name()));
-        assert_eq!((row.kind, row.members.len(), row.unprotected), (StandbyKind::Hot, 3, false));
-        assert_eq!(unheard(own), [""; 0]);
+        assert_eq!((row.kind, row.members.len(), row.unreplicated), (StandbyKind::Hot, 3, false));
+        assert_eq!(missing(own), [""; 0]);
         assert!(row.epoch > 0 && row.since > 1000 * MS && row.age <= 600 * MS, "{row:?}");
     }
     assert_eq!(robot.asker.services(), []);
@@ -34,20 +34,20 @@ async fn each_node_shows_what_it_is_to_a_service_who_serves_and_who_is_not_there
     let cut_off = row(&robot.members[first]);
     assert_eq!((cut_off.state, cut_off.primary), (ServiceState::Candidate, None));
     let away: Vec<_> = others.iter().map(|member| MEMBERS[*member]).collect();
-    assert_eq!(unheard(&robot.members[first]), away);
+    assert_eq!(missing(&robot.members[first]), away);
     let next = robot.primary();
     let last = 3 - first - next;
     assert_eq!(row(&robot.members[next]).state, ServiceState::Primary);
     assert_eq!(row(&robot.members[last]).state, ServiceState::Standby);
     assert!(row(&robot.members[next]).epoch > cut_off.epoch);
-    assert_eq!(unheard(&robot.members[next]), [MEMBERS[first]]);
+    assert_eq!(missing(&robot.members[next]), [MEMBERS[first]]);
 
     robot.members[last].remove_child("counter/replica").await.unwrap();
     robot.asker.advance(500 * MS).await;
     assert_eq!(row(&robot.members[last]).state, ServiceState::Resting);
-    assert!(row(&robot.members[next]).unprotected);
+    assert!(row(&robot.members[next]).unreplicated);
     let picture = robot.members[next].snapshot().await.to_json();
-    assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unprotected":true"#));
+    assert!(picture.contains(r#""services":[{"#) && picture.contains(r#""unreplicated":true"#));
 }
 
 #[blastema_testkit::test]

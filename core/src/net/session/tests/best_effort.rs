@@ -22,7 +22,7 @@ fn of_best_effort_messages_the_newest_counts_and_none_comes_twice() {
     let newest = |channel, n| SessionOutput::Newest { channel, message: text(n) };
     assert_eq!(pair.take(1), [newest(1, "b"), newest(2, "other")]);
     let counters = pair.ends[1].counters();
-    assert_eq!((counters.overtaken, counters.doubled), (1, 1));
+    assert_eq!((counters.superseded, counters.duplicates), (1, 1));
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn a_lost_part_is_sent_again_and_nothing_is_delivered_before_it() {
     pair.run(60);
 
     assert_eq!(pair.take(1), ["a", "b", "c"].map(|n| message(text(n))));
-    assert_eq!(pair.ends[0].counters().repeated, 1);
+    assert_eq!(pair.ends[0].counters().retransmitted, 1);
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn a_lost_acknowledgement_costs_a_repetition_and_no_second_delivery() {
     pair.run(300);
 
     assert_eq!(pair.take(1), [message(text("a"))]);
-    assert_eq!(pair.ends[1].counters().doubled, 1);
+    assert_eq!(pair.ends[1].counters().duplicates, 1);
     assert!(pair.ends[0].poll_timeout().is_none(), "nothing is owed any more");
 }
 

@@ -146,7 +146,7 @@ fn over_9600_baud(mtu: usize) -> u64 {
     // Little of it is in the queue, not all of the twelve seconds.
     let parts = Duration::from_secs_f64(4.0 * mtu as f64 / 960.0);
     assert!(pair.ends[0].round_trip().unwrap() < parts, "{:?}", pair.ends[0].round_trip());
-    [0, 1].map(|end| pair.ends[end].counters().repeated).iter().sum()
+    [0, 1].map(|end| pair.ends[end].counters().retransmitted).iter().sum()
 }
 
 #[test]

@@ -18,25 +18,25 @@ fn a_hot_service_whose_standbys_all_rest_goes_on_and_says_that_a_failure_now_los
     let mut robot = Robot::new(4, 3, StandbyKind::Hot, OnPartition::Stop);
     robot.advance_ms(100);
     robot.ask_some(3);
-    assert_eq!(robot.with(&FaultKind::Unprotected), []);
+    assert_eq!(robot.with(&FaultKind::Unreplicated), []);
 
     robot.rest(1, true);
     robot.advance_ms(200);
-    assert_eq!(robot.with(&FaultKind::Unprotected), [], "one standby is left");
+    assert_eq!(robot.with(&FaultKind::Unreplicated), [], "one standby is left");
     robot.rest(2, true);
     robot.advance_ms(100);
 
-    let told = robot.fault(0, FaultKind::Unprotected).expect("it is told");
+    let told = robot.fault(0, FaultKind::Unreplicated).expect("it is told");
     assert!(told.contains("no standby holds its state"), "{told}");
     assert!(told.contains("module1, module2") && told.contains("bring"), "{told}");
-    assert_eq!(robot.with(&FaultKind::Unprotected), [0]);
+    assert_eq!(robot.with(&FaultKind::Unreplicated), [0]);
     let asked = robot.ask();
     robot.advance_ms(20);
     assert_eq!(robot.callers[asked].answer, Some(4), "it goes on");
 
     robot.rest(1, false);
     robot.advance_ms(100);
-    assert_eq!(robot.with(&FaultKind::Unprotected), [], "over, by itself");
+    assert_eq!(robot.with(&FaultKind::Unreplicated), [], "over, by itself");
     robot.kill(0);
     robot.advance_ms(200);
     robot.ask_some(1);
@@ -110,7 +110,7 @@ fn the_only_member_whose_hot_component_died_says_that_its_state_is_lost() {
     robot.lose(0);
 
     assert_eq!(robot.with(&FaultKind::StateLost), [0]);
-    assert_eq!(robot.with(&FaultKind::Unprotected), [], "nobody else was to hold it");
+    assert_eq!(robot.with(&FaultKind::Unreplicated), [], "nobody else was to hold it");
 }
 
 #[test]
@@ -121,14 +121,14 @@ fn a_primary_that_is_cut_off_from_all_standbys_and_goes_on_says_that_it_holds_th
         let primary = robot.primaries()[0];
         robot.sides = vec![0, 1];
         robot.advance_ms(500);
-        assert_eq!(robot.with(&FaultKind::Unprotected), [], "it may be the start");
+        assert_eq!(robot.with(&FaultKind::Unreplicated), [], "it may be the start");
         robot.advance_ms(300);
-        let told = robot.fault(primary, FaultKind::Unprotected).expect("it is told").to_owned();
+        let told = robot.fault(primary, FaultKind::Unreplicated).expect("it is told").to_owned();
         assert!(told.contains(&format!("not heard: module{}", 1 - primary)), "{told}");
 
         robot.sides = vec![0, 0];
         robot.advance_ms(500);
-        assert_eq!(robot.with(&FaultKind::Unprotected), [], "{kind:?}");
+        assert_eq!(robot.with(&FaultKind::Unreplicated), [], "{kind:?}");
     }
 }
 
@@ -146,15 +146,15 @@ fn replies_wait_for_a_standby_that_comes_into_step_but_not_for_one_that_never_do
     let asked = robot.ask();
     robot.advance_ms(300);
     assert_eq!(robot.callers[asked].answer, None, "it may come into step yet");
-    assert_eq!(robot.with(&FaultKind::Unprotected), []);
+    assert_eq!(robot.with(&FaultKind::Unreplicated), []);
     robot.advance_ms(500);
     assert_eq!(robot.callers[asked].answer, Some(3), "twenty leases are enough");
-    let told = robot.fault(0, FaultKind::Unprotected).expect("it is told");
+    let told = robot.fault(0, FaultKind::Unreplicated).expect("it is told");
     assert!(told.contains("not in step: module1"), "{told}");
 
     robot.withheld = None;
     robot.advance_ms(200);
-    assert_eq!(robot.with(&FaultKind::Unprotected), []);
+    assert_eq!(robot.with(&FaultKind::Unreplicated), []);
 }
 
 #[test]
@@ -172,12 +172,12 @@ fn a_standby_whose_component_cannot_take_the_state_over_holds_nothing() {
     assert_eq!(robot.callers[asked].answer, None, "it may take it over yet");
     robot.advance(Duration::from_secs(1));
     assert_eq!(robot.callers[asked].answer, Some(3));
-    let told = robot.fault(1 - standby, FaultKind::Unprotected).expect("it is told").to_owned();
+    let told = robot.fault(1 - standby, FaultKind::Unreplicated).expect("it is told").to_owned();
     assert!(told.contains(&format!("not in step: module{standby}")), "{told}");
 
     robot.unloadable = None;
     robot.advance_ms(200);
-    assert_eq!(robot.with(&FaultKind::Unprotected), []);
+    assert_eq!(robot.with(&FaultKind::Unreplicated), []);
     assert_eq!(robot.members[standby].as_ref().unwrap().sum, 3);
 }
 

@@ -4,7 +4,7 @@ use super::*;
 
 impl Robot {
     fn outage(&self, member: usize) -> Option<&str> {
-        self.faults.get(&(member, FaultKind::NotServed)).map(String::as_str)
+        self.faults.get(&(member, FaultKind::ServiceUnavailable)).map(String::as_str)
     }
 
     /// Who says that nobody serves.

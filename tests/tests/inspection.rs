@@ -1,4 +1,4 @@
-//! A node as another process sees it, through its window.
+//! A node as another process sees it, through its inspection socket.
 
 use blastema::StartError;
 use blastema::prelude::*;
@@ -12,7 +12,7 @@ const LONG: Duration = Duration::from_secs(30);
 
 /// Dies of whatever is asked.
 #[derive(Clone, Debug, Request)]
-#[contract(name = "window/strike", reply = ())]
+#[contract(name = "inspection/strike", reply = ())]
 struct Strike;
 
 struct Lamp;
@@ -30,18 +30,18 @@ impl Handle<Strike> for Lamp {
 }
 
 /// A node that comes to rest at the first blow.
-fn fragile(window: &Path) -> blastema::NodeBuilder {
+fn fragile(socket: &Path) -> blastema::NodeBuilder {
     Node::builder("module1")
         .child(ChildSpec::new("lamp", || Lamp).essential())
         .intensity(0, Duration::from_secs(10))
-        .inspection_socket(window)
+        .inspection_socket(socket)
 }
 
-async fn look(window: &Path) -> String {
+async fn look(socket: &Path) -> String {
     let seen = async {
         let mut text = String::new();
-        let mut window = UnixStream::connect(window).await.expect("the node is shown");
-        window.read_to_string(&mut text).await.expect("it is text");
+        let mut socket = UnixStream::connect(socket).await.expect("the node is shown");
+        socket.read_to_string(&mut text).await.expect("it is text");
         text
     };
     tokio::time::timeout(LONG, seen).await.expect("nobody looks so long")
@@ -51,16 +51,16 @@ async fn look(window: &Path) -> String {
 struct Shown {
     /// It goes with the test.
     folder: tempfile::TempDir,
-    window: PathBuf,
+    socket: PathBuf,
     node: Node,
 }
 
 impl Shown {
     async fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let window = folder.path().join("module1.window");
-        let node = fragile(&window).start().await.unwrap();
-        Shown { folder, window, node }
+        let socket = folder.path().join("module1.sock");
+        let node = fragile(&socket).start().await.unwrap();
+        Shown { folder, socket, node }
     }
 }
 
@@ -77,34 +77,34 @@ async fn until(so: impl AsyncFn() -> bool) {
 #[test]
 fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
     blastema::run(async {
-        let Shown { folder: _folder, window, node } = Shown::start().await;
-        assert!(look(&window).await.contains(r#""state":"running""#));
+        let Shown { folder: _folder, socket, node } = Shown::start().await;
+        assert!(look(&socket).await.contains(r#""state":"running""#));
 
         let strike: Sender<Strike> = node.sender("lamp").unwrap();
         strike.ask_within(Strike, LONG).await.unwrap_err();
         assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
-        let seen = look(&window).await;
+        let seen = look(&socket).await;
         assert!(seen.contains(r#""state":"at rest""#) && seen.contains("struck"), "{seen}");
 
         node.shutdown().await;
-        until(async || !window.exists()).await;
+        until(async || !socket.exists()).await;
     });
 }
 
 #[test]
 fn those_who_look_and_do_not_read_do_not_keep_others_from_looking() {
     blastema::run(async {
-        let Shown { folder: _folder, window, node } = Shown::start().await;
+        let Shown { folder: _folder, socket, node } = Shown::start().await;
         let mut gazing = Vec::new();
         while gazing.len() < 200 {
-            match UnixStream::connect(&window).await {
+            match UnixStream::connect(&socket).await {
                 Ok(stranger) => gazing.push(stranger),
                 // As many as the system lets wait do so already.
                 Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
             }
         }
 
-        assert!(look(&window).await.ends_with("}\n"));
+        assert!(look(&socket).await.ends_with("}\n"));
         assert_eq!(node.snapshot().await.node.as_str(), "module1");
         node.shutdown().await;
     });
@@ -114,17 +114,17 @@ fn those_who_look_and_do_not_read_do_not_keep_others_from_looking() {
 fn a_picture_that_nobody_takes_keeps_nobody_from_taking_his() {
     blastema::run(async {
         let folder = tempfile::tempdir().unwrap();
-        let window = folder.path().join("module1.window");
+        let socket = folder.path().join("module1.sock");
         // More than the system keeps for whoever does not read.
         let lamps = (0..1500).map(|n| ChildSpec::new(&format!("lamp/{n}"), || Lamp));
         let node =
-            lamps.fold(fragile(&window), blastema::NodeBuilder::child).start().await.unwrap();
+            lamps.fold(fragile(&socket), blastema::NodeBuilder::child).start().await.unwrap();
         let mut gazing = Vec::new();
         for _ in 0..20 {
-            gazing.push(UnixStream::connect(&window).await.unwrap());
+            gazing.push(UnixStream::connect(&socket).await.unwrap());
         }
 
-        let seen = look(&window).await;
+        let seen = look(&socket).await;
 
         assert!(seen.len() > 300_000 && seen.ends_with("}\n"), "{}", seen.len());
         node.shutdown().await;
@@ -132,23 +132,23 @@ fn a_picture_that_nobody_takes_keeps_nobody_from_taking_his() {
 }
 
 #[test]
-fn a_window_that_somebody_removes_is_made_again() {
+fn a_socket_that_somebody_removes_is_made_again() {
     blastema::run(async {
-        let Shown { folder: _folder, window, node } = Shown::start().await;
+        let Shown { folder: _folder, socket, node } = Shown::start().await;
 
-        std::fs::remove_file(&window).unwrap();
+        std::fs::remove_file(&socket).unwrap();
 
-        until(async || window.exists()).await;
-        assert!(look(&window).await.contains("module1"));
+        until(async || socket.exists()).await;
+        assert!(look(&socket).await.contains("module1"));
         assert!(node.faults().await.entries.is_empty(), "nobody has to do anything");
         node.shutdown().await;
     });
 }
 
 #[test]
-fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
+fn that_a_socket_cannot_be_made_again_is_a_fault_until_it_can() {
     blastema::run(async {
-        let Shown { folder, window, node } = Shown::start().await;
+        let Shown { folder, socket, node } = Shown::start().await;
         let faults = || async {
             let record = node.faults().await;
             let entries = record.entries.iter().map(|entry| {
@@ -164,54 +164,54 @@ fn that_a_window_cannot_be_made_again_is_a_fault_until_it_can() {
         std::fs::remove_dir_all(folder.path()).unwrap();
         until(async || !faults().await.is_empty()).await;
         let told = faults().await;
-        assert!(told[0].0.contains("window") && told[0].0.contains("create it"), "{told:?}");
+        assert!(told[0].0.contains("inspection") && told[0].0.contains("create it"), "{told:?}");
         assert!(!told[0].1, "{told:?}");
 
         std::fs::create_dir(folder.path()).unwrap();
-        until(async || window.exists()).await;
-        assert!(look(&window).await.contains("module1"));
+        until(async || socket.exists()).await;
+        assert!(look(&socket).await.contains("module1"));
         until(async || faults().await[0].1).await;
         assert_eq!(faults().await.len(), 1);
         node.shutdown().await;
     });
 }
 
-async fn refused(window: &Path) -> String {
-    let refused = Node::builder("module2").inspection_socket(window).start().await.unwrap_err();
+async fn refused(socket: &Path) -> String {
+    let refused = Node::builder("module2").inspection_socket(socket).start().await.unwrap_err();
     assert!(matches!(refused, StartError::Shown(_)), "{refused}");
     refused.to_string()
 }
 
 #[test]
-fn two_nodes_are_not_shown_at_one_window() {
+fn two_nodes_are_not_shown_at_one_socket() {
     blastema::run(async {
-        let Shown { folder: _folder, window, node } = Shown::start().await;
+        let Shown { folder: _folder, socket, node } = Shown::start().await;
 
-        let second = refused(&window).await;
+        let second = refused(&socket).await;
 
         assert!(second.contains("another node, or another process"), "{second}");
-        assert!(look(&window).await.contains("module1"), "the first is unharmed");
+        assert!(look(&socket).await.contains("module1"), "the first is unharmed");
         node.shutdown().await;
     });
 }
 
 #[test]
-fn a_path_that_can_be_no_window_is_refused_at_start_with_what_to_do() {
+fn a_path_that_can_be_no_socket_is_refused_at_start_with_what_to_do() {
     blastema::run(async {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         std::fs::write(&file, "precious").unwrap();
         let long = folder.path().join("w".repeat(120));
         let cases: [(&Path, &str); 7] = [
-            (Path::new("module1.window"), "give an absolute path"),
+            (Path::new("module1.sock"), "give an absolute path"),
             (Path::new(""), "give an absolute path"),
             (folder.path(), "there is a folder: choose the path of a file in it"),
             (&file, "no socket: remove it, or choose another path"),
-            (&file.join("window"), "what should be its folder is none: choose another"),
+            (&file.join("socket"), "what should be its folder is none: choose another"),
             (&long, "choose a shorter one"),
             // Not even root may create anything there, whether it is forbidden or cannot be written
             // to.
-            (Path::new("/sys/module1.window"), "choose another"),
+            (Path::new("/sys/module1.sock"), "choose another"),
         ];
         for (path, advice) in cases {
             let told = refused(path).await;
