@@ -174,8 +174,8 @@ impl GatewayActor {
     /// Listens to the topics that this node's objects listen to.
     fn take_interest(&mut self, context: &mut Context<Self>) {
         let gateway = context.address();
-        let interest = move |key: &TopicKey, more| {
-            gateway.do_send(TopicInterestChanged { key: key.clone(), more });
+        let interest = move |key: &TopicKey| {
+            gateway.do_send(TopicInterestChanged { key: key.clone() });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {

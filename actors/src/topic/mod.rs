@@ -20,6 +20,8 @@ mod erased;
 mod hub;
 pub(crate) mod ports;
 mod publisher;
+#[cfg(test)]
+mod tests;
 mod traffic;
 
 use hub::TopicSubscription;
@@ -59,8 +61,10 @@ pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process, with the time by which its age is judged. Must not
 /// wait.
 pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
-/// Hears which topics this node listens to.
-pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
+/// Is called when a topic got its first listener of this node, or lost its last. Calls of several
+/// threads come in any order, so that they do not say which: that is what
+/// [`settle_interest`](Topics::settle_interest) answers.
+pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey) + Send + Sync>;
 
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -260,25 +264,24 @@ impl<E: Event> Topic<E> {
         self.dead_letters.record(&self.key.topic, E::NAME, why);
     }
 
-    /// One listener more or less.
-    fn count_listener(&self, name: &ObjectName, more: bool) {
-        let first_or_last = if more {
-            self.listeners.fetch_add(1, Relaxed) == 0
-        } else {
-            self.listeners.fetch_sub(1, Relaxed) == 1
-        };
+    /// Counts a listener that joins, while the caller holds the latch: see
+    /// [`settle_interest`](AnyTopic::settle_interest). Says whether it is the first.
+    fn add_listener(&self, _: &Latch<E>) -> bool {
+        self.listeners.fetch_add(1, Relaxed) == 0
+    }
+
+    /// Counts a listener less. Says whether it was the last.
+    fn remove_listener(&self) -> bool {
+        self.listeners.fetch_sub(1, Relaxed) == 1
+    }
+
+    /// Reports a listener that was counted or is counted no more.
+    fn listener_changed(&self, name: &ObjectName, more: bool, first_or_last: bool) {
         self.traffic.listens(name, more);
         self.renew_matched();
         let interest = lock(&self.interest).clone();
         if let Some(interest) = interest.filter(|_| first_or_last) {
-            interest(&self.key, more);
-        }
-        if E::LATCHED && first_or_last && !more {
-            // Other nodes send their last one anew when there is a listener again.
-            let mut latch = lock(&self.latch);
-            let foreign = latch.take_if(|last| last.is_foreign).map(|last| last.event);
-            drop(latch);
-            self.discard(foreign);
+            interest(&self.key);
         }
     }
 
@@ -482,6 +485,18 @@ impl Topics {
         }
     }
 
+    /// What this node listens to on a topic now: the contract that it carries and the earlier
+    /// versions that are understood, or nothing where it has no listener.
+    ///
+    /// Without a listener the topic forgets the event of another node that it keeps. So the caller,
+    /// which is what listens to other nodes, must end that, or find a listener the next time: other
+    /// nodes send their last event when it listens again.
+    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+        let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
+        let listened = known.filter(|known| known.settle_interest());
+        listened.map_or(Vec::new(), |known| known.identities())
+    }
+
     /// The contract that a topic carries, if an object here has named it, and the earlier versions
     /// of it that are understood.
     pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
@@ -497,7 +512,7 @@ impl Topics {
         listened.map(|(_, known)| carried(known)).collect()
     }
 
-    /// From now on tells when a topic gets its first listener here, or loses its last.
+    /// From now on calls this when a topic gets its first listener here, or loses its last.
     pub(crate) fn on_interest(&self, interest: InterestObserver) {
         *lock(&self.interest) = Some(interest);
     }

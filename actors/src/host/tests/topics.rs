@@ -220,8 +220,10 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         ));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
-        topics.on_interest(Arc::new(move |key, more| {
-            kept.lock().unwrap().push((key.topic.to_string(), more));
+        let of = crate::topic::Topics::clone(topics);
+        topics.on_interest(Arc::new(move |key| {
+            let listens = !of.settle_interest(&key.topic).is_empty();
+            kept.lock().unwrap().push((key.topic.to_string(), listens));
         }));
         let (spec, log) = listener("ear");
         let (mut child, _) = stage.start(spec).await;

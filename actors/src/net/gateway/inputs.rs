@@ -195,8 +195,8 @@ impl Handler<TopicInterestChanged> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
-        let TopicInterestChanged { key, more } = message;
-        let identities = if more { self.wiring.topics.identities(&key.topic) } else { Vec::new() };
+        let TopicInterestChanged { key } = message;
+        let identities = self.wiring.topics.settle_interest(&key.topic);
         self.exchange.handle_interest(topic(&key), identities);
         self.drive(context);
     }
