@@ -13,6 +13,7 @@ use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_messag
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::label;
 use crate::liveness::limits::ComponentLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
@@ -23,7 +24,7 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
-use crate::platform::panics;
+use crate::platform::panics::{self, UnwindingPanic};
 use actix::Recipient;
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, Exited, FaultDeclared};
@@ -214,7 +215,23 @@ impl CellCore {
     /// A life has ended; the monitor is told so by [`tell_exits`](Self::tell_exits).
     pub(crate) fn keep_exit(&self, incarnation: Incarnation, exit: ExitReason) {
         let object = self.name.clone();
-        lock(&self.untold).push(Exited { object, incarnation, exit, restarted_as: None });
+        let mut untold = lock(&self.untold);
+        if untold.iter().all(|exited| exited.incarnation != incarnation) {
+            untold.push(Exited { object, incarnation, exit, restarted_as: None });
+        }
+    }
+
+    /// The same, of a life whose panic still unwinds on its thread: what the handler had may block
+    /// there when it is dropped. Its guard reports it where it catches it before.
+    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, seated: &CurrentPlacement) {
+        let pulse = &seated.seat.pulse;
+        if pulse.running() != Some(seated.slot.index) || pulse.is_here() {
+            return;
+        }
+        if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
+            let during = label::name(seated.slot.stamp.read().during);
+            self.keep_exit(incarnation, ExitReason::Panicked { text, at, during });
+        }
     }
 
     /// Its guard has begun another one in its place.

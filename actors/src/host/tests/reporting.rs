@@ -208,6 +208,56 @@ fn a_panic_whose_drop_blocks_is_reported_when_the_life_is_given_up_and_once() {
     });
 }
 
+/// Panics, and what the handler had blocks as the panic unwinds.
+struct Trap(Arc<Held>);
+
+struct Local<'a>(&'a Held);
+
+impl Drop for Local<'_> {
+    fn drop(&mut self) {
+        self.0.wait();
+    }
+}
+
+impl Component for Trap {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Sample>();
+    }
+}
+
+impl Handle<Sample> for Trap {
+    async fn handle(&mut self, Sample(n): Sample, _: &mut Context<Self>) {
+        let _local = (n == 7).then_some(Local(&self.0));
+        panic!("{n} springs it");
+    }
+}
+
+#[test]
+fn a_panic_whose_unwinding_blocks_is_reported_when_the_life_is_given_up_and_once() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (open, held) = Held::new();
+        let of = held.clone();
+        let (mut child, trap) = stage.start(ChildSpec::new("trap", move || Trap(of.clone()))).await;
+
+        trap.tell(Sample(7)).unwrap();
+        held.until_a_thread_waits().await;
+        child.abandon();
+
+        let exited = tokio::time::timeout(Duration::from_secs(30), stage.exits.expect()).await;
+        let exited = exited.expect("the panic is reported while it unwinds");
+        let ExitReason::Panicked { text, at, during } = &exited.exit else { panic!("{exited:?}") };
+        assert_eq!((text.as_str(), exited.incarnation), ("7 springs it", Incarnation(1)));
+        assert!(at.contains("reporting.rs:") && during.contains("Sample"), "{exited:?}");
+        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        drop(open);
+        trap.tell(Sample(8)).unwrap();
+        let next = stage.exits.expect().await;
+        assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
+        stage.environment.arbiters.stop();
+    });
+}
+
 #[test]
 fn a_panic_is_reported_though_the_factory_of_the_next_life_blocks() {
     actix_rt::System::new().block_on(async {
