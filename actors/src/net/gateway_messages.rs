@@ -50,7 +50,7 @@ pub(super) struct LocalEvent {
     pub(super) credit: Credit,
 }
 
-/// A topic got its first listener here, or lost its last. Reports of several threads come in any
+/// A topic got its first listener here, or lost its last, or its contract is known now. Reports of several threads come in any
 /// order: the topic is asked what is so now.
 #[derive(Message)]
 #[rtype(result = "()")]

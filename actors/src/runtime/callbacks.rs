@@ -67,8 +67,8 @@ pub(crate) enum CallOutcome {
 
 /// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`], or a
 /// message that was not returned yet.
-type Outcome = Box<dyn Fn(CallOutcome) + Send>;
-type Late = Box<dyn FnOnce(Duration) + Send>;
+type OutcomeFn = Box<dyn Fn(CallOutcome) + Send>;
+type LateFn = Box<dyn FnOnce(Duration) + Send>;
 
 /// Starts a thread of this name, or says that the system has none left.
 type StartThread = Box<dyn Fn(&str, Box<dyn FnOnce() + Send>) -> std::io::Result<()> + Send + Sync>;
@@ -85,23 +85,23 @@ struct Threads {
     arbiters: ArbiterPool,
     /// The calls that run and are not late, each with the time for which it was seen to run. At
     /// most one a thread.
-    running: Mutex<Vec<(Duration, Arc<Call>)>>,
+    running: Mutex<Vec<(Duration, Arc<ActiveCall>)>>,
     outputs: Mutex<Queue>,
     returns: Mutex<Queue>,
     reports: OnceLock<FaultReports>,
 }
 
 /// One call that is observed.
-struct Call {
+struct ActiveCall {
     /// Whose code it is.
     object: ObjectName,
-    stage: Mutex<Stage>,
+    stage: Mutex<CallStage>,
 }
 
 /// How far a call has come.
-enum Stage {
+enum CallStage {
     /// It runs; this is to be called if it takes too long.
-    Running(Late),
+    Running(LateFn),
     /// It takes too long, which was reported.
     Blocked,
     Returned,
@@ -127,20 +127,20 @@ struct Job {
     /// Whose code it is.
     object: ObjectName,
     run: Box<dyn FnOnce() + Send>,
-    outcome: Outcome,
+    outcome: OutcomeFn,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Call {
+impl ActiveCall {
     /// It takes too long, unless it has returned meanwhile.
     fn handle_late(&self, threads: &Threads) {
         let mut stage = lock(&self.stage);
-        match std::mem::replace(&mut *stage, Stage::Blocked) {
+        match std::mem::replace(&mut *stage, CallStage::Blocked) {
             // The lock is held until all is reported: see `RunningCall::end`.
-            Stage::Running(late) => {
+            CallStage::Running(late) => {
                 threads.arbiters.note_abandoned(&self.object);
                 late(threads.limit);
             }
@@ -152,7 +152,7 @@ impl Call {
 /// One call that runs now.
 pub(crate) struct RunningCall {
     threads: Arc<Threads>,
-    call: Arc<Call>,
+    call: Arc<ActiveCall>,
 }
 
 impl RunningCall {
@@ -160,8 +160,8 @@ impl RunningCall {
     pub(crate) fn end(self) -> bool {
         let RunningCall { threads, call } = self;
         lock(&threads.running).retain(|(_, other)| !Arc::ptr_eq(other, &call));
-        let stage = std::mem::replace(&mut *lock(&call.stage), Stage::Returned);
-        let in_time = !matches!(stage, Stage::Blocked);
+        let stage = std::mem::replace(&mut *lock(&call.stage), CallStage::Returned);
+        let in_time = !matches!(stage, CallStage::Blocked);
         if !in_time {
             threads.arbiters.note_returned(&call.object);
         }
@@ -221,7 +221,7 @@ impl Callbacks {
     /// The next look at the calls that run, `since` after the one before.
     pub(crate) fn look(&self, since: Duration) {
         let Some(threads) = &self.0 else { return };
-        let late: Vec<(Duration, Arc<Call>)> = {
+        let late: Vec<(Duration, Arc<ActiveCall>)> = {
             let mut running = lock(&threads.running);
             running.iter_mut().for_each(|(seen, _)| *seen += since);
             running.extract_if(.., |(seen, _)| *seen > threads.limit).collect()
@@ -312,9 +312,9 @@ impl Threads {
         }
     }
 
-    fn enter(self: &Arc<Self>, object: &ObjectName, late: Late) -> RunningCall {
-        let (object, stage) = (object.clone(), Mutex::new(Stage::Running(late)));
-        let call = Arc::new(Call { object, stage });
+    fn enter(self: &Arc<Self>, object: &ObjectName, late: LateFn) -> RunningCall {
+        let (object, stage) = (object.clone(), Mutex::new(CallStage::Running(late)));
+        let call = Arc::new(ActiveCall { object, stage });
         lock(&self.running).push((Duration::ZERO, call.clone()));
         RunningCall { threads: self.clone(), call }
     }

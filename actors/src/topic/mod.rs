@@ -61,9 +61,10 @@ pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process, with the time by which its age is judged. Must not
 /// wait.
 pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
-/// Is called when a topic got its first listener of this node, or lost its last. Calls of several
-/// threads come in any order, so that they do not say which: that is what
-/// [`settle_interest`](Topics::settle_interest) answers.
+/// Is called when a topic got its first listener of this node, or lost its last, and when an object
+/// of this node names a topic that other nodes listen to. Calls of several threads come in any
+/// order, so that they do not say which: that is what [`settle_interest`](Topics::settle_interest)
+/// answers.
 pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey) + Send + Sync>;
 
 /// Which topic: its own name, and that of its contract.
@@ -311,14 +312,14 @@ impl fmt::Display for Naming {
     }
 }
 
-struct Known {
+struct TopicEntry {
     naming: Naming,
     /// A `Topic<E>`.
     typed: Arc<dyn Any + Send + Sync>,
     erased: Arc<dyn AnyTopic>,
 }
 
-impl Known {
+impl TopicEntry {
     /// Names the contract that the topic carries and the one that another party means by it.
     fn difference(&self, topic: &str, naming: Naming, wanted: &ContractIdentity) -> String {
         let (known, first) = (self.erased.identity(), self.naming);
@@ -341,12 +342,19 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
     format!("`{}` version {}", contract.name, contract.version)
 }
 
+/// A forward, and the versions of a contract that its receiver understands. It counts, and gets
+/// events, only where the topic carries one of them.
+struct WantedForward {
+    wanted: Vec<PeerIdentity>,
+    forward: RemoteForward,
+}
+
 #[derive(Default)]
 struct Inner {
     /// As many as the program has publishers and listeners.
-    topics: BTreeMap<ObjectName, Known>,
+    topics: BTreeMap<ObjectName, TopicEntry>,
     /// Kept for topics that no object of this node has named yet.
-    forwards: BTreeMap<ObjectName, BTreeMap<u64, RemoteForward>>,
+    forwards: BTreeMap<ObjectName, BTreeMap<u64, WantedForward>>,
     next_forward: u64,
 }
 
@@ -402,12 +410,15 @@ impl Topics {
             interest: self.interest.clone(),
             former: E::previous_versions(),
         });
-        if let Some(forwards) = inner.forwards.get(&key.topic) {
-            topic.forward_to(forwards.values().cloned().collect());
+        let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
+        inner.topics.insert(key.topic.clone(), known);
+        let is_awaited = inner.renew_forwards(&key.topic);
+        drop(inner);
+        let interest = lock(&self.interest).clone();
+        if let Some(interest) = interest.filter(|_| is_awaited) {
+            // What other nodes listen to can be compared from now on.
+            interest(&key);
         }
-        inner
-            .topics
-            .insert(key.topic, Known { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
     }
 
@@ -445,14 +456,22 @@ impl Topics {
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
-    /// not exist yet. Events that came in by [`publish_remote`](Self::inject) are not shipped.
-    pub(crate) fn forward(&self, key: &TopicKey, forward: RemoteForward) -> ForwardId {
+    /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
+    /// [`inject`](Self::inject) are not shipped.
+    pub(crate) fn forward(
+        &self,
+        key: &TopicKey,
+        wanted: Vec<PeerIdentity>,
+        forward: RemoteForward,
+    ) -> ForwardId {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        inner.forwards.entry(key.topic.clone()).or_default().insert(id, forward.clone());
-        inner.renew_forwards(&key.topic);
+        let kept = WantedForward { wanted, forward: forward.clone() };
         let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
+        let topic = topic.filter(|topic| kept.is_understood_of(&topic.identity()));
+        inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
+        inner.renew_forwards(&key.topic);
         drop(inner);
         if let Some(topic) = topic {
             topic.catch_up(&forward);
@@ -508,11 +527,11 @@ impl Topics {
     pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
         let inner = lock(&self.inner);
         let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
-        let carried = |known: &Known| (known.erased.key().clone(), known.erased.identities());
+        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identities());
         listened.map(|(_, known)| carried(known)).collect()
     }
 
-    /// From now on calls this when a topic gets its first listener here, or loses its last.
+    /// Calls `interest` from now on.
     pub(crate) fn on_interest(&self, interest: InterestObserver) {
         *lock(&self.interest) = Some(interest);
     }
@@ -533,10 +552,22 @@ impl Inner {
         suggestion::nearest(key.topic.as_str(), names).map(Arc::from)
     }
 
-    fn renew_forwards(&self, topic: &ObjectName) {
-        if let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic)) {
-            known.erased.forward_to(forwards.values().cloned().collect());
-        }
+    /// Says whether there are some.
+    fn renew_forwards(&self, topic: &ObjectName) -> bool {
+        let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic))
+        else {
+            return false;
+        };
+        let identity = known.erased.identity();
+        let understood = forwards.values().filter(|kept| kept.is_understood_of(&identity));
+        known.erased.forward_to(understood.map(|kept| kept.forward.clone()).collect());
+        !forwards.is_empty()
+    }
+}
+
+impl WantedForward {
+    fn is_understood_of(&self, carried: &ContractIdentity) -> bool {
+        self.wanted.iter().any(|wanted| carried.check(wanted).is_ok())
     }
 }
 
