@@ -9,6 +9,7 @@ pub(crate) mod environment;
 pub(crate) mod extension;
 pub(crate) mod life;
 pub(crate) mod ports;
+mod returns;
 pub(crate) mod skeleton;
 pub(crate) mod slot;
 pub(crate) mod spec_error;

@@ -171,7 +171,7 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 pub use node::{
     Cable, Direction, FaultEvents, Impairment, IsolateError, Link, MemoryMedium, Network, Node,
-    NodeBuilder, NodeSnapshot, NodeState, RestartError, StartError, SupervisorSpec,
+    NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild, StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.

@@ -9,7 +9,7 @@ use crate::messaging::reply::Responder;
 use crate::platform;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, MessageMetadata, ReplyTo, Skeleton};
-use crate::runtime::callbacks::{CallOutcome, Callbacks};
+use crate::runtime::callbacks::{CallKind, CallOutcome, Callbacks};
 use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
@@ -328,6 +328,7 @@ impl ActuatorTable {
         };
         let (actuator, object) = (actuator.clone(), actuator.object.clone());
         self.callbacks.call(
+            CallKind::SafeOutput,
             &object,
             move || cut_off(),
             move |outcome| {

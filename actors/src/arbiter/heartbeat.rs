@@ -5,6 +5,7 @@
 
 use super::deadline;
 use crate::platform;
+use crate::platform::panics::{Unwinding, UnwindingPanic};
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
 use std::sync::Arc;
@@ -32,6 +33,8 @@ pub(crate) struct ArbiterHeartbeat {
     gate: AtomicU8,
     /// The time of the last beat, in nanoseconds; 0 where none beats.
     time: AtomicU64,
+    /// The panic that unwinds on its thread.
+    unwinding: Arc<Unwinding>,
 }
 
 thread_local! {
@@ -70,6 +73,7 @@ impl Default for ArbiterHeartbeat {
             running: AtomicU32::new(0),
             gate: AtomicU8::new(0),
             time: AtomicU64::new(0),
+            unwinding: Arc::default(),
         }
     }
 }
@@ -92,6 +96,7 @@ impl ArbiterHeartbeat {
     /// Outside of an actix arbiter.
     pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
         let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
+        Unwinding::note_here(&pulse.unwinding);
         pulse.clone().start_beating();
         pulse
     }
@@ -101,6 +106,7 @@ impl ArbiterHeartbeat {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
+        Unwinding::note_here(&self.unwinding);
         self.clone().start_beating();
     }
 
@@ -154,6 +160,11 @@ impl ArbiterHeartbeat {
     /// The slot of the component that its thread is running.
     pub(crate) fn running(&self) -> Option<u32> {
         self.running.load(Relaxed).checked_sub(1)
+    }
+
+    /// The panic that unwinds on its thread now: of the component that it is running.
+    pub(crate) fn unwinding(&self) -> Option<UnwindingPanic> {
+        self.unwinding.read()
     }
 
     /// From now on the thread runs the component of this slot, or none.

@@ -16,7 +16,6 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use std::{fmt, io};
-use tracing::error;
 
 /// Who may live on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -337,13 +336,6 @@ impl ArbiterPool {
         self.tell_abandoned();
     }
 
-    /// How many calls of this object block now. Threads that its handlers keep are no calls: what
-    /// cuts a component off that hangs is called in every case.
-    pub(crate) fn calls_blocked_by(&self, culprit: &ObjectName) -> usize {
-        let kept = &self.pool_of().kept;
-        kept.iter().filter(|thread| thread.seat.is_none() && thread.culprit == *culprit).count()
-    }
-
     /// Such a thread has come back.
     pub(crate) fn note_returned(&self, culprit: &ObjectName) {
         let kept = &mut self.pool_of().kept;
@@ -363,16 +355,6 @@ impl ArbiterPool {
     /// Everything lives on the arbiter that started it.
     pub(crate) fn are_here(&self) -> bool {
         self.0.shared == 0
-    }
-
-    /// Runs what is the user's, and may block, on a thread of its own; right here where everything
-    /// lives here. Where the system has no thread left, it is dropped.
-    pub(crate) fn run_apart(&self, name: &str, run: impl FnOnce() + Send + 'static) {
-        if self.are_here() {
-            run();
-        } else if let Err(error) = platform::start_thread(name, run) {
-            error!(%error, "no thread is left for {name}");
-        }
     }
 
     /// All threads that were begun here and have not ended.
@@ -529,7 +511,6 @@ mod tests {
                 assert_eq!(arbiters.abandoned(), 0, "it may come back");
             }
 
-            assert_eq!(arbiters.calls_blocked_by(&arm), 0, "what cuts it off is called");
             let refused = arbiters.place(&arm, true).err().expect("it keeps its share");
             assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
             let seat = arbiters.place(&leg, true).expect("a thread for another");

@@ -13,6 +13,7 @@ use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_messag
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::label;
 use crate::liveness::limits::ComponentLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
@@ -23,10 +24,10 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
-use crate::platform::panics;
+use crate::platform::panics::{self, UnwindingPanic};
 use actix::Recipient;
 use blastema_contract::child::RestartGrant;
-use blastema_contract::reports::{ExitReason, Exited, FaultDeclared};
+use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, Exited, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
@@ -214,7 +215,23 @@ impl CellCore {
     /// A life has ended; the monitor is told so by [`tell_exits`](Self::tell_exits).
     pub(crate) fn keep_exit(&self, incarnation: Incarnation, exit: ExitReason) {
         let object = self.name.clone();
-        lock(&self.untold).push(Exited { object, incarnation, exit, restarted_as: None });
+        let mut untold = lock(&self.untold);
+        if untold.iter().all(|exited| exited.incarnation != incarnation) {
+            untold.push(Exited { object, incarnation, exit, restarted_as: None });
+        }
+    }
+
+    /// The same, of a life whose panic still unwinds on its thread: what the handler had may block
+    /// there when it is dropped. Its guard reports it where it catches it before.
+    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, seated: &CurrentPlacement) {
+        let pulse = &seated.seat.pulse;
+        if pulse.running() != Some(seated.slot.index) || pulse.is_here() {
+            return;
+        }
+        if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
+            let during = label::name(seated.slot.stamp.read().during);
+            self.keep_exit(incarnation, ExitReason::Panicked { text, at, during });
+        }
     }
 
     /// Its guard has begun another one in its place.
@@ -304,6 +321,14 @@ impl CellCore {
         }
     }
 
+    /// What the component had declared is over.
+    pub(crate) fn clear(&self, kind: FaultKind) {
+        if let Some(mended) = &self.environment.reports.mended {
+            let (object, incarnation) = (self.name.clone(), self.incarnation());
+            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+        }
+    }
+
     /// Drops a thing whose `Drop` is the user's. A panic there ends nothing else.
     pub(crate) fn dispose<T>(&self, what: &str, thing: T, blame: Blame) {
         let what = || format!("the Drop of {what}");
@@ -378,36 +403,6 @@ impl<C: Component> ComponentCell<C> {
         self.lane.hold(isolated);
     }
 
-    /// Closes the queue until the next life; what was in it is returned or counted. Its `Drop` is
-    /// the user's and may block, and the caller is a supervisor.
-    pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
-        let left = self.lane.stop();
-        if left.is_empty() {
-            return;
-        }
-        let (cell, why) = (self.clone(), why.clone());
-        let give_back =
-            move || left.into_iter().for_each(|mail| cell.return_mail(mail, why.clone()));
-        self.record.environment.arbiters.run_apart("returns", give_back);
-    }
-
-    /// The same, by the life that ends; without effect when it was given up and another has begun.
-    pub(crate) fn close_by(&self, incarnation: Incarnation) {
-        let left = self.lane.stop_by(incarnation);
-        left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
-    }
-
-    /// A message that is not going to be served.
-    pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
-        let contract = mail.brief().name;
-        self.record.record_dead_letter(contract, &why);
-        let give_back = move || {
-            mail.give_back(why);
-            drop(mail);
-        };
-        let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
-    }
-
     #[inline]
     fn admit(&self, id: Option<MessageId>) -> Result<(), DeliveryError> {
         match heartbeat::send_refusal().or_else(|| self.record.refusal(id)) {
@@ -438,13 +433,9 @@ impl<C: Component> ComponentCell<C> {
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
-                let push =
-                    self.lane.push_with(event, |m| seal_message::<C, M>(m, None, None, times));
-                match push {
-                    Ok(None) => return,
-                    Ok(Some(oldest)) => return self.return_mail(oldest, DeliveryError::Full),
-                    Err((_, why)) => why,
-                }
+                let pushed = self.push(event, |m| seal_message::<C, M>(m, None, None, times));
+                let Err((_, why)) = pushed else { return };
+                why
             }
         };
         self.record.record_dead_letter(M::NAME, &refused);
@@ -542,17 +533,11 @@ impl<C: Component> ComponentCell<C> {
     where
         C: Handle<M>,
     {
-        if let Err(why) = self.admit(None) {
-            return Err(SendError::new(why, message));
-        }
-        match self.lane.push_with(message, |m| seal_message::<C, M>(m, None, None, posted_at)) {
-            Ok(None) => Ok(()),
-            Ok(Some(oldest)) => {
-                self.return_mail(oldest, DeliveryError::Full);
-                Ok(())
-            }
-            Err((message, why)) => Err(SendError::new(why, message)),
-        }
+        let offered = match self.admit(None) {
+            Ok(()) => self.push(message, |m| seal_message::<C, M>(m, None, None, posted_at)),
+            Err(why) => Err((message, why)),
+        };
+        offered.map_err(|(message, why)| SendError::new(why, message))
     }
 
     /// Hands a request over, whoever waits for its answer. A refusal is told to the answer as well.
@@ -570,26 +555,31 @@ impl<C: Component> ComponentCell<C> {
         let posted = match self.admit(id) {
             Ok(()) => {
                 let posted_at = enqueue_time::<M>();
-                self.lane
-                    .push_with(message, |m| seal_message::<C, M>(m, answer.take(), id, posted_at))
+                self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, posted_at))
             }
             Err(why) => Err((message, why)),
         };
-        match posted {
-            Ok(None) => Ok(()),
-            Ok(Some(oldest)) => {
-                self.return_mail(oldest, DeliveryError::Full);
-                Ok(())
+        posted.map_err(|(message, why)| {
+            if let DeliveryError::Quarantined { .. } = why {
+                self.record.record_dead_letter(M::NAME, &why);
             }
-            Err((message, why)) => {
-                if let DeliveryError::Quarantined { .. } = why {
-                    self.record.record_dead_letter(M::NAME, &why);
-                }
-                if let Some(answer) = answer {
-                    answer.refuse(why.clone(), None);
-                }
-                Err(SendError::new(why, message))
+            if let Some(answer) = answer {
+                answer.refuse(why.clone(), None);
             }
+            SendError::new(why, message)
+        })
+    }
+
+    /// Puts a message into the queue. The oldest one is returned where it has to give way.
+    #[inline]
+    fn push<M>(
+        &self,
+        message: M,
+        seal: impl FnOnce(M) -> BoxedEnvelope<C>,
+    ) -> Result<(), (M, DeliveryError)> {
+        if let Some(oldest) = self.lane.push_with(message, seal)? {
+            self.return_mail(oldest, DeliveryError::Full);
         }
+        Ok(())
     }
 }

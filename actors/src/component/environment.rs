@@ -5,6 +5,7 @@ use crate::component::extension::Extensions;
 use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
+use crate::runtime::callbacks::{CALLBACK_LIMIT, Callbacks};
 use crate::runtime::reports::FaultReports;
 use blastema_core::suggestion::nearest;
 use std::collections::BTreeSet;
@@ -16,6 +17,8 @@ use tracing::error;
 pub(crate) struct ComponentEnvironment {
     pub(crate) reports: FaultReports,
     pub(crate) arbiters: ArbiterPool,
+    /// Where messages that are not going to be served are returned to their senders.
+    pub(crate) callbacks: Callbacks,
     pub(crate) registry: Registry,
     pub(crate) dead_letters: DeadLetterLog,
     pub(crate) watch_list: SampledComponents,
@@ -48,9 +51,14 @@ impl ComponentEnvironment {
 
     /// An environment of its own, whose components live on `arbiters`.
     pub(crate) fn new(arbiters: ArbiterPool, reports: FaultReports) -> Self {
+        let callbacks = match arbiters.are_here() {
+            true => Callbacks::default(),
+            false => Callbacks::on_threads(CALLBACK_LIMIT, arbiters.clone()),
+        };
         ComponentEnvironment {
             reports,
             arbiters,
+            callbacks,
             registry: Registry::default(),
             dead_letters: DeadLetterLog::default(),
             watch_list: SampledComponents::default(),

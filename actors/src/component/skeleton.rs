@@ -8,7 +8,6 @@ use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
 use crate::registry::encoding::encoded_reply;
 use crate::registry::{CapacityFuture, ContractPort, MessageMetadata, ReplyTo, Skeleton};
-use blastema_contract::reports::DeclaredFaultCleared;
 use blastema_core::contract::codec;
 use blastema_core::{Contract, DeliveryError, FaultKind, Lifecycle, PeerIdentity, PreviousVersion};
 use bytes::Bytes;
@@ -121,10 +120,6 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
     }
 
     fn mend(&self, kind: FaultKind) {
-        let record = &self.anchor.record;
-        if let Some(mended) = &record.environment.reports.mended {
-            let (object, incarnation) = (record.name.clone(), record.incarnation());
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
-        }
+        self.anchor.record.clear(kind);
     }
 }

@@ -125,8 +125,12 @@ impl<C: Component> Child for ComponentChild<C> {
         let record = &self.anchor.record;
         let Some(incarnation) = self.anchor.lane.owner() else { return };
         self.anchor.lane.leave(incarnation);
+        let seated = record.take_seat();
+        if let Some(seated) = &seated {
+            record.keep_unwinding(incarnation, seated);
+        }
         record.tell_exits(incarnation);
-        if let Some(seated) = record.take_seat() {
+        if let Some(seated) = seated {
             seated.token.end();
             record.environment.watch_list.leave(seated.slot.index);
             let reading = seated.slot.stamp.read();

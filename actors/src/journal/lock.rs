@@ -1,12 +1,22 @@
-//! One node writes one journal: the lock beside the file.
+//! One node writes one journal: the locks beside the file.
 //!
-//! The kernel gives the lock back when the process ends, however that happens. So a reader sees
-//! from it whether the node that wrote last still runs.
+//! ```text
+//! faults.db.lock  held from before the file is opened: one node writes it
+//! faults.db.run   held once the earlier runs are marked as ended: the last run goes on
+//! ```
+//!
+//! The kernel gives both back when the process ends, however that happens. So a reader sees from
+//! the second one whether the node that wrote last still runs: a process that has not opened the
+//! journal yet does not hold it, and the faults of the run before are not taken for open ones.
 
 use blastema_core::NodeName;
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+/// What the name of the second lock ends in.
+const RUN: &str = "run";
 
 /// Why a journal cannot be locked.
 #[derive(Debug)]
@@ -23,8 +33,11 @@ pub(crate) enum LockError {
 /// While it lives, no other node writes the journal.
 #[derive(Debug)]
 pub(crate) struct JournalLock {
+    path: PathBuf,
     /// Locked for as long as it is open.
     _file: File,
+    /// The same, of the run.
+    run: OnceLock<File>,
 }
 
 impl JournalLock {
@@ -47,13 +60,28 @@ impl JournalLock {
         // For people; the lock itself says what counts. A full disk therefore stops nothing.
         let _ = file.set_len(0);
         let _ = writeln!(file, "node {node}, process {}", std::process::id());
-        Ok(JournalLock { _file: file })
+        Ok(JournalLock { path: path.to_owned(), _file: file, run: OnceLock::new() })
+    }
+
+    /// The last run in the journal is that of the holder: all others are marked as ended.
+    pub(super) fn begin_run(&self) -> io::Result<()> {
+        if self.run.get().is_some() {
+            return Ok(());
+        }
+        let mut options = OpenOptions::new();
+        let opened = options.read(true).write(true).create(true).truncate(false);
+        let file = opened.open(beside(&self.path, RUN))?;
+        // Only readers hold it beside the node, for an instant each.
+        file.lock()?;
+        // This is the only thread that writes the journal.
+        let _ = self.run.set(file);
+        Ok(())
     }
 }
 
-/// Whether a node writes the journal at `path` now.
-pub(super) fn is_held(path: &Path) -> bool {
-    let Ok(file) = File::open(beside(path, "lock")) else { return false };
+/// Whether the last run in the journal at `path` goes on.
+pub(super) fn is_running(path: &Path) -> bool {
+    let Ok(file) = File::open(beside(path, RUN)) else { return false };
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 

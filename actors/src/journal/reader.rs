@@ -140,8 +140,6 @@ pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
     if !path.exists() {
         return Err(ReadError::Missing { path: path.to_owned() });
     }
-    // Before the faults are read: a node that ends in between has marked its run by then.
-    let written = lock::is_held(path);
     let unreadable = |error: rusqlite::Error| match error.sqlite_error_code() {
         Some(rusqlite::ErrorCode::NotADatabase) => {
             ReadError::NoJournal { path: path.to_owned(), reason: "it is no database".to_owned() }
@@ -152,7 +150,15 @@ pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
     let connection = Connection::open_with_flags(path, flags).map_err(unreadable)?;
     connection.busy_timeout(BUSY).map_err(unreadable)?;
     check(&connection, path).map_err(unreadable)??;
-    entries(&connection, written).map_err(unreadable)
+    loop {
+        // Before the faults are read: a node that ends in between has marked its run by then.
+        let running = lock::is_running(path);
+        let entries = entries(&connection, running).map_err(unreadable)?;
+        // What a node has written that began in between stands, and was taken for ended.
+        if running || !lock::is_running(path) {
+            return Ok(entries);
+        }
+    }
 }
 
 fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), ReadError>> {
@@ -168,7 +174,7 @@ fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), Re
     })
 }
 
-fn entries(connection: &Connection, written: bool) -> rusqlite::Result<Vec<JournalEntry>> {
+fn entries(connection: &Connection, running: bool) -> rusqlite::Result<Vec<JournalEntry>> {
     let mut statement = connection.prepare(
         "SELECT sequence, node, run.incarnation AS node_incarnation, id, code, kind, severity,
              place, fault.incarnation AS incarnation, detail, count, symptom_of, measure, given_up,
@@ -176,10 +182,10 @@ fn entries(connection: &Connection, written: bool) -> rusqlite::Result<Vec<Journ
              run.run = (SELECT max(run) FROM run) AS is_last
          FROM fault JOIN run USING (run) ORDER BY sequence",
     )?;
-    statement.query_map([], |row| entry(row, written))?.collect()
+    statement.query_map([], |row| entry(row, running))?.collect()
 }
 
-fn entry(row: &Row<'_>, written: bool) -> rusqlite::Result<JournalEntry> {
+fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
     let found_ns: i64 = row.get("found_ns")?;
     let moment = |wall: &str, monotonic: &str| -> rusqlite::Result<_> {
         let (wall, monotonic): (Option<i64>, Option<i64>) = (row.get(wall)?, row.get(monotonic)?);
@@ -194,7 +200,7 @@ fn entry(row: &Row<'_>, written: bool) -> rusqlite::Result<JournalEntry> {
     let status = match ended.as_deref() {
         _ if repaired.is_some() || code == NODE_ENDED => JournalStatus::Closed,
         Some(ended) if ended != ENDED_WITH_PROCESS => JournalStatus::EndedInOrder,
-        None if written && is_last => match (&recovered, &given_up) {
+        None if running && is_last => match (&recovered, &given_up) {
             (Some(_), _) => JournalStatus::Recovered,
             (None, Some(_)) => JournalStatus::GivenUp,
             (None, None) => JournalStatus::Open,

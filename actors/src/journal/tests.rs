@@ -29,6 +29,14 @@ fn open(path: &Path, incarnation: u64) -> Store {
     Store::open(path, &author("a", incarnation), StoreLimits::default()).unwrap()
 }
 
+/// The next run of the node, once it has marked the others as ended.
+fn run(path: &Path, incarnation: u64) -> (JournalLock, Store) {
+    let lock = JournalLock::acquire(path, &node("a")).unwrap();
+    let store = open(path, incarnation);
+    lock.begin_run().unwrap();
+    (lock, store)
+}
+
 fn moment(millis: u64, wall: i64) -> Moment {
     Moment { monotonic: Instant::from_millis(millis), wall: WallTime::from_micros(wall) }
 }
@@ -55,8 +63,7 @@ fn statuses(path: &Path) -> Vec<(u64, JournalStatus)> {
 #[test]
 fn a_fault_is_read_as_it_was_written_step_by_step() {
     let (_folder, path) = journal();
-    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
-    let mut store = open(&path, 7);
+    let (lock, mut store) = run(&path, 7);
     let found = moment(100, 5_000_000);
     store.write(&[line(1, found)]).unwrap();
     assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
@@ -87,8 +94,7 @@ fn a_fault_is_read_as_it_was_written_step_by_step() {
 #[test]
 fn open_faults_of_a_run_that_is_over_are_not_open() {
     let (_folder, path) = journal();
-    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
-    let mut first = open(&path, 1);
+    let (lock, mut first) = run(&path, 1);
     first.write(&[line(1, moment(1, 1)), line(2, moment(2, 2))]).unwrap();
     let repaired = Some(moment(3, 3));
     first.write(&[JournalRow { repaired, ..line(2, moment(2, 2)) }]).unwrap();
@@ -96,8 +102,7 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
 
     let with_process = (1, JournalStatus::EndedWithProcess);
     assert_eq!(statuses(&path), [with_process, (2, JournalStatus::Closed)], "its lock is free");
-    let _lock = JournalLock::acquire(&path, &node("a")).unwrap();
-    let mut second = open(&path, 2);
+    let (_lock, mut second) = run(&path, 2);
     second.write(&[line(1, moment(4, 4))]).unwrap();
     let open_again = (1, JournalStatus::Open);
     assert_eq!(statuses(&path), [with_process, (2, JournalStatus::Closed), open_again]);
@@ -108,6 +113,24 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
     let told = (end.code.as_str(), end.place.as_str(), end.detail.as_str(), end.status);
     assert_eq!(told, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
     assert_eq!((end.found_at, end.node_incarnation), (WallTime::from_micros(6), 2));
+}
+
+#[test]
+fn faults_of_a_killed_process_are_not_open_while_the_next_one_begins() {
+    let (_folder, path) = journal();
+    let (lock, mut first) = run(&path, 1);
+    first.write(&[line(1, moment(1, 1))]).unwrap();
+    assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
+    drop((first, lock));
+
+    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let ended = [(1, JournalStatus::EndedWithProcess)];
+    assert_eq!(statuses(&path), ended, "the next process has not opened the file yet");
+    let mut second = open(&path, 2);
+    lock.begin_run().unwrap();
+    assert_eq!(statuses(&path), ended);
+    second.write(&[line(1, moment(2, 2))]).unwrap();
+    assert_eq!(statuses(&path), [ended[0], (1, JournalStatus::Open)]);
 }
 
 #[test]

@@ -367,7 +367,13 @@ impl Writer {
     fn open<'a>(&self, store: &'a mut Option<Store>) -> Result<&'a mut Store, StoreError> {
         let open = match store.take() {
             Some(open) => open,
-            None => Store::open(&self.path, &self.author, self.limits)?,
+            None => {
+                let open = Store::open(&self.path, &self.author, self.limits)?;
+                self.lock.begin_run().map_err(|error| {
+                    StoreError::Unwritable(format!("the lock of its run: {error}"))
+                })?;
+                open
+            }
         };
         Ok(store.insert(open))
     }

@@ -31,6 +31,10 @@ const PULSES: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
 /// cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
+/// What is in service where a handler has panicked, and what it had blocks as it is dropped. The
+/// panic itself is reported when the incarnation is abandoned.
+const UNWINDING: &str = "the unwinding of its panic";
+
 /// What can be told of a component without asking it.
 pub(crate) trait AliveSource: Send + Sync {
     /// The life that began last.
@@ -452,7 +456,16 @@ impl Eyes {
     fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
         let during = |slot| {
             let known = self.stamps.get(slot);
-            label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
+            let unwinds = |known: &KnownComponent| {
+                let pulse = self.pulses.get(&known.arbiter);
+                pulse.is_some_and(|pulse| {
+                    pulse.running() == Some(slot) && pulse.unwinding().is_some()
+                })
+            };
+            match known {
+                Some(known) if unwinds(known) => UNWINDING,
+                _ => label::name(known.map_or(u32::MAX, |known| known.stamp.read().during)),
+            }
         };
         Some(match sighting {
             LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {

@@ -63,19 +63,29 @@ impl<M> SendError<M> {
     pub(crate) fn new(kind: DeliveryError, message: M) -> Self {
         SendError { kind, message, receiver: None }
     }
-
-    /// Names the receiver.
-    #[cold]
-    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
-        self.receiver = receiver().map(Box::new);
-        self
-    }
-
-    /// Whom the message was for, where that is known.
-    pub fn receiver(&self) -> Option<&Receiver> {
-        self.receiver.as_deref()
-    }
 }
+
+/// Gives an error its receiver.
+macro_rules! name_receiver_in {
+    ($error:ident) => {
+        impl<M> $error<M> {
+            /// Names the receiver.
+            #[cold]
+            pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
+                self.receiver = receiver().map(Box::new);
+                self
+            }
+
+            /// Whom the message was for, where that is known.
+            pub fn receiver(&self) -> Option<&Receiver> {
+                self.receiver.as_deref()
+            }
+        }
+    };
+}
+
+name_receiver_in!(SendError);
+name_receiver_in!(RequestError);
 
 /// A request without a reply.
 #[derive(PartialEq, Eq)]
@@ -90,18 +100,6 @@ pub struct RequestError<M> {
 impl<M> RequestError<M> {
     pub(crate) fn new(kind: DeliveryError, message: Option<M>) -> Self {
         RequestError { kind, message, receiver: None }
-    }
-
-    /// Names the receiver.
-    #[cold]
-    pub(crate) fn at(mut self, receiver: impl FnOnce() -> Option<Receiver>) -> Self {
-        self.receiver = receiver().map(Box::new);
-        self
-    }
-
-    /// Whom the request was for, where that is known.
-    pub fn receiver(&self) -> Option<&Receiver> {
-        self.receiver.as_deref()
     }
 
     /// What is known of the request: whether it took effect, did not, or may have.

@@ -34,7 +34,7 @@ use blastema_core::net::peer_protocol::{
 };
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
-use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, NodeName};
+use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use inbound::{InboundBacklog, LOOK, PeerBinding};
 use peer::GatewayPeer;
@@ -174,8 +174,8 @@ impl GatewayActor {
     /// Listens to the topics that this node's objects listen to.
     fn take_interest(&mut self, context: &mut Context<Self>) {
         let gateway = context.address();
-        let interest = move |key: &TopicKey, more| {
-            gateway.do_send(TopicInterestChanged { key: key.clone(), more });
+        let interest = move |key: &TopicKey| {
+            gateway.do_send(TopicInterestChanged { key: key.clone() });
         };
         self.wiring.topics.on_interest(Arc::new(interest));
         for (key, identities) in self.wiring.topics.listened() {
@@ -315,6 +315,16 @@ impl GatewayActor {
         error!(node, "a contract differs: {difference}");
         let detail = format!("with node {node}: {difference}");
         self.wiring.faults.declare(FaultKind::ContractMismatch, detail);
+    }
+
+    /// A session begins. What differed in an earlier incarnation of the peer may be right now; if
+    /// not, it is found and declared again.
+    fn begin_peer(&mut self, peer: NodeId, session: u32, incarnation: Incarnation) {
+        let Some(known) = self.peers.get_mut(&peer) else { return };
+        let differed = known.begin(session, incarnation);
+        if differed && self.peers.values().all(|peer| peer.differences().is_empty()) {
+            self.wiring.faults.mend(FaultKind::ContractMismatch);
+        }
     }
 
     /// What a peer has done does harm; several times are a fault of that node.

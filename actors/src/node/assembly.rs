@@ -419,7 +419,8 @@ fn environment(
     registry.connect(node.clone(), None);
     let fault_codes = Arc::new(plan.codes());
     let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
-    ComponentEnvironment { registry, fault_codes, ..general }
+    let callbacks = parts.chain.callbacks.clone();
+    ComponentEnvironment { registry, fault_codes, callbacks, ..general }
 }
 
 fn enrolment(

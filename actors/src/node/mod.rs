@@ -36,7 +36,7 @@ pub use error::StartError;
 pub use faults::FaultEvents;
 pub use isolation::IsolateError;
 pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
-pub use restart::RestartError;
+pub use restart::{RestartError, RestartedChild};
 pub use snapshot::NodeSnapshot;
 pub use tree::SupervisorSpec;
 

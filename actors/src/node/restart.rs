@@ -59,6 +59,31 @@ pub enum RestartError {
     },
 }
 
+/// What a component is after [`Node::restart_child`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum RestartedChild {
+    /// It is at work in this incarnation.
+    Running(Incarnation),
+    /// This incarnation has begun, and waits for something that is not there yet, such as its
+    /// device, or a component below waits for that. It tries again by itself, and the fault
+    /// *unavailable* stands until then.
+    Unavailable(Incarnation),
+    /// Its end is final, as its rules say: a temporary child, or a transient one that had ended in
+    /// order.
+    Finished,
+}
+
+impl RestartedChild {
+    /// The incarnation that has begun, if one has.
+    pub fn incarnation(self) -> Option<Incarnation> {
+        match self {
+            RestartedChild::Running(life) | RestartedChild::Unavailable(life) => Some(life),
+            RestartedChild::Finished => None,
+        }
+    }
+}
+
 fn did_you_mean(nearest: &Option<ObjectName>) -> String {
     nearest.as_ref().map_or_else(String::new, |name| format!(": did you mean `{name}`?"))
 }
@@ -93,13 +118,13 @@ impl Node {
     /// Begins the next life of a component, or of a supervisor and all below it. One that has come
     /// to the safe state, or was isolated, is back with it; one that is at work is stopped in order
     /// first. Its siblings fare as their supervisor's strategy says. Resolves when all of them are
-    /// at work, and says which life it is, unless its rules let it be. No budget of restarts counts
-    /// it.
+    /// at work, or wait for what is not there yet, and says which of it is so. No budget of
+    /// restarts counts it.
     ///
     /// # Errors
     /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
     /// a node at rest; [`RestartError::ChildGaveUp`] where it did not come back.
-    pub async fn restart_child(&self, name: &str) -> Result<Option<Incarnation>, RestartError> {
+    pub async fn restart_child(&self, name: &str) -> Result<RestartedChild, RestartError> {
         let unknown = || RestartError::Unknown {
             name: name.to_owned(),
             nearest: self.0.directory.nearest(name),
@@ -107,7 +132,11 @@ impl Node {
         let object = ObjectName::new(name).map_err(|_| unknown())?;
         let keeper = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
         match keeper.restart.send(RestartChild { object, fault: None }).await {
-            Ok(Ok(Recovered { incarnation, .. })) => Ok(incarnation),
+            Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
+                (Some(life), false) => RestartedChild::Running(life),
+                (Some(life), true) => RestartedChild::Unavailable(life),
+                (None, _) => RestartedChild::Finished,
+            }),
             Ok(Err(GaveUp { object: name, why: GiveUpReason::NotAtWork })) => {
                 Err(RestartError::SupervisorRests { name })
             }

@@ -1,10 +1,16 @@
-//! Calls of the application's code by the fault chain: recovery strategies and safe outputs.
+//! Calls of the application's code by the middleware: recovery strategies, safe outputs, and the
+//! `Drop` of messages that are returned to their senders.
 //!
-//! None of it runs on the fault chain's thread. A strategy has an arbiter of its own; safe outputs
-//! are called one after the other on a thread that is started for them. Each call is entered here
-//! while it runs, and the thread that [watches the chain](crate::fault_chain::outside) finds those
-//! that take longer than the limit: the call is reported under its name, its thread is abandoned,
-//! and what waits behind it goes on on a fresh one.
+//! None of it runs on the fault chain's thread. A strategy has an arbiter of its own. Safe outputs
+//! are called one after the other on a thread that is started for them, and messages are returned
+//! on another one. Each call is entered here while it runs, and the thread that
+//! [watches the chain](crate::fault_chain::outside) finds those that take longer than the limit:
+//! the call is reported under its name, its thread is abandoned, and what waits behind it goes on
+//! on a fresh one.
+//!
+//! Whether a call returned in time is decided once, under the lock of its stage. A call that
+//! returns while its delay is being reported waits for the end of that report, so that each thread
+//! that is counted as lost is counted as returned afterwards.
 //!
 //! In a node that runs on one thread, as tests under a paused clock do, calls are made where they
 //! are asked for.
@@ -23,6 +29,26 @@ use std::time::Duration;
 /// of a component.
 pub(crate) const CALLBACK_LIMIT: Duration = Duration::from_millis(500);
 
+/// What a call is for. Each kind has a queue and a thread of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum CallKind {
+    /// Safe outputs. Where the system has no thread left, they are called on the caller's thread:
+    /// that outputs are safe comes before all else.
+    SafeOutput,
+    /// A message is returned to its sender, or dropped. Where the system has no thread left, it
+    /// waits for one.
+    Return,
+}
+
+impl CallKind {
+    fn thread_name(self) -> &'static str {
+        match self {
+            CallKind::SafeOutput => "safe-outputs",
+            CallKind::Return => "returns",
+        }
+    }
+}
+
 /// What became of one call.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CallOutcome {
@@ -32,16 +58,20 @@ pub(crate) enum CallOutcome {
     Panicked(String),
     /// It has taken longer than this limit and still runs.
     Blocked(Duration),
-    /// It was not made, because so many calls of the same object block already.
+    /// A safe output was not called, because so many calls of the same object block already. A
+    /// message was not returned yet, because the system has no thread left.
     NotMade,
     /// It blocked, and has returned after all.
     ReturnedLate,
 }
 
-/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`] and
-/// it returns.
+/// Is told what became of a call: once, and once more where that was [`CallOutcome::Blocked`], or a
+/// message that was not returned yet.
 type OutcomeFn = Box<dyn Fn(CallOutcome) + Send>;
 type LateFn = Box<dyn FnOnce(Duration) + Send>;
+
+/// Starts a thread of this name, or says that the system has none left.
+type StartThread = Box<dyn Fn(&str, Box<dyn FnOnce() + Send>) -> std::io::Result<()> + Send + Sync>;
 
 /// The calls of one node. Clones share them.
 #[derive(Clone, Default)]
@@ -50,34 +80,47 @@ pub(crate) struct Callbacks(Option<Arc<Threads>>);
 /// What calls on threads of their own need.
 struct Threads {
     limit: Duration,
+    start: StartThread,
     /// Counts the threads that are abandoned, with those of components.
     arbiters: ArbiterPool,
-    running: Mutex<ActiveCalls>,
-    queue: Mutex<Queue>,
+    /// The calls that run and are not late, each with the time for which it was seen to run. At
+    /// most one a thread.
+    running: Mutex<Vec<(Duration, Arc<ActiveCall>)>>,
+    outputs: Mutex<Queue>,
+    returns: Mutex<Queue>,
     reports: OnceLock<FaultReports>,
 }
 
-/// At most one call a thread.
-#[derive(Default)]
-struct ActiveCalls {
-    next: u64,
-    calls: Vec<ActiveCall>,
-}
-
+/// One call that is observed.
 struct ActiveCall {
-    id: u64,
-    /// For how long it was seen to run.
-    seen: Duration,
-    late: LateFn,
+    /// Whose code it is.
+    object: ObjectName,
+    stage: Mutex<CallStage>,
 }
 
-/// Safe outputs that are to be applied: no more than components and actuators come to rest at once.
+/// How far a call has come.
+enum CallStage {
+    /// It runs; this is to be called if it takes too long.
+    Running(LateFn),
+    /// It takes too long, which was reported.
+    Blocked,
+    Returned,
+}
+
+/// Calls of one kind that wait: no more than components and actuators come to rest at once, or
+/// than fit into the queues of components that end.
 #[derive(Default)]
 struct Queue {
     waiting: VecDeque<Job>,
     /// The thread that makes the calls; none while none waits.
     thread: Option<u64>,
     started: u64,
+    /// Whose calls of this kind block a thread now. What an object blocks by its handlers, or by
+    /// calls of the other kind, is not held against it here: the safe outputs of a component that
+    /// hangs are called in every case.
+    blocked: Vec<ObjectName>,
+    /// That there is no thread was reported.
+    starved: bool,
 }
 
 struct Job {
@@ -91,29 +134,57 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+impl ActiveCall {
+    /// It takes too long, unless it has returned meanwhile.
+    fn handle_late(&self, threads: &Threads) {
+        let mut stage = lock(&self.stage);
+        match std::mem::replace(&mut *stage, CallStage::Blocked) {
+            // The lock is held until all is reported: see `RunningCall::end`.
+            CallStage::Running(late) => {
+                threads.arbiters.note_abandoned(&self.object);
+                late(threads.limit);
+            }
+            decided => *stage = decided,
+        }
+    }
+}
+
 /// One call that runs now.
 pub(crate) struct RunningCall {
     threads: Arc<Threads>,
-    id: u64,
+    call: Arc<ActiveCall>,
 }
 
 impl RunningCall {
-    /// It has returned. Says whether that was in time.
+    /// It has returned. Says whether that was in time; if not, its delay has been reported.
     pub(crate) fn end(self) -> bool {
-        let calls = &mut lock(&self.threads.running).calls;
-        let at = calls.iter().position(|call| call.id == self.id);
-        at.map(|at| calls.swap_remove(at)).is_some()
+        let RunningCall { threads, call } = self;
+        lock(&threads.running).retain(|(_, other)| !Arc::ptr_eq(other, &call));
+        let stage = std::mem::replace(&mut *lock(&call.stage), CallStage::Returned);
+        let in_time = !matches!(stage, CallStage::Blocked);
+        if !in_time {
+            threads.arbiters.note_returned(&call.object);
+        }
+        in_time
     }
 }
 
 impl Callbacks {
     /// Calls on threads of their own, each of which may take so long.
     pub(crate) fn on_threads(limit: Duration, arbiters: ArbiterPool) -> Self {
+        let start = |name: &str, body| platform::start_thread(name, body).map(drop);
+        Self::on_threads_of(Box::new(start), limit, arbiters)
+    }
+
+    /// The same, on threads that are started so.
+    fn on_threads_of(start: StartThread, limit: Duration, arbiters: ArbiterPool) -> Self {
         Callbacks(Some(Arc::new(Threads {
             limit,
+            start,
             arbiters,
             running: Mutex::default(),
-            queue: Mutex::default(),
+            outputs: Mutex::default(),
+            returns: Mutex::default(),
             reports: OnceLock::new(),
         })))
     }
@@ -136,40 +207,43 @@ impl Callbacks {
         self.0.as_ref().map(|threads| threads.limit)
     }
 
-    /// A call begins on this thread. Where it takes longer than the limit, `late` is called on
-    /// another one.
+    /// A call of this object's code begins on this thread. Where it takes longer than the limit,
+    /// the thread counts as abandoned, and `late` is called on another one. It must not wait for
+    /// the call.
     pub(crate) fn enter(
         &self,
+        object: &ObjectName,
         late: impl FnOnce(Duration) + Send + 'static,
     ) -> Option<RunningCall> {
-        let threads = self.0.clone()?;
-        let mut running = lock(&threads.running);
-        let id = running.next;
-        running.next += 1;
-        running.calls.push(ActiveCall { id, seen: Duration::ZERO, late: Box::new(late) });
-        drop(running);
-        Some(RunningCall { threads, id })
+        Some(self.0.as_ref()?.enter(object, Box::new(late)))
     }
 
     /// The next look at the calls that run, `since` after the one before.
     pub(crate) fn look(&self, since: Duration) {
         let Some(threads) = &self.0 else { return };
-        let late: Vec<ActiveCall> = {
+        let late: Vec<(Duration, Arc<ActiveCall>)> = {
             let mut running = lock(&threads.running);
-            running.calls.iter_mut().for_each(|call| call.seen += since);
-            running.calls.extract_if(.., |call| call.seen > threads.limit).collect()
+            running.iter_mut().for_each(|(seen, _)| *seen += since);
+            running.extract_if(.., |(seen, _)| *seen > threads.limit).collect()
         };
-        // Without the lock: what is told may make the next call.
-        late.into_iter().for_each(|call| (call.late)(threads.limit));
+        late.iter().for_each(|(_, call)| call.handle_late(threads));
+        // Behind a call that blocks, and where no thread was left, others may wait.
+        threads.serve(CallKind::SafeOutput);
+        threads.serve(CallKind::Return);
     }
 
-    /// One more thread is abandoned to `object`, whose code blocks it.
-    pub(crate) fn abandon_thread(&self, object: &ObjectName, detail: String) {
-        let Some(threads) = &self.0 else { return };
-        if let Some(reports) = threads.reports.get() {
+    /// A fault of `object`, whose code blocks a thread.
+    pub(crate) fn declare(&self, object: &ObjectName, detail: String) {
+        if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
             reports.declare(object.as_str(), detail);
         }
-        threads.arbiters.note_abandoned(object);
+    }
+
+    /// What was declared of `object` is over.
+    pub(crate) fn clear(&self, object: &ObjectName) {
+        if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
+            reports.mend(object.as_str());
+        }
     }
 
     /// Whether code of this object may be called once more.
@@ -180,19 +254,11 @@ impl Callbacks {
         self.0.as_ref().map_or(Ok(()), |threads| threads.arbiters.check_share(object))
     }
 
-    /// The code that blocked a thread has returned.
-    pub(crate) fn take_back_thread(&self, object: &ObjectName) {
-        let Some(threads) = &self.0 else { return };
-        threads.arbiters.note_returned(object);
-        if let Some(reports) = threads.reports.get() {
-            reports.mend(object.as_str());
-        }
-    }
-
-    /// Has this function of the object called, behind those that wait already. `outcome` is told
-    /// what became of it.
+    /// Has this function of the object called, behind those of its kind that wait already.
+    /// `outcome` is told what became of it.
     pub(crate) fn call(
         &self,
+        kind: CallKind,
         object: &ObjectName,
         run: impl FnOnce() + Send + 'static,
         outcome: impl Fn(CallOutcome) + Send + 'static,
@@ -202,8 +268,8 @@ impl Callbacks {
         };
         let object = object.clone();
         let job = Job { object, run: Box::new(run), outcome: Box::new(outcome) };
-        lock(&threads.queue).waiting.push_back(job);
-        threads.clone().serve();
+        lock(threads.queue(kind)).waiting.push_back(job);
+        threads.serve(kind);
     }
 }
 
@@ -216,11 +282,47 @@ fn guarded(run: impl FnOnce()) -> CallOutcome {
     }
 }
 
+impl Queue {
+    /// Each further call of an object that blocks so many threads might keep one more for ever.
+    fn may_call(&self, object: &ObjectName) -> bool {
+        self.blocked.iter().filter(|blocked| *blocked == object).count() < THREADS_OF_ONE
+    }
+
+    /// One call of the object that blocked a thread has returned.
+    fn forget_blocked(&mut self, object: &ObjectName) {
+        if let Some(at) = self.blocked.iter().position(|blocked| blocked == object) {
+            self.blocked.swap_remove(at);
+        }
+    }
+
+    /// The first call that can be made or refused. A message that cannot be returned now waits.
+    fn first(&self, kind: CallKind) -> Option<usize> {
+        match kind {
+            CallKind::SafeOutput => (!self.waiting.is_empty()).then_some(0),
+            CallKind::Return => self.waiting.iter().position(|job| self.may_call(&job.object)),
+        }
+    }
+}
+
 impl Threads {
+    fn queue(&self, kind: CallKind) -> &Mutex<Queue> {
+        match kind {
+            CallKind::SafeOutput => &self.outputs,
+            CallKind::Return => &self.returns,
+        }
+    }
+
+    fn enter(self: &Arc<Self>, object: &ObjectName, late: LateFn) -> RunningCall {
+        let (object, stage) = (object.clone(), Mutex::new(CallStage::Running(late)));
+        let call = Arc::new(ActiveCall { object, stage });
+        lock(&self.running).push((Duration::ZERO, call.clone()));
+        RunningCall { threads: self.clone(), call }
+    }
+
     /// Sees that a thread makes the calls that wait.
-    fn serve(self: Arc<Self>) {
-        let mut queue = lock(&self.queue);
-        if queue.thread.is_some() || queue.waiting.is_empty() {
+    fn serve(self: &Arc<Self>, kind: CallKind) {
+        let mut queue = lock(self.queue(kind));
+        if queue.thread.is_some() || queue.first(kind).is_none() {
             return;
         }
         queue.started += 1;
@@ -228,158 +330,64 @@ impl Threads {
         queue.thread = Some(number);
         drop(queue);
         let threads = self.clone();
-        if platform::start_thread("safe-outputs", move || threads.work(number)).is_err() {
-            // No thread is left in the system. That outputs are safe comes before all else.
-            self.work(number);
+        let work = Box::new(move || threads.work(kind, number));
+        match ((self.start)(kind.thread_name(), work), kind) {
+            (Ok(()), _) => lock(self.queue(kind)).starved = false,
+            (Err(_), CallKind::SafeOutput) => self.work(kind, number),
+            (Err(_), CallKind::Return) => self.handle_starved(kind),
+        }
+    }
+
+    /// The system has no thread left: the next look tries again.
+    fn handle_starved(&self, kind: CallKind) {
+        let mut queue = lock(self.queue(kind));
+        queue.thread = None;
+        if !std::mem::replace(&mut queue.starved, true)
+            && let Some(job) = queue.waiting.front()
+        {
+            (job.outcome)(CallOutcome::NotMade);
         }
     }
 
     /// Makes calls until none waits, or until this thread is abandoned.
-    fn work(self: Arc<Self>, number: u64) {
+    fn work(self: &Arc<Self>, kind: CallKind, number: u64) {
         loop {
-            let next = {
-                let mut queue = lock(&self.queue);
-                let next = queue.waiting.pop_front();
-                if next.is_none() {
+            let (Job { object, run, outcome }, may_call) = {
+                let mut queue = lock(self.queue(kind));
+                let next = queue.first(kind).and_then(|at| queue.waiting.remove(at));
+                let Some(job) = next else {
                     queue.thread = None;
-                }
-                next
+                    return;
+                };
+                let may_call = queue.may_call(&job.object);
+                (job, may_call)
             };
-            let Some(Job { object, run, outcome }) = next else { return };
-            if self.arbiters.calls_blocked_by(&object) >= THREADS_OF_ONE {
-                // Each further call would keep one more thread for ever.
+            if !may_call {
                 outcome(CallOutcome::NotMade);
                 continue;
             }
             let outcome = Arc::new(Mutex::new(outcome));
             let (threads, told, culprit) = (self.clone(), outcome.clone(), object.clone());
-            let call = Callbacks(Some(self.clone())).enter(move |limit| {
-                lock(&threads.queue).thread.take_if(|thread| *thread == number);
-                threads.arbiters.note_abandoned(&culprit);
+            let late = move |limit| {
+                let mut queue = lock(threads.queue(kind));
+                queue.thread.take_if(|thread| *thread == number);
+                queue.blocked.push(culprit);
+                drop(queue);
                 lock(&told)(CallOutcome::Blocked(limit));
-                threads.clone().serve();
-            });
+            };
+            let call = self.enter(&object, Box::new(late));
             let result = guarded(run);
-            if call.is_some_and(RunningCall::end) {
+            if call.end() {
                 lock(&outcome)(result);
                 continue;
             }
             // Another thread makes the calls now.
-            self.arbiters.note_returned(&object);
-            return lock(&outcome)(CallOutcome::ReturnedLate);
+            lock(self.queue(kind)).forget_blocked(&object);
+            lock(&outcome)(CallOutcome::ReturnedLate);
+            return self.serve(kind);
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::mpsc::{Receiver, Sender, channel};
-
-    const LIMIT: Duration = Duration::from_millis(100);
-    /// For threads of a busy computer.
-    const PATIENCE: Duration = Duration::from_secs(30);
-
-    /// The number of a call, and what became of it.
-    type Told = (u32, CallOutcome);
-
-    struct Rig {
-        callbacks: Callbacks,
-        told: (Sender<Told>, Receiver<Told>),
-    }
-
-    impl Rig {
-        fn new() -> Self {
-            let callbacks = Callbacks::on_threads(LIMIT, ArbiterPool::here());
-            Rig { callbacks, told: channel() }
-        }
-
-        fn call(&self, number: u32, run: impl FnOnce() + Send + 'static) {
-            self.call_of("arm", number, run);
-        }
-
-        fn call_of(&self, object: &str, number: u32, run: impl FnOnce() + Send + 'static) {
-            let told = self.told.0.clone();
-            let outcome = move |outcome| told.send((number, outcome)).unwrap();
-            self.callbacks.call(&object.parse().unwrap(), run, outcome);
-        }
-
-        /// Blocks until the sender is dropped.
-        fn block(&self, number: u32) -> Sender<()> {
-            let (hold, held) = channel::<()>();
-            let (begun, begins) = channel();
-            self.call(number, move || {
-                begun.send(()).unwrap();
-                let _ = held.recv();
-            });
-            begins.recv_timeout(PATIENCE).expect("a thread makes the call");
-            hold
-        }
-
-        fn told(&self) -> (u32, CallOutcome) {
-            self.told.1.recv_timeout(PATIENCE).expect("a call has an outcome")
-        }
-
-        fn abandoned(&self) -> usize {
-            self.callbacks.0.as_ref().unwrap().arbiters.abandoned()
-        }
-    }
-
-    #[test]
-    fn calls_are_made_in_order_and_a_panic_is_an_outcome() {
-        let rig = Rig::new();
-
-        rig.call(1, || {});
-        rig.call(2, || panic!("no brake"));
-        rig.call(3, || {});
-
-        assert_eq!(rig.told(), (1, CallOutcome::Done));
-        assert_eq!(rig.told(), (2, CallOutcome::Panicked("no brake".into())));
-        assert_eq!(rig.told(), (3, CallOutcome::Done));
-    }
-
-    #[test]
-    fn a_call_that_blocks_is_told_once_and_those_behind_it_are_made_on_another_thread() {
-        let rig = Rig::new();
-        let hold = rig.block(1);
-        rig.call(2, || {});
-
-        rig.callbacks.look(LIMIT);
-        assert!(rig.told.1.try_recv().is_err(), "it has the whole limit");
-        rig.callbacks.look(Duration::from_millis(1));
-
-        assert_eq!(rig.told(), (1, CallOutcome::Blocked(LIMIT)));
-        assert_eq!(rig.told(), (2, CallOutcome::Done));
-        assert_eq!(rig.abandoned(), 1);
-        rig.callbacks.look(10 * LIMIT);
-        drop(hold);
-        assert_eq!(rig.told(), (1, CallOutcome::ReturnedLate));
-        assert_eq!(rig.abandoned(), 0);
-        rig.call(3, || {});
-        assert_eq!(rig.told(), (3, CallOutcome::Done));
-    }
-
-    #[test]
-    fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
-        let rig = Rig::new();
-        let mut holds = Vec::new();
-        for number in 0..THREADS_OF_ONE as u32 {
-            holds.push(rig.block(number));
-            rig.callbacks.look(2 * LIMIT);
-            assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
-        }
-
-        rig.call(9, || panic!("it is not called"));
-        assert_eq!(rig.told(), (9, CallOutcome::NotMade));
-
-        rig.call_of("leg", 8, || {});
-        assert_eq!(rig.told(), (8, CallOutcome::Done));
-
-        holds.clear();
-        for _ in 0..THREADS_OF_ONE {
-            assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
-        }
-        rig.call(10, || {});
-        assert_eq!(rig.told(), (10, CallOutcome::Done));
-    }
-}
+mod tests;

@@ -25,6 +25,10 @@ pub(super) trait AnyTopic: Send + Sync {
         age: Duration,
     ) -> Result<(), DeliveryError>;
     fn has_listeners(&self) -> bool;
+    /// The same. Without a listener it forgets the event of another node that it keeps. One that
+    /// joins is counted under the same lock: it gets the event that is kept, and the other node
+    /// goes on, or the other node sends it anew.
+    fn settle_interest(&self) -> bool;
     /// Gives it the event that the topic keeps for who joins.
     fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
@@ -109,6 +113,15 @@ impl<E: Event> AnyTopic for Topic<E> {
                 Err(why)
             }
         }
+    }
+
+    fn settle_interest(&self) -> bool {
+        let mut latch = lock(&self.latch);
+        let listens = self.has_listeners();
+        let foreign = latch.take_if(|last| !listens && last.is_foreign);
+        drop(latch);
+        self.discard(foreign.map(|last| last.event));
+        listens
     }
 
     fn has_listeners(&self) -> bool {

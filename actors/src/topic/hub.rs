@@ -534,6 +534,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             }
         };
         hub.shared.listeners.fetch_add(1, Relaxed);
+        let joins = at.is_none().then(|| self.topic.add_listener(&latch));
         drop((hubs, latch));
         let mut newcomers = hub.newcomers.borrow_mut();
         newcomers.retain(Ear::is_present);
@@ -550,9 +551,11 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             lock(&hub.shared.serving).brought.push_back((number, left));
             hub.shared.lane.wake();
         }
-        match at.replace(At { lane: hub.shared.clone(), since }) {
-            None => self.topic.count_listener(&anchor.record.name, true),
-            Some(old) => self.topic.leave(&old.lane),
+        if let Some(old) = at.replace(At { lane: hub.shared.clone(), since }) {
+            self.topic.leave(&old.lane);
+        }
+        if let Some(is_first) = joins {
+            self.topic.listener_changed(&anchor.record.name, true, is_first);
         }
     }
 
@@ -570,7 +573,8 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         if let Some(At { lane, .. }) = lock(&self.hub).take() {
             self.present.store(0, Relaxed);
             self.topic.leave(&lane);
-            self.topic.count_listener(&anchor.record.name, false);
+            let was_last = self.topic.remove_listener();
+            self.topic.listener_changed(&anchor.record.name, false, was_last);
         }
     }
 }

@@ -20,6 +20,8 @@ mod erased;
 mod hub;
 pub(crate) mod ports;
 mod publisher;
+#[cfg(test)]
+mod tests;
 mod traffic;
 
 use hub::TopicSubscription;
@@ -59,8 +61,11 @@ pub(crate) type EventFilter<E> = Arc<dyn Fn(&E) -> bool + Send + Sync>;
 /// Ships an encoded event out of the process, with the time by which its age is judged. Must not
 /// wait.
 pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync>;
-/// Hears which topics this node listens to.
-pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey, bool) + Send + Sync>;
+/// Is called when a topic got its first listener of this node, or lost its last, and when an object
+/// of this node names a topic that other nodes listen to. Calls of several threads come in any
+/// order, so that they do not say which: that is what [`settle_interest`](Topics::settle_interest)
+/// answers.
+pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey) + Send + Sync>;
 
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -260,25 +265,24 @@ impl<E: Event> Topic<E> {
         self.dead_letters.record(&self.key.topic, E::NAME, why);
     }
 
-    /// One listener more or less.
-    fn count_listener(&self, name: &ObjectName, more: bool) {
-        let first_or_last = if more {
-            self.listeners.fetch_add(1, Relaxed) == 0
-        } else {
-            self.listeners.fetch_sub(1, Relaxed) == 1
-        };
+    /// Counts a listener that joins, while the caller holds the latch: see
+    /// [`settle_interest`](AnyTopic::settle_interest). Says whether it is the first.
+    fn add_listener(&self, _: &Latch<E>) -> bool {
+        self.listeners.fetch_add(1, Relaxed) == 0
+    }
+
+    /// Counts a listener less. Says whether it was the last.
+    fn remove_listener(&self) -> bool {
+        self.listeners.fetch_sub(1, Relaxed) == 1
+    }
+
+    /// Reports a listener that was counted or is counted no more.
+    fn listener_changed(&self, name: &ObjectName, more: bool, first_or_last: bool) {
         self.traffic.listens(name, more);
         self.renew_matched();
         let interest = lock(&self.interest).clone();
         if let Some(interest) = interest.filter(|_| first_or_last) {
-            interest(&self.key, more);
-        }
-        if E::LATCHED && first_or_last && !more {
-            // Other nodes send their last one anew when there is a listener again.
-            let mut latch = lock(&self.latch);
-            let foreign = latch.take_if(|last| last.is_foreign).map(|last| last.event);
-            drop(latch);
-            self.discard(foreign);
+            interest(&self.key);
         }
     }
 
@@ -338,12 +342,19 @@ pub(crate) fn described(contract: &PeerIdentity) -> String {
     format!("`{}` version {}", contract.name, contract.version)
 }
 
+/// A forward, and the versions of a contract that its receiver understands. It counts, and gets
+/// events, only where the topic carries one of them.
+struct WantedForward {
+    wanted: Vec<PeerIdentity>,
+    forward: RemoteForward,
+}
+
 #[derive(Default)]
 struct Inner {
     /// As many as the program has publishers and listeners.
     topics: BTreeMap<ObjectName, TopicEntry>,
     /// Kept for topics that no object of this node has named yet.
-    forwards: BTreeMap<ObjectName, BTreeMap<u64, RemoteForward>>,
+    forwards: BTreeMap<ObjectName, BTreeMap<u64, WantedForward>>,
     next_forward: u64,
 }
 
@@ -399,12 +410,15 @@ impl Topics {
             interest: self.interest.clone(),
             former: E::previous_versions(),
         });
-        if let Some(forwards) = inner.forwards.get(&key.topic) {
-            topic.forward_to(forwards.values().cloned().collect());
+        let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
+        inner.topics.insert(key.topic.clone(), known);
+        let is_awaited = inner.renew_forwards(&key.topic);
+        drop(inner);
+        let interest = lock(&self.interest).clone();
+        if let Some(interest) = interest.filter(|_| is_awaited) {
+            // What other nodes listen to can be compared from now on.
+            interest(&key);
         }
-        inner
-            .topics
-            .insert(key.topic, TopicEntry { naming, typed: topic.clone(), erased: topic.clone() });
         Ok(topic)
     }
 
@@ -442,14 +456,22 @@ impl Topics {
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
-    /// not exist yet. Events that came in by [`publish_remote`](Self::inject) are not shipped.
-    pub(crate) fn forward(&self, key: &TopicKey, forward: RemoteForward) -> ForwardId {
+    /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
+    /// [`inject`](Self::inject) are not shipped.
+    pub(crate) fn forward(
+        &self,
+        key: &TopicKey,
+        wanted: Vec<PeerIdentity>,
+        forward: RemoteForward,
+    ) -> ForwardId {
         let mut inner = lock(&self.inner);
         let id = inner.next_forward;
         inner.next_forward += 1;
-        inner.forwards.entry(key.topic.clone()).or_default().insert(id, forward.clone());
-        inner.renew_forwards(&key.topic);
+        let kept = WantedForward { wanted, forward: forward.clone() };
         let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
+        let topic = topic.filter(|topic| kept.is_understood_of(&topic.identity()));
+        inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
+        inner.renew_forwards(&key.topic);
         drop(inner);
         if let Some(topic) = topic {
             topic.catch_up(&forward);
@@ -482,6 +504,18 @@ impl Topics {
         }
     }
 
+    /// What this node listens to on a topic now: the contract that it carries and the earlier
+    /// versions that are understood, or nothing where it has no listener.
+    ///
+    /// Without a listener the topic forgets the event of another node that it keeps. So the caller,
+    /// which is what listens to other nodes, must end that, or find a listener the next time: other
+    /// nodes send their last event when it listens again.
+    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+        let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
+        let listened = known.filter(|known| known.settle_interest());
+        listened.map_or(Vec::new(), |known| known.identities())
+    }
+
     /// The contract that a topic carries, if an object here has named it, and the earlier versions
     /// of it that are understood.
     pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
@@ -497,7 +531,7 @@ impl Topics {
         listened.map(|(_, known)| carried(known)).collect()
     }
 
-    /// From now on tells when a topic gets its first listener here, or loses its last.
+    /// Calls `interest` from now on.
     pub(crate) fn on_interest(&self, interest: InterestObserver) {
         *lock(&self.interest) = Some(interest);
     }
@@ -518,10 +552,22 @@ impl Inner {
         suggestion::nearest(key.topic.as_str(), names).map(Arc::from)
     }
 
-    fn renew_forwards(&self, topic: &ObjectName) {
-        if let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic)) {
-            known.erased.forward_to(forwards.values().cloned().collect());
-        }
+    /// Says whether there are some.
+    fn renew_forwards(&self, topic: &ObjectName) -> bool {
+        let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic))
+        else {
+            return false;
+        };
+        let identity = known.erased.identity();
+        let understood = forwards.values().filter(|kept| kept.is_understood_of(&identity));
+        known.erased.forward_to(understood.map(|kept| kept.forward.clone()).collect());
+        !forwards.is_empty()
+    }
+}
+
+impl WantedForward {
+    fn is_understood_of(&self, carried: &ContractIdentity) -> bool {
+        self.wanted.iter().any(|wanted| carried.check(wanted).is_ok())
     }
 }
 

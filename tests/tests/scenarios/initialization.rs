@@ -3,7 +3,7 @@
 use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
-use blastema::{Fault, Incarnation, NodeBuilder};
+use blastema::{Fault, Incarnation, NodeBuilder, RestartedChild};
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -237,11 +237,14 @@ async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
     assert_eq!((camera.incarnation, camera.state), (Incarnation(2), ChildState::Unavailable));
     let both = [FaultKind::Panic, FaultKind::Unavailable];
     assert_eq!(standing(&node).await, both, "the next life waits, and has not recovered");
+    let restarted = node.restart_child("camera").await.expect("it is stopped, and begins again");
+    assert_eq!(restarted, RestartedChild::Unavailable(Incarnation(3)), "it says that it waits");
     strings.cut_all();
-    node.restart_child("camera").await.expect("it is stopped, and begins anew");
+    let restarted = node.restart_child("camera").await.expect("it is stopped, and begins again");
+    assert_eq!(restarted, RestartedChild::Running(Incarnation(4)));
     node.await_recovered(FaultKind::Panic, "camera").await;
     assert_eq!(standing(&node).await, []);
-    assert_eq!(life(&node, "camera").await, 3);
+    assert_eq!(life(&node, "camera").await, 4);
     strings.pull("camera", "on_initialize", Pull::Unavailable("no camera"));
     node.shutdown().await;
     assert_eq!(node.state(), NodeState::Stopped);

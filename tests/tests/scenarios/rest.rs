@@ -5,6 +5,7 @@ use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, Fault, FaultTransition, Link, MemoryMedium, Network, NodeBuilder, RestartError,
+    RestartedChild,
 };
 use blastema_testkit::TestNode;
 use std::sync::{Arc, Mutex};
@@ -184,16 +185,16 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
         DeliveryError::Isolated
     );
 
-    let life = node.restart_child("motors").await.unwrap();
+    let restarted = node.restart_child("motors").await.unwrap();
 
-    assert_eq!(life, Some(blastema::Incarnation(2)));
+    assert_eq!(restarted, RestartedChild::Running(blastema::Incarnation(2)));
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
     assert_eq!(standing(&node).await, []);
     // It is held against nobody, also where it is at work.
     for next in 3..10 {
-        let life = node.restart_child("motors").await.unwrap();
-        assert_eq!(life, Some(blastema::Incarnation(next)));
+        let restarted = node.restart_child("motors").await.unwrap();
+        assert_eq!(restarted, RestartedChild::Running(blastema::Incarnation(next)));
     }
     assert_eq!(node.tree().await.unwrap().restarts_left, 1);
     assert_eq!(applied.lock().unwrap().len(), 1);

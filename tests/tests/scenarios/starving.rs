@@ -207,7 +207,8 @@ fn neighbours_of_one_that_hangs_at_each_start_go_on_and_are_blamed_for_nothing()
         bench.release();
         until("they come back", || node.abandoned_threads() == 0).await;
         let before = bench.0.count.load(Relaxed);
-        assert!(node.restart_child("laser").await.expect("it starts").is_some());
+        let restarted = node.restart_child("laser").await.expect("it starts");
+        assert!(restarted.incarnation().is_some(), "{restarted:?}");
         until("the counter goes on", || bench.0.count.load(Relaxed) > before).await;
         assert_eq!(node.state(), NodeState::Running);
         node.shutdown().await;

@@ -136,13 +136,18 @@ async fn a_latched_topic_gives_its_last_event_once_to_who_joins_and_to_each_new_
 }
 
 /// Two nodes on one network, in this order.
+async fn node_on(medium: &MemoryMedium, name: &str, other: &str) -> TestNode {
+    let network = Network::memory("lan", medium, name).link(Link::in_memory(other, other));
+    TestNode::start(Node::builder(name).network(network)).await
+}
+
 async fn two_nodes() -> (TestNode, TestNode) {
-    let medium = MemoryMedium::default();
-    let node = |name: &str, other: &str| {
-        let network = Network::memory("lan", &medium, name).link(Link::in_memory(other, other));
-        TestNode::start(Node::builder(name).network(network))
-    };
-    let (here, there) = (node("module1", "module2").await, node("module2", "module1").await);
+    two_nodes_on(&MemoryMedium::default()).await
+}
+
+async fn two_nodes_on(medium: &MemoryMedium) -> (TestNode, TestNode) {
+    let here = node_on(medium, "module1", "module2").await;
+    let there = node_on(medium, "module2", "module1").await;
     assert!(here.connected("module2", Duration::from_secs(10)).await);
     assert!(there.connected("module1", Duration::from_secs(10)).await);
     here.advance(1000 * MS).await;
@@ -287,8 +292,11 @@ async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
             there.advance(100 * MS).await;
             here.publisher::<Map>("plan").unwrap()
         };
-        plans.publish(Map(1)).unwrap();
+        if publishes_first {
+            plans.publish(Map(1)).unwrap();
+        }
 
+        // Without an event too: who waits for a listener would wait for this one.
         for node in [&mut here, &mut there] {
             let fault = node.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
             let parts = ["\"plan\"", "`map` version 1", "`camera/image` version 1"];
@@ -298,6 +306,39 @@ async fn a_topic_that_two_nodes_give_different_contracts_is_a_fault_on_both() {
         }
         assert_eq!(plans.matched(), 0);
     }
+}
+
+#[blastema_testkit::test]
+async fn a_listener_of_another_contract_is_matched_at_no_time() {
+    let (here, there) = two_nodes().await;
+    there.add_child(ChildSpec::new("planner", || Planner)).await.unwrap();
+    there.advance(100 * MS).await;
+
+    let plans = here.publisher::<Map>("plan").unwrap();
+    assert_eq!(plans.matched(), 0);
+}
+
+#[blastema_testkit::test]
+async fn a_mismatch_of_contracts_is_over_when_the_other_node_comes_back_without_it() {
+    let medium = MemoryMedium::default();
+    let (mut here, there) = two_nodes_on(&medium).await;
+    let _plans = here.publisher::<Map>("plan").unwrap();
+    there.add_child(ChildSpec::new("planner", || Planner)).await.unwrap();
+    here.await_fault(FaultKind::ContractMismatch, "net/gateway").await;
+    let stands = async |node: &Node| {
+        let record = node.faults().await;
+        let mut mismatches =
+            record.entries.iter().filter(|entry| entry.fault.kind == FaultKind::ContractMismatch);
+        mismatches.any(|entry| entry.stands())
+    };
+    there.shutdown().await;
+    assert!(stands(&here).await);
+
+    let there = node_on(&medium, "module2", "module1").await;
+    assert!(here.connected("module2", Duration::from_secs(10)).await);
+    there.advance(1000 * MS).await;
+
+    assert!(!stands(&here).await);
 }
 
 #[blastema_testkit::test]

@@ -37,19 +37,19 @@ impl StrategyThread {
     /// The strategy's code runs now, for this order.
     fn enter(&self, order: u64) -> Option<RunningCall> {
         let thread = self.clone();
-        self.callbacks.enter(move |limit| {
+        self.callbacks.enter(&self.object, move |limit| {
             thread.blocked_by.send_replace(Some(order));
             let detail = format!(
                 "the recovery strategy {} has blocked its thread for {limit:?}: the thread is abandoned",
                 thread.object.as_str().rsplit('/').next().unwrap_or_default()
             );
-            thread.callbacks.abandon_thread(&thread.object, detail);
+            thread.callbacks.declare(&thread.object, detail);
         })
     }
 
     /// It has returned, long after another thread took its place.
     fn end_late(&self) {
-        self.callbacks.take_back_thread(&self.object);
+        self.callbacks.clear(&self.object);
         Arbiter::current().stop();
     }
 }

@@ -5,6 +5,7 @@ use crate::arbiter::pool::ArbiterPool;
 use crate::{ChildSpec, Component, Context, Event, Handle, Incarnation, Ports};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
+use blastema_core::FaultKind;
 use blastema_doubles::{paused, settle};
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -207,6 +208,56 @@ fn a_panic_whose_drop_blocks_is_reported_when_the_life_is_given_up_and_once() {
     });
 }
 
+/// Panics, and what the handler had blocks as the panic unwinds.
+struct Trap(Arc<Held>);
+
+struct Local<'a>(&'a Held);
+
+impl Drop for Local<'_> {
+    fn drop(&mut self) {
+        self.0.wait();
+    }
+}
+
+impl Component for Trap {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Sample>();
+    }
+}
+
+impl Handle<Sample> for Trap {
+    async fn handle(&mut self, Sample(n): Sample, _: &mut Context<Self>) {
+        let _local = (n == 7).then_some(Local(&self.0));
+        panic!("{n} springs it");
+    }
+}
+
+#[test]
+fn a_panic_whose_unwinding_blocks_is_reported_when_the_life_is_given_up_and_once() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (open, held) = Held::new();
+        let of = held.clone();
+        let (mut child, trap) = stage.start(ChildSpec::new("trap", move || Trap(of.clone()))).await;
+
+        trap.tell(Sample(7)).unwrap();
+        held.until_a_thread_waits().await;
+        child.abandon();
+
+        let exited = tokio::time::timeout(Duration::from_secs(30), stage.exits.expect()).await;
+        let exited = exited.expect("the panic is reported while it unwinds");
+        let ExitReason::Panicked { text, at, during } = &exited.exit else { panic!("{exited:?}") };
+        assert_eq!((text.as_str(), exited.incarnation), ("7 springs it", Incarnation(1)));
+        assert!(at.contains("reporting.rs:") && during.contains("Sample"), "{exited:?}");
+        assert_eq!(stage.begin(&mut *child, 2).await, ChildEvent::Started);
+        drop(open);
+        trap.tell(Sample(8)).unwrap();
+        let next = stage.exits.expect().await;
+        assert_eq!(next.incarnation, Incarnation(2), "the first was told once");
+        stage.environment.arbiters.stop();
+    });
+}
+
 #[test]
 fn a_panic_is_reported_though_the_factory_of_the_next_life_blocks() {
     actix_rt::System::new().block_on(async {
@@ -257,12 +308,34 @@ impl Drop for Remnant {
     }
 }
 
+/// What blocks the `Drop` of the message of number 1.
+static BURDEN: Mutex<Option<Arc<Held>>> = Mutex::new(None);
+static BURDENS_DROPPED: AtomicU64 = AtomicU64::new(0);
+
+/// The first one blocks where it is dropped.
+#[derive(Clone, Debug, Event)]
+struct Burden(u64);
+
+impl Drop for Burden {
+    fn drop(&mut self) {
+        if self.0 == 1 {
+            let held = BURDEN.lock().unwrap().take();
+            held.expect("it is dropped once").wait();
+        }
+        BURDENS_DROPPED.fetch_add(1, Relaxed);
+    }
+}
+
 struct Hoard;
 
 impl Component for Hoard {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Remnant>();
+        ports.accept::<Remnant>().accept::<Burden>();
     }
+}
+
+impl Handle<Burden> for Hoard {
+    async fn handle(&mut self, _: Burden, _: &mut Context<Self>) {}
 }
 
 impl Handle<Remnant> for Hoard {
@@ -285,6 +358,36 @@ fn what_waited_for_a_life_that_was_given_up_is_dropped_on_no_thread_of_its_super
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         assert_eq!(KEEPER_DROPS.load(Relaxed), 0);
+        stage.environment.arbiters.stop();
+    });
+}
+
+#[test]
+fn a_message_whose_drop_blocks_on_its_return_is_named_and_the_others_are_returned() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (open, held) = Held::new();
+        *BURDEN.lock().unwrap() = Some(held.clone());
+        let (mut child, hoard) = stage.start(ChildSpec::new("hoard", || Hoard)).await;
+        child.abandon();
+        (1..=3).for_each(|n| hoard.tell(Burden(n)).unwrap());
+
+        child.stop();
+        held.until_a_thread_waits().await;
+        stage.environment.callbacks.look(Duration::from_secs(60));
+
+        let fault = stage.faults.expect().await;
+        assert_eq!((fault.object.as_str(), fault.kind), ("hoard", FaultKind::CheckFailed));
+        assert!(fault.detail.contains("Burden has blocked its thread"), "{}", fault.detail);
+        assert_eq!(stage.environment.arbiters.lost()[&fault.object], 1);
+        while BURDENS_DROPPED.load(Relaxed) < 2 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        drop(open);
+        while stage.environment.arbiters.abandoned() > 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        assert_eq!(BURDENS_DROPPED.load(Relaxed), 3);
         stage.environment.arbiters.stop();
     });
 }

@@ -7,8 +7,8 @@ use crate::{
 };
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
-use blastema_core::Contract;
 use blastema_core::delivery::dead_letters::DeadReason;
+use blastema_core::{Contract, ContractIdentity};
 use blastema_doubles::{advance, paused, settle};
 use bytes::Bytes;
 use std::sync::{Arc, Mutex};
@@ -212,16 +212,22 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         let key = TopicKey::new("other", Sample::NAME).unwrap();
         let shipped = Arc::new(Mutex::new(vec![]));
         let kept = shipped.clone();
-        let forward = topics
-            .forward(&key, Arc::new(move |bytes, _| kept.lock().unwrap().push(bytes.clone())));
+        let wanted = vec![ContractIdentity::of::<Sample>().brief()];
+        let forward = topics.forward(
+            &key,
+            wanted,
+            Arc::new(move |bytes, _| kept.lock().unwrap().push(bytes.clone())),
+        );
         assert!(matches!(
             topics.inject(&key.topic, 0, &Bytes::from_static(&[1]), Duration::ZERO),
             Err(DeliveryError::Unknown { .. })
         ));
         let interest = Arc::new(Mutex::new(vec![]));
         let kept = interest.clone();
-        topics.on_interest(Arc::new(move |key, more| {
-            kept.lock().unwrap().push((key.topic.to_string(), more));
+        let of = crate::topic::Topics::clone(topics);
+        topics.on_interest(Arc::new(move |key| {
+            let listens = !of.settle_interest(&key.topic).is_empty();
+            kept.lock().unwrap().push((key.topic.to_string(), listens));
         }));
         let (spec, log) = listener("ear");
         let (mut child, _) = stage.start(spec).await;

@@ -76,7 +76,7 @@ impl Handler<SessionReported> for GatewayActor {
 impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
         let (id, gate) = self.meet(&node);
-        self.peers.entry(id).and_modify(|peer| peer.begin(session, incarnation));
+        self.begin_peer(id, session, incarnation);
         self.forget_past(id);
         let now = platform::now();
         self.exchange.handle_opened(id, incarnation, now);
@@ -176,15 +176,9 @@ impl Handler<LocalEvent> for GatewayActor {
     fn handle(&mut self, message: LocalEvent, context: &mut Context<Self>) {
         let LocalEvent { peer, subscription, event, sent, credit } = message;
         self.credit = Some(credit);
-        match self.verify((peer, subscription)) {
-            Ok(by) => self.exchange.handle_event(peer, by, event, sent),
-            Err(why @ DeliveryError::ContractDiffers { .. }) => {
-                self.differs(peer, &why.to_string());
-                self.retire((peer, subscription), &why);
-                self.bury_late((peer, subscription));
-                self.exchange.handle_subscribe_refused(peer, subscription, why);
-            }
-            Err(_) => self.bury_late((peer, subscription)),
+        match self.forwards.get(&(peer, subscription)).map(|known| known.by) {
+            Some(by) => self.exchange.handle_event(peer, by, event, sent),
+            None => self.bury_late((peer, subscription)),
         }
         self.drive(context);
         self.credit = None;
@@ -195,8 +189,9 @@ impl Handler<TopicInterestChanged> for GatewayActor {
     type Result = ();
 
     fn handle(&mut self, message: TopicInterestChanged, context: &mut Context<Self>) {
-        let TopicInterestChanged { key, more } = message;
-        let identities = if more { self.wiring.topics.identities(&key.topic) } else { Vec::new() };
+        let TopicInterestChanged { key } = message;
+        self.compare_forwards(&key);
+        let identities = self.wiring.topics.settle_interest(&key.topic);
         self.exchange.handle_interest(topic(&key), identities);
         self.drive(context);
     }

@@ -14,7 +14,7 @@ pub(super) struct GatewayPeer {
     pub(super) incarnation: Incarnation,
     /// That life has ended in order.
     pub(super) left: bool,
-    /// Contracts that it does not mean as this node does, since the session began.
+    /// Contracts that it does not mean as this node does, in this incarnation.
     differences: Vec<String>,
 }
 
@@ -28,10 +28,11 @@ impl GatewayPeer {
         GatewayPeer { node, gate, session, incarnation, left, differences: Vec::new() }
     }
 
-    /// A session begins.
-    pub(super) fn begin(&mut self, session: u32, incarnation: Incarnation) {
+    /// A session begins. Says whether that ends what differed in an earlier incarnation.
+    pub(super) fn begin(&mut self, session: u32, incarnation: Incarnation) -> bool {
+        let is_another = self.incarnation != incarnation;
         (self.session, self.incarnation, self.left) = (session, incarnation, false);
-        self.differences.clear();
+        is_another && !std::mem::take(&mut self.differences).is_empty()
     }
 
     /// A contract is not the same there.

@@ -15,7 +15,7 @@ use std::sync::Arc;
 pub(super) struct Forwarded {
     pub(super) id: ForwardId,
     pub(super) key: TopicKey,
-    /// What the peer takes the events for, until that could be compared.
+    /// What the peer takes the events for, until an object here names the topic.
     pub(super) unverified: Option<Vec<PeerIdentity>>,
     /// Under which number they go, and how.
     pub(super) by: (u32, Delivery),
@@ -37,6 +37,7 @@ impl GatewayActor {
         };
         // Whether it wants the newest only must be known before the first event.
         let newest = theirs.first().is_some_and(|theirs| theirs.delivery == Delivery::Newest);
+        let wanted = theirs.clone();
         let (by, unverified) = match self.wiring.topics.identities(&key.topic).first() {
             None => ((subscription, Delivery::default()), Some(theirs)),
             Some(ours) => match version_of(ours, &theirs) {
@@ -68,9 +69,11 @@ impl GatewayActor {
             }
         });
         self.end_forward((peer, subscription));
-        let id = self.wiring.topics.forward(&key, forward);
-        let forwarded = Forwarded { id, key, unverified, by, losses };
+        let id = self.wiring.topics.forward(&key, wanted, forward);
+        let forwarded = Forwarded { id, key: key.clone(), unverified, by, losses };
         self.forwards.insert((peer, subscription), forwarded);
+        // An object may have named the topic just now.
+        self.compare_forwards(&key);
     }
 
     pub(super) fn end_forward(&mut self, forward: (NodeId, u32)) -> Option<Forwarded> {
@@ -79,29 +82,29 @@ impl GatewayActor {
         Some(ended)
     }
 
-    /// Under which number, and how, an event goes to this peer. The first event may find that the
-    /// topic had no contract here when the peer subscribed.
-    pub(super) fn verify(
-        &mut self,
-        forward: (NodeId, u32),
-    ) -> Result<(u32, Delivery), DeliveryError> {
-        let Some(known) = self.forwards.get_mut(&forward) else {
-            return Err(DeliveryError::Unknown { name: "subscription".into() });
-        };
-        if let Some(theirs) = known.unverified.take()
-            && let Some(ours) = self.wiring.topics.identities(&known.key.topic).first()
-        {
+    /// Under which number, and how, events of this topic go to the peers that subscribed when it
+    /// had no contract here yet. It has one once an object here has named it, before its first
+    /// event.
+    pub(super) fn compare_forwards(&mut self, key: &TopicKey) {
+        let identities = self.wiring.topics.identities(&key.topic);
+        let Some(ours) = identities.first() else { return };
+        let mut differing = Vec::new();
+        for (forward, known) in &mut self.forwards {
+            let same = known.key.topic == key.topic;
+            let Some(theirs) = known.unverified.take_if(|_| same) else { continue };
             match version_of(ours, &theirs) {
                 Ok(form) => known.by = (forward.1 + form, ours.delivery),
-                Err(difference) => {
-                    let key = known.key.clone();
-                    let difference =
-                        self.topic_differs(forward.0, &key, ours, &theirs, &difference);
-                    return Err(DeliveryError::ContractDiffers { difference });
-                }
+                Err(difference) => differing.push((*forward, theirs, difference)),
             }
         }
-        Ok(known.by)
+        for (forward, theirs, difference) in differing {
+            let (peer, subscription) = forward;
+            let difference = self.topic_differs(peer, key, ours, &theirs, &difference);
+            self.differs(peer, &difference);
+            self.end_forward(forward);
+            let why = DeliveryError::ContractDiffers { difference };
+            self.exchange.handle_subscribe_refused(peer, subscription, why);
+        }
     }
 
     /// Names both nodes and the contract that each means by a topic.

@@ -338,6 +338,11 @@ impl PeerProtocol {
     /// This node listens to a topic from now on, by the present version of its contract and the
     /// earlier ones that it understands; or no more, if there is none.
     pub fn handle_interest(&mut self, topic: TopicContract, identities: Vec<ContractIdentity>) {
+        if !identities.is_empty() && self.interests.contains_key(&topic) {
+            // A topic carries one contract. A second subscription would have the latched event
+            // sent again.
+            return;
+        }
         let before = self.interests.remove(&topic);
         if let Some(RemoteTopic { subscription, .. }) = before {
             self.tell_all(&PeerMessage::Unsubscribe { subscription });

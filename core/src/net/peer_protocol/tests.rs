@@ -292,6 +292,9 @@ fn an_interest_is_told_now_and_to_every_later_session() {
     };
     assert_eq!(pair.take(0), [event]);
 
+    pair.ends[0].handle_interest(topic(), vec![count()]);
+    pair.run();
+    assert_eq!(pair.take(1), [], "the same interest is no second subscription");
     pair.ends[0].handle_interest(topic(), vec![]);
     pair.run();
     let (peer, subscription) = (*peer, *subscription);

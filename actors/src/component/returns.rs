@@ -1,0 +1,75 @@
+//! Messages that are not going to be served: they are returned to their senders, or dropped and
+//! counted.
+//!
+//! Their `Drop` is the user's. A supervisor that closes a queue has it run on a thread that is
+//! started for it and [observed](crate::runtime::callbacks); a `Drop` that blocks there is a fault
+//! of the component, under its name.
+
+use super::Component;
+use super::cell::{CellCore, ComponentCell};
+use super::envelope::BoxedEnvelope;
+use crate::runtime::callbacks::{CallKind, CallOutcome};
+use blastema_core::{DeliveryError, FaultKind, Incarnation};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
+use tracing::warn;
+
+impl<C: Component> ComponentCell<C> {
+    /// Closes the queue until the next life; what was in it is returned or counted. Its `Drop` is
+    /// the user's and may block, and the caller is a supervisor.
+    pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
+        let record = &self.record;
+        for mail in self.lane.stop() {
+            let contract = mail.brief().name;
+            let (cell, why) = (self.clone(), why.clone());
+            let give_back = move || cell.return_mail(mail, why);
+            let (cell, declared) = (self.clone(), AtomicBool::new(false));
+            let outcome = move |outcome| cell.record.handle_returned(contract, outcome, &declared);
+            record.environment.callbacks.call(CallKind::Return, &record.name, give_back, outcome);
+        }
+    }
+
+    /// The same, by the life that ends; without effect when it was given up and another has begun.
+    pub(crate) fn close_by(&self, incarnation: Incarnation) {
+        let left = self.lane.stop_by(incarnation);
+        left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
+    }
+
+    /// A message that is not going to be served.
+    pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
+        let contract = mail.brief().name;
+        self.record.record_dead_letter(contract, &why);
+        let give_back = move || {
+            mail.give_back(why);
+            drop(mail);
+        };
+        let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
+    }
+}
+
+impl CellCore {
+    /// What became of the call that returns a message of this contract. `declared`: that it is
+    /// late stands as a fault.
+    fn handle_returned(&self, contract: &str, outcome: CallOutcome, declared: &AtomicBool) {
+        let detail = match outcome {
+            // A panic is declared where it is caught.
+            CallOutcome::Done | CallOutcome::Panicked(_) | CallOutcome::ReturnedLate => {
+                if declared.load(Relaxed) {
+                    self.clear(FaultKind::CheckFailed);
+                }
+                return;
+            }
+            CallOutcome::Blocked(limit) => format!(
+                "the Drop of a message of {contract} has blocked its thread for {limit:?}: the \
+                 thread is abandoned"
+            ),
+            CallOutcome::NotMade => format!(
+                "a message of {contract} is not returned yet: the system has no thread left"
+            ),
+        };
+        declared.store(true, Relaxed);
+        warn!(object = %self.name, "{detail}");
+        self.declare(FaultKind::CheckFailed, detail);
+    }
+}

@@ -1,0 +1,207 @@
+//! Calls that return in time, late, or never, on real threads.
+
+use super::*;
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+const LIMIT: Duration = Duration::from_millis(100);
+/// For threads of a busy computer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// The number of a call, and what became of it.
+type Told = (u32, CallOutcome);
+
+struct Rig {
+    callbacks: Callbacks,
+    told: (Sender<Told>, Receiver<Told>),
+}
+
+impl Rig {
+    fn new() -> Self {
+        Rig::of(Callbacks::on_threads(LIMIT, ArbiterPool::here()))
+    }
+
+    fn of(callbacks: Callbacks) -> Self {
+        Rig { callbacks, told: channel() }
+    }
+
+    fn threads(&self) -> &Arc<Threads> {
+        self.callbacks.0.as_ref().unwrap()
+    }
+
+    fn call(&self, number: u32, run: impl FnOnce() + Send + 'static) {
+        self.call_of(CallKind::SafeOutput, "arm", number, run);
+    }
+
+    fn call_of(
+        &self,
+        kind: CallKind,
+        object: &str,
+        number: u32,
+        run: impl FnOnce() + Send + 'static,
+    ) {
+        let told = self.told.0.clone();
+        let outcome = move |outcome| told.send((number, outcome)).unwrap();
+        self.callbacks.call(kind, &object.parse().unwrap(), run, outcome);
+    }
+
+    /// Blocks until the sender is dropped.
+    fn block(&self, number: u32) -> Sender<()> {
+        self.block_by(CallKind::SafeOutput, number)
+    }
+
+    fn block_by(&self, kind: CallKind, number: u32) -> Sender<()> {
+        let (hold, held) = channel::<()>();
+        let (begun, begins) = channel();
+        self.call_of(kind, "arm", number, move || {
+            begun.send(()).unwrap();
+            let _ = held.recv();
+        });
+        begins.recv_timeout(PATIENCE).expect("a thread makes the call");
+        hold
+    }
+
+    fn told(&self) -> (u32, CallOutcome) {
+        self.told.1.recv_timeout(PATIENCE).expect("a call has an outcome")
+    }
+
+    fn abandoned(&self) -> usize {
+        self.threads().arbiters.abandoned()
+    }
+}
+
+#[test]
+fn calls_are_made_in_order_and_a_panic_is_an_outcome() {
+    let rig = Rig::new();
+
+    rig.call(1, || {});
+    rig.call(2, || panic!("no brake"));
+    rig.call(3, || {});
+
+    assert_eq!(rig.told(), (1, CallOutcome::Done));
+    assert_eq!(rig.told(), (2, CallOutcome::Panicked("no brake".into())));
+    assert_eq!(rig.told(), (3, CallOutcome::Done));
+}
+
+#[test]
+fn a_call_that_blocks_is_told_once_and_those_behind_it_are_made_on_another_thread() {
+    let rig = Rig::new();
+    let hold = rig.block(1);
+    rig.call(2, || {});
+
+    rig.callbacks.look(LIMIT);
+    assert!(rig.told.1.try_recv().is_err(), "it has the whole limit");
+    rig.callbacks.look(Duration::from_millis(1));
+
+    assert_eq!(rig.told(), (1, CallOutcome::Blocked(LIMIT)));
+    assert_eq!(rig.told(), (2, CallOutcome::Done));
+    assert_eq!(rig.abandoned(), 1);
+    rig.callbacks.look(10 * LIMIT);
+    drop(hold);
+    assert_eq!(rig.told(), (1, CallOutcome::ReturnedLate));
+    assert_eq!(rig.abandoned(), 0);
+    rig.call(3, || {});
+    assert_eq!(rig.told(), (3, CallOutcome::Done));
+}
+
+#[test]
+fn a_call_that_returns_while_its_delay_is_reported_leaves_no_lost_thread() {
+    let rig = Rig::new();
+    let hold = rig.block(1);
+    // The report of the delay stops at this lock.
+    let queue = lock(&rig.threads().outputs);
+    let callbacks = rig.callbacks.clone();
+    let look = std::thread::spawn(move || callbacks.look(2 * LIMIT));
+    while !lock(&rig.threads().running).is_empty() {
+        std::thread::yield_now();
+    }
+
+    drop(hold);
+    let early = rig.told.1.recv_timeout(LIMIT);
+    assert!(early.is_err(), "its delay is reported first: {early:?}");
+    drop(queue);
+    look.join().unwrap();
+
+    assert_eq!(rig.told(), (1, CallOutcome::Blocked(LIMIT)));
+    assert_eq!(rig.told(), (1, CallOutcome::ReturnedLate));
+    assert_eq!(rig.abandoned(), 0);
+}
+
+#[test]
+fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
+    let rig = Rig::new();
+    let mut holds = Vec::new();
+    for number in 0..THREADS_OF_ONE as u32 {
+        holds.push(rig.block(number));
+        rig.callbacks.look(2 * LIMIT);
+        assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
+    }
+
+    rig.call(9, || panic!("it is not called"));
+    assert_eq!(rig.told(), (9, CallOutcome::NotMade));
+
+    rig.call_of(CallKind::SafeOutput, "leg", 8, || {});
+    assert_eq!(rig.told(), (8, CallOutcome::Done));
+
+    holds.clear();
+    for _ in 0..THREADS_OF_ONE {
+        assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
+    }
+    rig.call(10, || {});
+    assert_eq!(rig.told(), (10, CallOutcome::Done));
+}
+
+#[test]
+fn what_an_object_blocks_by_messages_is_not_held_against_its_safe_outputs() {
+    let rig = Rig::new();
+    let mut holds = Vec::new();
+    for number in 0..THREADS_OF_ONE as u32 {
+        holds.push(rig.block_by(CallKind::Return, number));
+        rig.callbacks.look(2 * LIMIT);
+        assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
+    }
+    assert_eq!(rig.abandoned(), THREADS_OF_ONE);
+
+    rig.call(8, || {});
+    assert_eq!(rig.told(), (8, CallOutcome::Done));
+
+    rig.call_of(CallKind::Return, "arm", 9, || {});
+    rig.call_of(CallKind::Return, "leg", 10, || {});
+    assert_eq!(rig.told(), (10, CallOutcome::Done), "the ninth waits, and others do not");
+    drop(holds.pop());
+    assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
+    assert_eq!(rig.told(), (9, CallOutcome::Done));
+    drop(holds);
+    for _ in 1..THREADS_OF_ONE {
+        assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
+    }
+    assert_eq!(rig.abandoned(), 0);
+}
+
+#[test]
+fn without_a_thread_messages_wait_and_safe_outputs_are_applied_at_once() {
+    let has_threads = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let allowed = has_threads.clone();
+    let start = move |name: &str, body: Box<dyn FnOnce() + Send>| {
+        if !allowed.load(std::sync::atomic::Ordering::SeqCst) {
+            return Err(std::io::ErrorKind::WouldBlock.into());
+        }
+        platform::start_thread(name, body).map(drop)
+    };
+    let arbiters = ArbiterPool::here();
+    let rig = Rig::of(Callbacks::on_threads_of(Box::new(start), LIMIT, arbiters));
+    let here = std::thread::current().id();
+
+    let elsewhere = move || assert_ne!(std::thread::current().id(), here);
+    rig.call_of(CallKind::Return, "arm", 1, elsewhere);
+    rig.call_of(CallKind::Return, "arm", 2, elsewhere);
+    assert_eq!(rig.told(), (1, CallOutcome::NotMade));
+    rig.callbacks.look(Duration::ZERO);
+    assert!(rig.told.1.try_recv().is_err(), "that they wait is told once");
+    rig.call(3, move || assert_eq!(std::thread::current().id(), here));
+    assert_eq!(rig.told(), (3, CallOutcome::Done));
+
+    has_threads.store(true, std::sync::atomic::Ordering::SeqCst);
+    rig.callbacks.look(Duration::ZERO);
+    assert_eq!(rig.told(), (1, CallOutcome::Done));
+    assert_eq!(rig.told(), (2, CallOutcome::Done));
+}

@@ -1,0 +1,54 @@
+//! What the network learns of listeners that come and go on several threads.
+
+use super::*;
+use std::sync::mpsc::channel;
+use std::thread;
+
+/// For threads of a busy computer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+#[derive(Clone, crate::Event)]
+struct Sample(u32);
+
+fn topic(topics: &Topics) -> Arc<Topic<Sample>> {
+    topics.topic("sample", Location::caller()).unwrap()
+}
+
+fn change(topic: &Topic<Sample>, more: bool) {
+    let ear: ObjectName = "ear".parse().unwrap();
+    let first_or_last = match more {
+        true => topic.add_listener(&lock(&topic.latch)),
+        false => topic.remove_listener(),
+    };
+    topic.listener_changed(&ear, more, first_or_last);
+}
+
+#[test]
+fn what_is_known_of_interest_is_true_whatever_the_order_of_its_reports() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let topic = topic(&topics);
+    let (report, reported) = channel();
+    let (hold, held) = channel::<()>();
+    let (begun, begins) = channel();
+    let held = Mutex::new(Some(held));
+    topics.on_interest(Arc::new(move |key| {
+        // The thread of the first listener is interrupted here.
+        let first = lock(&held).take();
+        if let Some(held) = first {
+            begun.send(()).unwrap();
+            let _ = held.recv();
+        }
+        report.send(key.clone()).unwrap();
+    }));
+
+    let joined = topic.clone();
+    let joins = thread::spawn(move || change(&joined, true));
+    begins.recv_timeout(PATIENCE).unwrap();
+    change(&topic, false);
+    drop(hold);
+    joins.join().unwrap();
+
+    let settled: Vec<bool> =
+        reported.try_iter().map(|key| !topics.settle_interest(&key.topic).is_empty()).collect();
+    assert_eq!(settled, [false, false], "there is no listener");
+}
