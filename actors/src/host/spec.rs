@@ -184,9 +184,14 @@ impl<C: Component> ChildSpec<C> {
             ));
         }
         let name = ObjectName::new(&self.name)?;
-        let mut ports = panics::caught(Ports::<C>::of)
-            .map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
-        self.more_ports.into_iter().for_each(|declare| declare(&mut ports));
+        let more_ports = self.more_ports;
+        let declared = panics::caught(move || {
+            let mut ports = Ports::<C>::of();
+            more_ports.into_iter().for_each(|declare| declare(&mut ports));
+            ports
+        });
+        let ports =
+            declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let anchor = Arc::new(ComponentCell::new(record, self.queue, self.factory));

@@ -381,7 +381,7 @@ impl Eyes {
         let version = self.list.0.version.load(Relaxed);
         if version != self.version {
             self.version = version;
-            self.learn(now);
+            self.learn();
         }
         self.scanner.handle_look(now);
         for (id, pulse) in &self.pulses {
@@ -393,10 +393,10 @@ impl Eyes {
                 stamp: known.map(|known| read(Some(known))),
                 fenced: pulse.is_fenced(),
             };
-            self.scanner.handle_pulse(*id, reading, now);
+            self.scanner.handle_pulse(*id, reading);
         }
         if self.looks.is_multiple_of(STAMPS) {
-            self.scanner.handle_stamps(now, &self.stamps);
+            self.scanner.handle_stamps(&self.stamps);
             let missed = self.scanner.missed_rounds().collect();
             *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
@@ -416,7 +416,7 @@ impl Eyes {
     }
 
     /// Brings what is known up to date with the list.
-    fn learn(&mut self, now: Instant) {
+    fn learn(&mut self) {
         let list = self.list.clone();
         let entries = list.lock();
         let scanner = &mut self.scanner;
@@ -434,7 +434,7 @@ impl Eyes {
             if self.stamps.get(*slot).is_some() {
                 continue;
             }
-            scanner.handle_enter(*slot, entry.judged(), now);
+            scanner.handle_enter(*slot, entry.judged());
             let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
             let (stamp, inside) = (entry.stamp, entry.inside.clone());
             self.stamps.enter(*slot, KnownComponent { object, arbiter, stamp, inside });

@@ -190,6 +190,13 @@ async fn ports_that_panic_are_an_error_that_names_the_component() {
     assert!(text.contains("throwers.rs"), "{text}");
 
     let strings = Strings::default();
+    let more = strings.spec("hasty").with_ports(|_| panic!("no more ports"));
+    let Err(refused) = TestNode::try_start(Node::builder("module1").child(more)).await else {
+        panic!("it has no ports")
+    };
+    let text = refused.to_string();
+    assert!(text.contains("hasty") && text.contains("no more ports"), "{text}");
+
     let node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
     let refused = node.add_child(ChildSpec::new("rash", || Rash)).await.expect_err("no ports");
     assert!(matches!(refused, SpecError::Ports { name, .. } if name.as_str() == "rash"));

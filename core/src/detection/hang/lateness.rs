@@ -49,6 +49,8 @@ struct Rounds {
 #[derive(Clone, Copy, Debug)]
 struct Window {
     since: Instant,
+    /// How long the scanner had not been scheduled when it began, all in all.
+    blind: Duration,
     due: u64,
     missed: u64,
     expired: u64,
@@ -67,7 +69,8 @@ impl Rounds {
 
 impl Lateness {
     pub(super) fn new(now: Instant) -> Self {
-        let window = Window { since: now, due: 0, missed: 0, expired: 0 };
+        let blind = Duration::ZERO;
+        let window = Window { since: now, blind, due: 0, missed: 0, expired: 0 };
         Lateness { rounds: None, window, bad: 0, counts: Counts::default(), delayed_since: None }
     }
 
@@ -92,28 +95,31 @@ impl Lateness {
         judged: &HangLimits,
         reading: &ComponentSample,
         (window, root): (Duration, Option<SlotId>),
-        now: Instant,
+        (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
         let due = self.count_rounds(reading, now);
         let missed = self.missed_rounds();
-        let Window { since, due: due_before, missed: missed_before, expired } = self.window;
+        let Window { since, due: due_before, missed: missed_before, expired, .. } = self.window;
+        let next = Window { since: now, blind, due, missed, expired: reading.expired };
         let due_here = due.saturating_sub(due_before);
         let is_full = due_here >= ROUNDS_LEAST || reading.interval.is_zero();
         if due < due_before {
             // It is counted from the beginning.
-            self.window = Window { since: now, due, missed, expired: reading.expired };
+            self.window = next;
         } else if now - since >= window && is_full {
             let missed_here = missed.saturating_sub(missed_before);
             let limit = u64::from(judged.max_missed_percent);
             let rounds = missed_here * 100 > due_here * limit;
             let expired_here = reading.expired.saturating_sub(expired);
-            let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero();
+            // What expires while the scanner is not scheduled is held against nobody.
+            let seen = blind.saturating_sub(self.window.blind) < now - since;
+            let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero() && seen;
             self.bad = if rounds || messages { self.bad + 1 } else { 0 };
             // A component that was late because of another is so until a window is good: the end of
             // a load is no fault of those who were behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
             self.counts = Counts { missed: missed_here, expired: expired_here, root };
-            self.window = Window { since: now, due, missed, expired: reading.expired };
+            self.window = next;
         }
         (self.bad >= WINDOWS).then_some(self.counts)
     }
@@ -131,6 +137,8 @@ impl Lateness {
         }
         let Some(rounds) = &mut self.rounds else { return 0 };
         let due = rounds.due(now);
+        // Rounds that were run while the scanner was not are no credit for later ones.
+        rounds.before = rounds.before.max(reading.rounds.saturating_sub(due));
         // One may be under way.
         let done = reading.rounds.saturating_sub(rounds.before) + 1;
         rounds.missed = rounds.missed.max(due.saturating_sub(done));

@@ -105,13 +105,17 @@ impl ComponentRecord {
         let max_delay = self.judged.max_delay;
         let window = around.config.window;
         let root = around.kept_by(window);
-        let counts = self.lateness.handle_counts(&self.judged, &reading, (window, root), now);
+        let at = (now, around.missed);
+        let counts = self.lateness.handle_counts(&self.judged, &reading, (window, root), at);
         let is_busy = around
             .arbiter
             .is_some_and(|arbiter| arbiter.occupancy.busy(looks_in(window)) >= SATURATED);
         let looks = turned || reading.turn % 2 == 1 || is_busy;
         let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
-        let waits = queue.queued > 0 && queue.oldest > max_delay && reading.allowance.is_zero();
+        // One that is not at work, because its device is away or its start fails, serves nothing:
+        // that is another fault.
+        let serves = reading.speaks && reading.allowance.is_zero();
+        let waits = serves && queue.queued > 0 && queue.oldest > max_delay;
         let moves = now - self.turn_since < max_delay;
         let delayed = waits && (root.is_some() || moves);
         let is_free = !delayed && !around.stands(now);

@@ -10,8 +10,9 @@
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
 //! victims. What a victim suffers is told after its root was.
 //!
-//! A culprit is not condemned by what the scanner itself missed: when it was not scheduled for a
-//! while, everything seen before is void.
+//! Nobody is condemned for time that the scanner itself was not scheduled: it keeps a clock that
+//! goes on only while it looks, and measures everything by that. A computer on which it is late at
+//! every look is judged later, and no less.
 
 mod lateness;
 mod load;
@@ -94,6 +95,8 @@ enum Silence {
 pub struct HangDetector {
     config: HangDetectorConfig,
     looked_at: Option<Instant>,
+    /// The time in which it has looked.
+    clock: Instant,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
     components: Vec<Option<ComponentRecord>>,
@@ -106,6 +109,7 @@ impl HangDetector {
         HangDetector {
             config,
             looked_at: None,
+            clock: Instant::ORIGIN,
             arbiters: BTreeMap::new(),
             components: Vec::new(),
             outputs: VecDeque::new(),
@@ -113,12 +117,12 @@ impl HangDetector {
     }
 
     /// This component is judged from now on.
-    pub fn handle_enter(&mut self, slot: SlotId, judged: HangLimits, now: Instant) {
+    pub fn handle_enter(&mut self, slot: SlotId, judged: HangLimits) {
         let at = slot as usize;
         if self.components.len() <= at {
             self.components.resize_with(at + 1, || None);
         }
-        self.components[at] = Some(ComponentRecord::new(judged, now));
+        self.components[at] = Some(ComponentRecord::new(judged, self.clock));
     }
 
     /// It is no longer.
@@ -142,21 +146,25 @@ impl HangDetector {
     pub fn handle_look(&mut self, now: Instant) {
         let gap = self.looked_at.map_or(Duration::ZERO, |before| now - before);
         self.looked_at = Some(now);
-        if gap <= self.config.gap {
-            return;
+        self.clock = self.clock + gap.min(self.config.gap);
+        if gap > self.config.stall {
+            self.outputs.push_back(LivenessEvent::Stalled { gap });
         }
-        for arbiter in self.arbiters.values_mut() {
-            (arbiter.since, arbiter.beat_since) = (now, now);
-            arbiter.fenced_since = arbiter.fenced_since.map(|_| now);
-        }
-        for component in self.components.iter_mut().flatten() {
-            component.void(now);
-        }
-        self.outputs.push_back(LivenessEvent::Stalled { gap });
+    }
+
+    /// How long it has not been scheduled, all in all.
+    fn missed(&self) -> Duration {
+        self.looked_at.map_or(Duration::ZERO, |at| at - self.clock)
+    }
+
+    /// The instant at which its clock stood so.
+    fn shown(&self, at: Instant) -> Instant {
+        at + self.missed()
     }
 
     /// What an arbiter says.
-    pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample, now: Instant) {
+    pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample) {
+        let now = self.clock;
         let turn = reading.stamp.map(|stamp| stamp.turn);
         let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
@@ -265,7 +273,8 @@ impl HangDetector {
     /// What is known of every arbiter.
     pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterStatus)> + '_ {
         self.arbiters.iter().map(|(id, arbiter)| {
-            let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
+            let hangs =
+                arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), self.shown(arbiter.since)));
             (*id, ArbiterStatus { busy: arbiter.occupancy.share(), hangs })
         })
     }
@@ -277,7 +286,7 @@ impl HangDetector {
         known.filter_map(|(slot, component)| {
             let component = component.as_ref()?;
             let turn = component.reading?.turn;
-            (turn % 2 == 1).then_some((slot, turn, component.turn_since))
+            (turn % 2 == 1).then_some((slot, turn, self.shown(component.turn_since)))
         })
     }
 
@@ -288,7 +297,7 @@ impl HangDetector {
             let component = component.as_ref()?;
             let expected = component.reading.is_some_and(|reading| reading.speaks);
             let judged = expected && component.judged.max_silence.is_some();
-            judged.then_some((slot, component.last_sign))
+            judged.then_some((slot, component.last_sign.map(|at| self.shown(at))))
         })
     }
 
@@ -302,12 +311,14 @@ impl HangDetector {
     }
 
     /// Looks at all components.
-    pub fn handle_stamps(&mut self, now: Instant, looked: &impl Looked) {
+    pub fn handle_stamps(&mut self, looked: &impl Looked) {
+        let (now, missed) = (self.clock, self.missed());
         let HangDetector { config, arbiters, components, outputs, .. } = self;
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         for (slot, place) in (0..).zip(components) {
             let Some(component) = place else { continue };
-            let around = Around { slot, arbiter: arbiters.get(&component.judged.arbiter), config };
+            let arbiter = arbiters.get(&component.judged.arbiter);
+            let around = Around { slot, arbiter, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
         }
         self.blame(late, looked, now);
@@ -322,6 +333,8 @@ struct Around<'a> {
     slot: SlotId,
     arbiter: Option<&'a Arbiter>,
     config: &'a HangDetectorConfig,
+    /// How long the scanner has not been scheduled, all in all.
+    missed: Duration,
 }
 
 impl Around<'_> {
@@ -365,7 +378,7 @@ impl ComponentRecord {
         }
     }
 
-    /// It had no chance to work, or was not looked at: all is measured from now on.
+    /// It had no chance to work: all is measured from now on.
     fn void(&mut self, now: Instant) {
         (self.turn_since, self.alive_since) = (now, now);
         self.lateness.void(now);

@@ -14,9 +14,12 @@ pub struct HangDetectorConfig {
     /// How long a fenced arbiter may take to come back before its components are re-created
     /// elsewhere. Longer spares more restarts; the victims stand still meanwhile.
     pub grace: Duration,
-    /// How far apart two looks may be. More means that the scanner itself was not scheduled. Ten of
-    /// the usual intervals: shorter voids good observations on a busy machine.
+    /// How far apart two looks may be. More means that the scanner itself was not scheduled, and
+    /// what is more is charged to nobody. Two of the usual intervals: shorter delays judgement on a
+    /// machine that is merely busy.
     pub gap: Duration,
+    /// A gap that others are told of, so that they wait as much longer. Ten of the usual intervals.
+    pub stall: Duration,
     /// How long a beat may stand before the arbiter's components are not judged for awaiting too
     /// long, and not for silence where no component is on the thread. Several beats, and well below
     /// the shortest tolerance for silence.
@@ -36,7 +39,8 @@ impl Default for HangDetectorConfig {
     fn default() -> Self {
         HangDetectorConfig {
             grace: Duration::from_millis(200),
-            gap: Duration::from_millis(100),
+            gap: Duration::from_millis(20),
+            stall: Duration::from_millis(100),
             standstill: Duration::from_millis(50),
             dwell: Duration::from_millis(500),
             relief: Duration::from_secs(1),
@@ -99,7 +103,7 @@ pub struct ComponentSample {
     pub alive: u64,
     /// Which of its lives.
     pub incarnation: Incarnation,
-    /// Signs of life are to be expected now.
+    /// It is at work: signs of life are to be expected, and its messages are served.
     pub speaks: bool,
     /// The component has announced that it takes up to so long; zero for as usual.
     pub allowance: Duration,
@@ -242,7 +246,7 @@ pub enum LivenessEvent {
         /// Who still lives on it and must be re-created elsewhere.
         victims: Vec<ObjectName>,
     },
-    /// The scanner was not scheduled; everything seen before is void.
+    /// The scanner was not scheduled.
     Stalled {
         /// For how long.
         gap: Duration,

@@ -142,9 +142,12 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        self.children.insert(key, SupervisedChild::new(name, rules));
+        self.children.insert(key, SupervisedChild::new(name.clone(), rules));
         if self.at_work() {
             self.coming.insert(key);
+        } else if self.incarnation != Incarnation::default() {
+            // As its siblings, it serves nobody before the next life.
+            self.outputs.push_back(SupervisorOutput::Retire { child: name });
         }
         self.advance(now);
         Ok(())

@@ -21,6 +21,9 @@ impl Road {
         world.every = 10;
         world.eyes.stamps[2].interval = ms(20);
         world.eyes.stamps[2].speaks = true;
+        // Nobody expects signs of life of the planner.
+        world.eyes.stamps[0].speaks = true;
+        world.scanner.handle_enter(0, HangLimits { max_silence: None, ..judged("culprit") });
         Road { world, kept, rounds, planner_speaks: false, beats: 3 }
     }
 
@@ -174,7 +177,7 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
     world.pass(100, true);
     let mut patient = judged("culprit");
     patient.max_block = ms(10_000);
-    world.scanner.handle_enter(0, patient, at(world.now));
+    world.scanner.handle_enter(0, patient);
     world.pulse.running = Some(0);
     world.eyes.stamps[0].turn = 1;
     world.look();
@@ -185,11 +188,23 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
 }
 
 #[test]
+fn messages_that_wait_for_a_component_that_is_not_at_work_are_no_overload() {
+    let mut road = Road::new(3, 2);
+    road.world.eyes.stamps[0].speaks = false;
+    road.world.eyes.queues[0] = QueueReading { queued: 1, oldest: ms(1500) };
+
+    assert_eq!(names(&road.pass(5000)), [""; 0]);
+
+    road.world.eyes.stamps[0].speaks = true;
+    assert_eq!(names(&road.pass(5000)), ["culprit overloads []"]);
+}
+
+#[test]
 fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
     let mut road = Road::new(10, 2);
     let mut asked = judged("culprit");
     (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
-    road.world.scanner.handle_enter(0, asked, at(0));
+    road.world.scanner.handle_enter(0, asked);
     road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
 
     assert_eq!(names(&road.pass(10_000)), ["culprit overloads []"]);
@@ -211,7 +226,8 @@ fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not
     let mut asked = judged("victim");
     (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
     asked.max_wait = Duration::MAX;
-    world.scanner.handle_enter(2, asked, at(0));
+    world.scanner.handle_enter(2, asked);
+    world.eyes.stamps[2].speaks = true;
     world.look();
     world.eyes.stamps[2].turn = 1;
     world.pass(1100, true);
@@ -229,7 +245,7 @@ fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not
 fn a_component_that_gives_signs_by_its_rounds_and_is_flooded_is_overloaded_and_not_silent() {
     let mut road = Road::new(10, 0);
     road.world.scanner.handle_leave(2);
-    road.world.eyes.stamps[0].speaks = true;
+    road.world.scanner.handle_enter(0, judged("culprit"));
     road.planner_speaks = true;
     road.pass(500);
     road.planner_speaks = false;
@@ -269,4 +285,51 @@ fn a_scanner_that_was_not_scheduled_counts_no_round_as_missed() {
 
     assert!(matches!(seen[..], [(_, LivenessEvent::Stalled { .. })]), "{seen:?}");
     assert!(road.world.scanner.missed_rounds().all(|(_, missed)| missed <= 1));
+}
+
+/// A component of 50 Hz that runs so many rounds between two looks, which come every 60 ms.
+fn looks_that_come_late(world: &mut World, rounds: u64) -> Vec<LivenessEvent> {
+    let mut seen = Vec::new();
+    for _ in 0..200 {
+        world.now += 60;
+        world.pulse.beat += 1;
+        let stamp = &mut world.eyes.stamps[2];
+        (stamp.rounds, stamp.turn) = (stamp.rounds + rounds, stamp.turn + 2 * rounds);
+        stamp.alive += 1;
+        stamp.expired += 1;
+        seen.extend(world.look());
+    }
+    seen
+}
+
+fn fast_component() -> World {
+    let mut world = World::new();
+    world.eyes.stamps[2].interval = ms(20);
+    world.eyes.stamps[2].speaks = true;
+    world
+}
+
+#[test]
+fn rounds_and_messages_that_the_computer_had_no_time_for_are_no_overload() {
+    let mut world = fast_component();
+
+    assert_eq!(looks_that_come_late(&mut world, 1), []);
+    assert!(world.scanner.missed_rounds().all(|(_, missed)| missed <= 1));
+}
+
+#[test]
+fn rounds_that_were_run_between_late_looks_are_no_credit() {
+    let mut world = fast_component();
+    assert_eq!(looks_that_come_late(&mut world, 3), []);
+
+    let mut seen = Vec::new();
+    for look in 0..400 {
+        let runs = u64::from(look % 8 == 0);
+        let stamp = &mut world.eyes.stamps[2];
+        (stamp.rounds, stamp.turn, stamp.alive) =
+            (stamp.rounds + runs, stamp.turn + 2 * runs, stamp.alive + runs);
+        seen.extend(world.pass(10, true).into_iter().map(|seen| (0, seen)));
+    }
+
+    assert_eq!(names(&seen)[0], "victim overloads []");
 }

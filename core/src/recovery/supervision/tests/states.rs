@@ -22,6 +22,21 @@ fn children_come_and_go_while_it_is_at_work() {
 }
 
 #[test]
+fn a_child_that_is_added_after_the_end_is_retired_until_the_next_beginning() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
+    rig.begin();
+    rig.started("a", 1);
+    rig.end();
+    assert_eq!(rig.stopped("a", 1), ["all stopped"]);
+
+    rig.machine.add_child(name("b"), permanent(), rig.now).expect("a free name");
+
+    assert_eq!(rig.said(), ["retire b"]);
+    assert_eq!(rig.begin(), ["start a #2"]);
+    assert_eq!(rig.started("a", 2), ["start b #1"]);
+}
+
+#[test]
 fn nothing_is_restarted_while_it_is_not_at_work() {
     let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", permanent())]);
 
