@@ -95,7 +95,7 @@ const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
 /// its new, lower number; none rises.
 const VAGUE_MAX: [(&str, usize); 6] = [
     ("actors/", 80),
-    ("core/", 206),
+    ("core/", 203),
     ("examples/", 0),
     ("tests/", 91),
     ("transports/", 0),
