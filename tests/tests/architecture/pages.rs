@@ -97,7 +97,7 @@ const VAGUE_MAX: [(&str, usize); 6] = [
     ("actors/", 80),
     ("core/", 203),
     ("examples/", 0),
-    ("tests/", 91),
+    ("tests/", 60),
     ("transports/", 0),
     ("README.md", 0),
 ];
