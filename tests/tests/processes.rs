@@ -61,7 +61,7 @@ impl Drop for Process {
     }
 }
 
-/// Free addresses of this computer.
+/// Addresses of this computer that nobody uses.
 fn free_addresses(count: usize) -> Vec<SocketAddr> {
     let held: Vec<_> = (0..count).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
     held.iter().map(|socket| socket.local_addr().unwrap()).collect()
@@ -78,7 +78,7 @@ fn ethernet(addresses: &[SocketAddr], own: usize) -> Network {
 }
 
 fn addresses() -> Vec<SocketAddr> {
-    let text = std::env::var(ADDRESSES).expect("addresses are given with the role");
+    let text = std::env::var(ADDRESSES).expect("whoever gives a role gives addresses");
     text.split(',').map(|address| address.parse().expect("an address")).collect()
 }
 
