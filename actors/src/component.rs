@@ -27,7 +27,7 @@ use std::future::Future;
 ///
 /// Every hook is optional. A hook that fails ends the component's work: `on_aborting` is called,
 /// the component is in error, and the fault is reported. After a panic, or at the next life, the
-/// component is built anew by the factory of its `ChildSpec`.
+/// component is built by the factory of its `ChildSpec`.
 ///
 /// ```text
 /// built ─ on_initialize ─► Initialized ─ on_startup, on_activated ─► Active ─ on_execute, handlers …
@@ -152,7 +152,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// A failure that a reset cannot mend: the component is to be built anew.
+    /// A failure that no reset clears: the component is to be restarted.
     pub fn fatal(reason: impl Into<String>) -> Self {
         Failure { reason: reason.into(), fatal: true, unavailable: false }
     }

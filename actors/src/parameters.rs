@@ -155,7 +155,7 @@ impl<C: Component> Ports<C> {
     /// Has parameters, with the values that the
     /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
     /// component reads them by [`Context::parameters`](crate::Context::parameters) in
-    /// `on_initialize`, and is handed them anew by its handler whenever one is set. A component has
+    /// `on_initialize`, and receives them by its handler whenever one is set. A component has
     /// one set of parameters.
     pub fn parameters<P: Parameters>(&mut self) -> &mut Self
     where

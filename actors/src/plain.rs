@@ -161,7 +161,7 @@ impl<M: Contract> MessageSink<M> for Outside<M> {
     }
 
     fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        // An actix mailbox tells nobody that it has room again.
+        // An actix mailbox does not report that it has capacity again.
         Box::pin(tokio::time::sleep(heartbeat::HEARTBEAT_INTERVAL))
     }
 

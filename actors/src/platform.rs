@@ -63,7 +63,7 @@ pub fn now() -> Instant {
     let (now, both) = (tokio::time::Instant::now(), Instant::from_nanos(origin.monotonic_nanos));
     match now.checked_duration_since(origin.runtime) {
         Some(since) => both + since,
-        // A clock that was paused before anybody asked for the time.
+        // A clock that was paused before the time was first read.
         None => before(both, origin.runtime - now),
     }
 }
@@ -85,7 +85,7 @@ pub(crate) fn clock_stands() -> bool {
     tokio::time::Instant::now() == before
 }
 
-/// Waits for so long on this thread's clock, and keeps nobody else from the thread.
+/// Waits for so long on this thread's clock, while other tasks of the thread run.
 ///
 /// In a component, [a timer](crate::Context::after) leaves it free to serve meanwhile.
 pub async fn sleep(span: Duration) {
@@ -152,7 +152,7 @@ pub(crate) fn start_thread(
     thread::Builder::new().name(name.into()).spawn(body)
 }
 
-/// Tells a person, on standard error, what must be known although nobody reads the log.
+/// Writes to standard error what a user must know without reading the log.
 pub(crate) fn tell_person(text: &str) {
     // Standard error may be closed: then the log has it alone.
     let _ = writeln!(io::stderr(), "{text}");
@@ -163,7 +163,7 @@ pub(crate) fn end_process(code: i32) -> ! {
     process::exit(code)
 }
 
-/// Lets this thread, which is nobody's arbiter, wait.
+/// Lets this thread wait, which is not an arbiter.
 pub(crate) fn wait(span: Duration) {
     thread::sleep(span);
 }

@@ -232,13 +232,17 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
                 let read = read.and_then(|read| read.map_err(|error| error.to_string()));
                 read.map_err(|reason| DeliveryError::Undecodable { reason })
             });
-            // Where nobody waits any more, the reply is dropped here, on the network's thread.
+            // If the caller has stopped waiting, the reply is dropped here, on the network's
+            // thread.
             let given = panics::caught(|| match decoded {
                 Ok(reply) => answer.give(reply),
                 Err(why) => answer.refuse(why, None),
             });
             if let Err(panicked) = given {
-                error!(contract = M::NAME, "the Drop of a reply that nobody waits for {panicked}");
+                error!(
+                    contract = M::NAME,
+                    "the Drop of a reply whose caller has stopped waiting {panicked}"
+                );
             }
         };
         let asked = OutgoingRequest { id, within, reply_to: Box::new(reply_to) };
@@ -352,7 +356,7 @@ impl Registry {
         self.lock().reserved.extend(names);
     }
 
-    /// Takes a contract from other nodes under a name that is nobody's and is not told to them.
+    /// Accepts a contract from other nodes under a name that no object has and no list shows.
     pub(crate) fn register_hidden(&self, name: ObjectName, port: ContractPort) {
         self.lock().hidden.insert(name, port);
     }

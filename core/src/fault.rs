@@ -50,8 +50,8 @@ pub enum FaultKind {
     NodeAtRest,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
     Unreplicated,
-    /// A service went on without a part of its state that somebody had been answered for: nobody
-    /// who held it was left.
+    /// A service went on without a part of its state for which callers had been answered: no node
+    /// that held it was left.
     StateLost,
     /// A service has no primary, as far as a node knows that carries it, for longer than a takeover
     /// takes.

@@ -50,9 +50,9 @@ pub enum LeaseEnd {
 /// How a lease stands, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseStatus {
-    /// Nobody commands; the outputs are at rest.
+    /// There is no commander; the outputs are safe.
     Free,
-    /// Somebody commands.
+    /// A commander holds the lease.
     Held {
         /// Who.
         commander: CommanderId,
@@ -111,7 +111,7 @@ struct Awaited {
 }
 
 impl Lease {
-    /// A lease that nobody holds. Epochs are above `last_epoch`; let it rise with every life of the
+    /// A lease without a holder. Epochs are above `last_epoch`; let it rise with every life of the
     /// node, so that commands from before are known as such.
     pub fn new(span: Duration, last_epoch: u64) -> Self {
         Lease { span, last_epoch, state: State::Free, outputs: VecDeque::new() }
@@ -140,7 +140,7 @@ impl Lease {
         }
     }
 
-    /// Somebody wants to command.
+    /// A commander claims the lease.
     ///
     /// # Errors
     /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes
@@ -166,7 +166,7 @@ impl Lease {
         Ok(LeaseGrant { epoch: self.last_epoch, span: self.span })
     }
 
-    /// The commander lives, or commands: the lease begins anew.
+    /// The commander renews the lease, or commands: the lease's time starts again.
     ///
     /// # Errors
     /// [`DeliveryError::Superseded`] where another claim holds, [`DeliveryError::LeaseEnded`] where

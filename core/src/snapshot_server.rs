@@ -1,16 +1,16 @@
-//! Who looks at a node through its window, and who has looked for long enough.
+//! Which clients of the inspection socket are served, and for how long.
 //!
 //! ```text
-//! comes ─► waits ─► its picture is taken, with all who wait ─► is given it ─► goes
+//! connects ─► waits ─► a snapshot is taken for all that wait ─► is given it ─► disconnects
 //!                                                                  │
-//!                          held for too long, or for long enough   └──────► is sent away
-//!                          while others want in
+//!                          held for too long, or for long enough   └──────► is disconnected
+//!                          while further clients wait
 //! ```
 //!
-//! Everybody is served at once, and whoever is in no hurry has seconds. When the room is full, the
-//! one who has been given his picture longest ago goes, as soon as he has had the time that anybody
-//! needs who reads. So whoever reads is served at once, whatever all the others do, and nobody is
-//! turned away at the door: those who do not fit in wait there in order.
+//! Each client is served at once, and a slow one has seconds. When all places are taken, the client
+//! that was given its snapshot longest ago is disconnected, as soon as it has had the time that a
+//! client needs which reads. So a client that reads is served at once, whatever the others do, and
+//! none is refused: further clients wait in the listen backlog, in order.
 
 use crate::{Instant, Machine};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

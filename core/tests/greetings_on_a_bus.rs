@@ -48,7 +48,7 @@ impl Bus {
                     expected: Some(name(other)),
                     ..LinkConfig::new(name(own), Incarnation(TODAY + own as u64))
                 };
-                // Nobody begins at the same time as another.
+                // No two begin at the same time.
                 let start = now + Duration::from_micros(own as u64 * 1_700);
                 bundle.insert(LinkId(other as u16), Link::new(config, start));
             }
@@ -108,7 +108,7 @@ impl Bus {
                 let due = self.nodes.iter().flat_map(|node| {
                     node.bundle.poll_timeout().into_iter().chain(node.isotp.poll_timeout())
                 });
-                let due = due.min().expect("somebody always says hello");
+                let due = due.min().expect("a node always sends hellos");
                 self.now = due.max(self.now + Duration::from_micros(1)).min(end);
                 continue;
             };

@@ -274,7 +274,7 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
     }
     assert_eq!(router.refusals().too_large, 992);
     router.handle_timeout(Instant::from_millis(10));
-    // None of them is believed: nobody else says that it has a link to them.
+    // None of them is used: no other node advertises a link to them.
     assert_eq!(router.routes().count(), 1);
 }
 

@@ -1,8 +1,8 @@
 //! What this product knows about actix 0.13.5, run as tests.
 //!
 //! The design rests on these facts, the pleasant and the unpleasant ones. Where one of them changes
-//! with a new version, the test that names it fails, and whoever raises the version learns which
-//! part of the design to look at again: the README's map says where it is used.
+//! with a new version, the test that names it fails, and shows which part of the design to look at
+//! again: the README's map says where it is used.
 
 use actix::dev::ContextFut;
 use actix::prelude::*;

@@ -1,4 +1,4 @@
-//! Nodes that find each other although nobody has described them to each other, on real sockets.
+//! Nodes that find each other without being described to each other, on real sockets.
 
 use blastema::core::net::LinkState;
 use blastema::prelude::*;
@@ -33,7 +33,7 @@ impl Handle<Add> for Sum {
     }
 }
 
-/// Addresses of this computer that nobody has at present, neither for UDP nor for TCP.
+/// Free addresses of this computer, for UDP and for TCP.
 fn free<const N: usize>() -> [SocketAddr; N] {
     let held = [0; N].map(|_| {
         let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");

@@ -1,5 +1,5 @@
-//! Whoever reaches a port may send anything to it. Real sockets on loopback; what is asserted is
-//! read from counters, never from a clock.
+//! An attacker that reaches a port may send anything to it. Real sockets on loopback; assertions are
+//! about counters, never about a clock.
 
 use actix::prelude::*;
 use blastema_contract::transport::{

@@ -44,7 +44,7 @@ async fn look(socket: &Path) -> String {
         socket.read_to_string(&mut text).await.expect("it is text");
         text
     };
-    tokio::time::timeout(LONG, seen).await.expect("nobody looks so long")
+    tokio::time::timeout(LONG, seen).await.expect("the node answers a client")
 }
 
 /// Such a node, and where it is shown.
@@ -115,7 +115,7 @@ fn a_picture_that_nobody_takes_keeps_nobody_from_taking_his() {
     blastema::run(async {
         let folder = tempfile::tempdir().unwrap();
         let socket = folder.path().join("module1.sock");
-        // More than the system keeps for whoever does not read.
+        // More than the system buffers for a client that does not read.
         let lamps = (0..1500).map(|n| ChildSpec::new(&format!("lamp/{n}"), || Lamp));
         let node =
             lamps.fold(fragile(&socket), blastema::NodeBuilder::child).start().await.unwrap();
@@ -140,7 +140,7 @@ fn a_socket_that_somebody_removes_is_made_again() {
 
         until(async || socket.exists()).await;
         assert!(look(&socket).await.contains("module1"));
-        assert!(node.faults().await.entries.is_empty(), "nobody has to do anything");
+        assert!(node.faults().await.entries.is_empty(), "no user has to act");
         node.shutdown().await;
     });
 }

@@ -75,7 +75,7 @@ fn pixels(number: u32) -> Blob {
     (0..MEBIBYTE).map(|at| (at / 7 + number as usize) as u8).collect()
 }
 
-/// An address that nobody has at present.
+/// A free address.
 fn free() -> SocketAddr {
     let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = tcp.local_addr().expect("it is bound");

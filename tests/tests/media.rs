@@ -104,7 +104,7 @@ async fn speak_over(here: Network, there: Network) {
     Pair::on(here, there).await.speak().await;
 }
 
-/// Two addresses of this machine that nobody has at present.
+/// Two free addresses of this machine.
 fn free() -> [String; 2] {
     let sockets = [0; 2].map(|_| {
         let tcp = TcpListener::bind("127.0.0.1:0").expect("a free port");
@@ -272,7 +272,7 @@ fn a_port_that_is_taken_is_a_fault_that_says_what_to_do_and_ends_when_the_port_i
                 let node = Node::builder("module1").network(network).start().await;
                 let node = node.expect("a medium may come later");
                 let mut faults = node.fault_events();
-                // It may have been found before anybody listened.
+                // It may have been found before the events were subscribed to.
                 let found = node.faults().await.entries.pop().map(|entry| entry.fault.detail);
                 let detail = match found {
                     Some(detail) => detail,

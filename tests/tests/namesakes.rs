@@ -105,7 +105,7 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
             second.sessions().await.iter().all(|session| session.standing.incarnation.is_none())
         );
 
-        // Whoever asks there is told why nobody answers.
+        // Callers on that node get the reason why there is no answer.
         let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");
         let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").kind;
         let said = why.to_string();

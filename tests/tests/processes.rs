@@ -376,7 +376,7 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
                 let counted = counter.ask_within(Add, PATIENCE).await;
                 assert_eq!(counted, Ok(sum), "round {round}");
             }
-            // Whoever serves is killed while a request is under way.
+            // The primary is killed while a request is in flight.
             let asking = counter.clone();
             let asked =
                 tokio::task::spawn_local(async move { asking.ask_within(Add, PATIENCE).await });
@@ -424,7 +424,7 @@ fn a_standby_that_was_killed_has_everything_when_it_is_back_and_takes_over() {
             carriers[standby - 1] = start(standby);
             ready(standby).await;
 
-            // The other one is out of the way: nobody has it all but the one that was killed.
+            // The other one is gone: only the killed one had the whole state.
             let other = 6 - serving - standby;
             carriers[other - 1].kill();
             carriers[other - 1] = start(other);
@@ -463,7 +463,7 @@ struct Income(u64);
 #[contract(name = "books/balance")]
 struct Balance(u64);
 
-/// What may not be used after a restart until somebody has looked.
+/// What may not be used after a restart until it was decided upon.
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "books/plan")]
 struct Intention(u64);
@@ -475,7 +475,7 @@ impl Component for Books {
         let plan = VariableSpec::new(Intention(0)).after_restart(RestorePolicy::AskFirst);
         let refused = |balance: &Balance| match balance.0 {
             0..1_000_000 => Ok(()),
-            _ => Err("nobody has so much".to_owned()),
+            _ => Err("there is not so much".to_owned()),
         };
         let balance = VariableSpec::new(Balance(0)).check(refused);
         ports.variable(VariableSpec::new(Income(0))).variable(balance).variable(plan);
@@ -490,7 +490,7 @@ fn books(number: usize, addresses: &[SocketAddr], file: &str) -> blastema::NodeB
 }
 
 async fn keep_books() {
-    let file = std::env::var("BLASTEMA_TEST_FILE").expect("whoever gives the role gives a file");
+    let file = std::env::var("BLASTEMA_TEST_FILE").expect("a file is given with the role");
     let _node = books(1, &addresses(), &file).start().await.unwrap();
     std::future::pending::<()>().await;
 }

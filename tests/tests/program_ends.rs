@@ -321,7 +321,7 @@ fn a_watched_process_tells_its_service_manager_and_strokes_the_device_until_it_e
     assert_eq!(stroked.iter().position(|byte| *byte == b'V'), Some(stroked.len() - 1));
 }
 
-/// A log that blocks the thread of the fault chain, as one to a pipe does that nobody reads.
+/// A log that blocks the thread of the fault chain, as one to a full pipe does.
 #[derive(Default)]
 struct StuckLog {
     spans: AtomicUsize,

@@ -1,5 +1,5 @@
-//! What the README shows is what runs: its programs are compared with the files from which they
-//! come.
+//! What the README and the manual show is what runs: their programs are compared with the files from
+//! which they come.
 
 use std::fs;
 use std::path::Path;
@@ -9,12 +9,11 @@ fn file(path: &str) -> String {
     fs::read_to_string(root.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// The first block of Rust below a heading of the README.
-fn shown(heading: &str) -> String {
-    let readme = file("README.md");
-    let below =
-        readme.split_once(heading).unwrap_or_else(|| panic!("no {heading:?} in README.md")).1;
-    let block = below.split_once("```rust\n").expect("a block of Rust below the heading").1;
+/// The first block that opens so below a heading of a page.
+fn shown(path: &str, heading: &str, opening: &str) -> String {
+    let page = file(path);
+    let below = page.split_once(heading).unwrap_or_else(|| panic!("no {heading:?} in {path}")).1;
+    let block = below.split_once(opening).expect("a block below the heading").1;
     block.split_once("\n```").expect("the end of the block").0.to_owned()
 }
 
@@ -35,7 +34,7 @@ fn assert_same(shown: &str, runs: &str, cure: &str) {
 #[test]
 fn the_program_of_the_readme_is_the_example_hello() {
     assert_same(
-        &shown("## A program"),
+        &shown("README.md", "## A program", "```rust\n"),
         &code_of("examples/examples/hello.rs"),
         "copy the code of examples/examples/hello.rs, from its first `use` on, into README.md below \
          \"A program\"",
@@ -45,10 +44,20 @@ fn the_program_of_the_readme_is_the_example_hello() {
 #[test]
 fn the_test_of_the_readme_is_one_of_the_test_kit() {
     assert_same(
-        &shown("## A test"),
+        &shown("README.md", "## A test", "```rust\n"),
         &code_of("actors/testkit/tests/readme.rs"),
         "copy the code of actors/testkit/tests/readme.rs, from its first `use` on, into README.md below \
          \"A test\"",
+    );
+}
+
+#[test]
+fn the_test_of_the_manual_is_one_of_the_test_kit() {
+    assert_same(
+        &shown("actors/src/manual/testing.md", "# Testing", "```text\n"),
+        &code_of("actors/testkit/tests/manual.rs"),
+        "copy the code of actors/testkit/tests/manual.rs, from its first `use` on, into \
+         actors/src/manual/testing.md",
     );
 }
 

@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// Provokes a fault in whoever serves it.
+/// Provokes a fault in the component that serves it.
 #[derive(Clone, Copy, Debug, Request)]
 #[contract(name = "test/provoke", version = 1, reply = bool)]
 enum Provoke {

@@ -116,7 +116,7 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
             let error = node.add_child(called(name)).await.expect_err(name);
             assert!(matches!(error, SpecError::Taken(_)), "{name}: {error}");
         }
-        node.add_child(called("b")).await.expect("nobody is called so");
+        node.add_child(called("b")).await.expect("the name is free");
         node.shutdown().await;
     });
 }

@@ -96,7 +96,7 @@ async fn not_shown(arguments: &[&str], words: &[&str]) {
     for word in words {
         assert!(told.contains(word), "{word:?} is not said in {told}");
     }
-    assert!(!told.contains("os error"), "a number helps nobody: {told}");
+    assert!(!told.contains("os error"), "a number is no help: {told}");
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn who_may_not_look_is_told_who_may() {
         let socket = folder.path().join("module1.sock");
         let _listener = UnixListener::bind(&socket).expect("a socket");
         std::fs::set_permissions(&socket, Permissions::from_mode(0o000)).expect("it is ours");
-        // Root may do everything, and so looks as somebody else, who can reach the program there.
+        // Root may do everything, and so looks as another user, who can reach the program there.
         let own = folder.path().join("blastema");
         // By another process: a file that this one has open for writing could be inherited by what
         // another test starts just then, and cannot be executed before that has closed it.
@@ -155,8 +155,8 @@ fn who_may_not_look_is_told_who_may() {
 /// Shows this to one who comes, and ends.
 async fn shows(socket: &Path, shown: &[u8]) {
     let listener = tokio::net::UnixListener::bind(socket).expect("a socket");
-    let (mut viewer, _) = listener.accept().await.expect("somebody looks");
-    viewer.write_all(shown).await.expect("somebody reads");
+    let (mut viewer, _) = listener.accept().await.expect("a client connects");
+    viewer.write_all(shown).await.expect("the client reads");
 }
 
 #[test]

@@ -163,7 +163,7 @@ async fn renew_lease(helm: Weak<Helm>) {
             None => {
                 // A claim may come between the look and the wait: it leaves its permit.
                 let claimed = async { present.claimed.notified().await };
-                // Whoever holds no lease any more is seen gone once in a while.
+                // Dropping the last clone of a commander wakes no waiter: look again.
                 let _ = tokio::time::timeout(CLAIM_WITHIN, claimed).await;
             }
         }
@@ -237,7 +237,7 @@ impl<M: Contract> Commander<M> {
     /// where the actuator is one of them, [spawn](crate::Context::spawn) the claim.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while somebody else commands, and
+    /// [`DeliveryError::Held`] while another commander holds the lease, and
     /// [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
     /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not
     /// come in time; from other nodes, what any request may meet with.
@@ -285,8 +285,8 @@ impl<M: Contract> Commander<M> {
     ///
     /// # Errors
     /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`]
-    /// where somebody else's does: the command was not carried out. [`DeliveryError::Full`] where
-    /// one is still under way. Everything else as for any [request](crate::Sender::ask).
+    /// where another commander's does: the command was not carried out. [`DeliveryError::Full`]
+    /// while an earlier command is in service. Others as for any [request](crate::Sender::ask).
     pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
         let now = platform::now();
         let Held { epoch, span, .. } =

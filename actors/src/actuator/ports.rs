@@ -63,7 +63,7 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
             }
             // A message that needs no lease would move the actuator.
             if served.contains(contract) {
-                return twice(contract, "one for everybody and one for whoever holds the lease");
+                return twice(contract, "one for every sender and one for the commander");
             }
             if !commanded.insert(contract) {
                 return twice(contract, "both by actuator");
@@ -86,8 +86,8 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
 }
 
 impl<C: Component> Ports<C> {
-    /// Takes commands from whoever holds the lease, and from nobody else; when its commander goes,
-    /// the component gets the safe command.
+    /// Accepts commands from the holder of the lease only. When the commander is gone, the
+    /// component gets the safe command.
     pub fn actuator<M: Contract>(&mut self, spec: ActuatorSpec<M>) -> &mut Self
     where
         C: Handle<M>,

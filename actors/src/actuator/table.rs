@@ -1,8 +1,8 @@
-//! The actuators of a node, and who may command them: the body of the lease machines.
+//! The actuators of a node and their commanders: drives the lease machines.
 //!
-//! Orders are served on the thread of whoever brings them. One actor of the middleware's own
-//! watches the time, on the fault chain's arbiter: a component that hangs keeps nobody from being
-//! safe.
+//! A command is handled on the thread that delivers it. An actor on the fault chain's arbiter
+//! watches the leases' time, so that a component that hangs does not delay another actuator's safe
+//! command.
 
 use super::command::{ActuatorCommand, CommandKind, CommandReply};
 use crate::messaging::reply::Responder;
@@ -57,7 +57,7 @@ struct Actuator {
     safe: Bytes,
     cut_off: Option<SafeOutputFn>,
     doorway: Arc<dyn Skeleton>,
-    /// Its commander has gone, and nobody has claimed it since.
+    /// Its commander is gone, and no other has claimed it since.
     lost: AtomicBool,
     /// A command has been handed over and not been answered.
     busy: Arc<AtomicBool>,
@@ -77,7 +77,7 @@ pub(crate) struct ActuatorTable {
     timekeeper: Arc<OnceLock<Recipient<Look>>>,
     /// Calls cut-offs.
     callbacks: Callbacks,
-    /// The node is in the safe state: nobody commands.
+    /// The node is in the safe state, in which no lease is granted.
     rests: Arc<AtomicBool>,
 }
 
@@ -259,8 +259,8 @@ impl ActuatorTable {
         answer.give(done.unwrap_or_else(|why| CommandReply::refused(&why)));
     }
 
-    /// Somebody commands again: that the one before has gone is no fault any more, unless another
-    /// actuator of the same object still waits for somebody.
+    /// A commander holds the lease again: clears the fault of the former one, unless another
+    /// actuator of the same object still lacks its commander.
     fn take_back(&self, actuator: &Actuator) {
         if actuator.lost.swap(false, Relaxed) {
             let waits =
@@ -320,7 +320,7 @@ impl ActuatorTable {
         }
     }
 
-    /// Has the cut-off called. The lease is granted anew once it has returned: a cut-off that
+    /// Has the cut-off called. The next lease is granted after it has returned: a cut-off that
     /// blocks keeps the actuator from every commander, and a fault says so.
     fn cut_off(&self, actuator: &Arc<Actuator>) {
         let Some(cut_off) = actuator.cut_off.clone() else {

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::thread::ThreadId;
 use std::time::Duration;
 
-/// A request that waits for a reply, towards whoever resolves it without one.
+/// A request that waits for a reply, as seen by what resolves it without one: its deadline, or the
+/// death of its receiver.
 pub(crate) trait Cancel: Send + Sync {
     /// Resolves the request with this reason, unless it is resolved already.
     fn cancel(&self, why: DeliveryError);
@@ -28,7 +29,7 @@ pub(super) fn sweep(now: Instant) {
 struct Deadlines {
     waiting: Vec<Option<Waiting>>,
     free: Vec<usize>,
-    /// Numbers the entries, so that a place that was taken anew is known.
+    /// Numbers the entries, so that an entry is not taken for an earlier one of the same slot.
     next: u64,
 }
 
@@ -50,7 +51,7 @@ impl Deadlines {
         Deadlines { waiting: Vec::new(), free: Vec::new(), next: 0 }
     }
 
-    /// Takes out what is due, and what nobody else holds any more.
+    /// Removes the requests that are due, and those that only this table still holds.
     fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Cancel>> {
         let mut due = Vec::new();
         for (at, place) in self.waiting.iter_mut().enumerate() {

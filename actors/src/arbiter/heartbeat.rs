@@ -17,14 +17,14 @@ use tokio::time::MissedTickBehavior;
 /// How often an arbiter beats: a fiftieth of the default limit for a blocking handler.
 pub(crate) const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Somebody's handler keeps the arbiter; nothing that is sent from it gets out.
+/// A handler keeps the arbiter: what it sends is refused.
 const FENCED: u8 = 1;
 /// It did not come back in time; its components live elsewhere.
 const LOST: u8 = 2;
 /// The component that is running now is isolated.
 const MUTED: u8 = 4;
 
-/// One arbiter's signs of life. Written by its thread, and by whoever gives it up.
+/// One arbiter's signs of life. Its thread writes the beat, and the sampler the fence.
 pub(crate) struct ArbiterHeartbeat {
     id: u64,
     beat: AtomicU64,
@@ -138,7 +138,7 @@ impl ArbiterHeartbeat {
     fn beat(&self, now: Instant) {
         self.beat.store(self.beat.load(Relaxed) + 1, Relaxed);
         self.time.store(now.as_nanos(), Relaxed);
-        // The loop turns, so whoever kept it has come back.
+        // The event loop turns, so the handler that kept it has returned.
         self.lift();
         // This is the arbiter's own thread, where its deadlines are.
         deadline::sweep(now);

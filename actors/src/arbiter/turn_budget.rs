@@ -130,7 +130,7 @@ impl TurnBudget {
         waker.wake_by_ref();
     }
 
-    /// A handler took long, as somebody else has found.
+    /// A handler took long, as its caller has measured.
     pub(crate) fn overdraw(&self, waker: &Waker) {
         self.distrust();
         self.rest(waker);

@@ -488,7 +488,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         &self,
         message: M,
         id: Option<MessageId>,
-        // Whoever waits is next door: a request that nobody waits for is not begun.
+        // The caller is in this process: its responder tells whether it still waits.
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
@@ -540,7 +540,7 @@ impl<C: Component> ComponentCell<C> {
         offered.map_err(|(message, why)| SendError::new(why, message))
     }
 
-    /// Hands a request over, whoever waits for its answer. A refusal is told to the answer as well.
+    /// Enqueues a request with the responder for its reply. A refusal resolves the responder, too.
     #[inline]
     pub(crate) fn post<M: Contract>(
         &self,

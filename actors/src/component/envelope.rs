@@ -32,7 +32,7 @@ pub(crate) struct EnvelopeHeader {
     /// By which its age is judged.
     pub(crate) captured_at: Instant,
     pub(crate) max_age: Option<Duration>,
-    /// Somebody is to be told if the letter brings death.
+    /// A death of the receiver by this message is to be reported to its sender.
     pub(crate) is_followed: bool,
 }
 
@@ -60,10 +60,10 @@ impl From<Instant> for Times {
 
 pub(crate) trait Envelope<C: Component> {
     fn brief(&self) -> EnvelopeHeader;
-    /// Nobody waits for the answer any more.
+    /// Whether the caller has stopped waiting for the reply.
     fn is_void(&self) -> bool;
     fn id(&self) -> Option<MessageId>;
-    /// The asker's slot, for whoever watches over the receiver.
+    /// The request, for the code that resolves it when the receiver dies or hangs.
     fn revocable(&self) -> Option<Arc<dyn Cancel>>;
     /// Tells the asker that the message was not taken up, and gives it back.
     fn give_back(&mut self, why: DeliveryError);

@@ -29,7 +29,7 @@ pub(crate) struct ComponentEnvironment {
 }
 
 impl ComponentEnvironment {
-    /// What is told of a fault of the application's own, and that nobody declared its code.
+    /// Returns the detail of an application's fault, with a note if its code was not declared.
     pub(crate) fn checked_detail(&self, code: &str, detail: String) -> String {
         if self.fault_codes.contains(code) {
             return detail;

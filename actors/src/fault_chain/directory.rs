@@ -52,7 +52,7 @@ impl SupervisorDirectory {
         }
     }
 
-    /// Nobody keeps this child any more.
+    /// Removes a child that has no supervisor any more.
     pub(crate) fn remove(&self, child: &ObjectName) {
         self.entries().keepers.remove(child);
     }

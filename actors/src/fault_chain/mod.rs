@@ -1,10 +1,8 @@
 //! The fault chain: thin actors over the machines of `blastema_core::detection` and `recovery`.
 //!
-//! Each of them runs under the guardian. After a panic of its own, a body keeps its addresses and
-//! makes
-//! its machine anew from the plain facts of the old one, in `restarting`; the input that struck it
-//! is
-//! lost, and everything that was under way is sent again.
+//! Each of them runs under the guardian. After a panic of its own, an actor keeps its addresses and
+//! builds its machine from the plain facts of the old one, in `restarting`. The input that caused
+//! the panic is lost, and unconfirmed outputs are sent again.
 //!
 //! On their thread runs no code of the application but the subscriber of `tracing` that it has
 //! installed, and the `Drop` of what the factory of a removed component had captured: its

@@ -64,7 +64,7 @@ pub(crate) struct SupervisorActor {
     directory: SupervisorDirectory,
     /// Where its lives can be watched.
     watched: Deaths,
-    /// It was told to end because it is to begin anew.
+    /// It was told to end in order to be restarted.
     again: bool,
 }
 
@@ -141,7 +141,7 @@ impl SupervisorActor {
 
     fn answer(&mut self, ticket: CallId, outcome: RecoveryResult) {
         if let Some(waiting) = self.waiting.remove(&ticket) {
-            // Whoever asked may have stopped waiting; the deed is done all the same.
+            // The caller may have stopped waiting; the order is carried out all the same.
             let _ = waiting.send(outcome);
         }
     }
@@ -332,7 +332,7 @@ impl Actor for SupervisorActor {
 
 impl Supervised for SupervisorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        warn!(supervisor = %self.name, "begins anew: children in between two lives are started again");
+        warn!(supervisor = %self.name, "restarted: children between two incarnations are started again");
         self.wake = WakeTimer::default();
         self.waiting.clear();
         self.machine.handle_own_restart(platform::now());

@@ -185,7 +185,8 @@ impl GlobalNamesActor {
         self.end(name, ClaimState::Refused(refused.into()));
     }
 
-    /// Whoever sends for seconds what must be refused is named, until it was quiet.
+    /// Raises an alarm for a node whose messages are refused for seconds, and clears it when none
+    /// was refused for a while.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let looks: Vec<(NodeName, Refusals)> =

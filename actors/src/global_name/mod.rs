@@ -29,7 +29,7 @@ pub enum ClaimError {
     /// The name does not parse.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// Somebody else has the name. Stand by for it, or take another.
+    /// Another object holds the name. Stand by for it, or use another name.
     #[error(transparent)]
     Held(#[from] NameHeld),
     /// This node claims too many names already. Give some back.
@@ -56,7 +56,7 @@ impl From<ClaimRefused> for ClaimError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ClaimState {
-    /// The node has just started, and listens whether somebody has the name.
+    /// The node has just started, and waits for the claims of other nodes.
     Waiting,
     /// The name is ours.
     Held {
@@ -161,8 +161,8 @@ impl NameWatch {
         NameWatch { name, names: names.clone(), revision: names.revision(), told: None }
     }
 
-    /// Who holds it: at once when this is first called, and then whenever it is somebody else, or
-    /// nobody. What changed more than once meanwhile is told as it is now.
+    /// Returns the holder: at once on the first call, and then whenever it has changed; `None` if
+    /// there is no holder. Of several changes since the last call, the last is returned.
     pub async fn next(&mut self) -> Option<Holder> {
         loop {
             self.revision.mark_unchanged();
@@ -176,7 +176,7 @@ impl NameWatch {
         }
     }
 
-    /// Waits until somebody holds it.
+    /// Waits until the name has a holder.
     pub async fn held(&mut self) -> Holder {
         loop {
             if let Some(holder) = self.next().await {

@@ -1,4 +1,4 @@
-//! What this node knows of the names of the whole robot, for whoever asks, on whichever thread.
+//! The holders of global names that this node knows, readable on every thread.
 
 use super::{ClaimRow, ClaimState};
 use crate::platform;
@@ -23,7 +23,7 @@ pub(crate) enum ClaimCommand {
         /// lives.
         number: u64,
         told: watch::Sender<ClaimState>,
-        /// Nobody waits for what comes of it: that it is refused is a fault.
+        /// A component claims: no caller waits for the result, so a refusal is a fault.
         unattended: bool,
     },
     /// That claim is given back.
@@ -91,7 +91,7 @@ impl GlobalNameTable {
         self.0.revision.send_modify(|revision| *revision += 1);
     }
 
-    /// The body begins anew.
+    /// The actor restarts.
     pub(crate) fn forget_all(&self) {
         self.lock().clear();
     }

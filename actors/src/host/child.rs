@@ -175,7 +175,7 @@ impl<C: Component> Child for ComponentChild<C> {
     fn isolate(&mut self, isolated: bool) {
         self.anchor.isolate(isolated);
         if isolated && !self.is_alive() {
-            // Nobody is there to whom it could be kept.
+            // No incarnation lives for which the queue could be kept.
             self.anchor.close(&DeliveryError::Isolated);
         }
     }
@@ -197,7 +197,7 @@ impl<C: Component> Drop for ComponentChild<C> {
 }
 
 impl<C: Component> ComponentCell<C> {
-    /// Nobody starts the component again for now: its queue and its subscriptions end.
+    /// The component is not started again for now: closes its queue and its subscriptions.
     pub(crate) fn end(self: &Arc<Self>) {
         self.close(&DeliveryError::Stopped);
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));

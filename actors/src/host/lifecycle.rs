@@ -227,7 +227,7 @@ impl IncarnationLifecycle {
         let before = self.retried.filter(|retried| retried.hook == hook);
         let attempts = before.map_or(0, |retried| retried.attempts).saturating_add(1);
         self.retried = Some(Retried { hook, attempts, waits: true });
-        // Whoever waited for the start, or the reset, waits for the start from now on.
+        // A caller that waited for the start, or the reset, waits for the start from now on.
         self.awaited = Some(Awaited::Start);
         self.news.push(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
         // The first attempt was made at once; what it waits before the second is the first wait.

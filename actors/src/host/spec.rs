@@ -44,7 +44,7 @@ impl<C: Component> fmt::Debug for ChildSpec<C> {
 }
 
 impl<C: Component> ChildSpec<C> {
-    /// A component that `factory` builds anew for every life.
+    /// A component that `factory` builds for every incarnation.
     ///
     /// Its queue holds 64 messages and refuses more; it shares an arbiter; its guard and the watch
     /// thread look after it.

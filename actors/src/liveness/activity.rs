@@ -28,7 +28,7 @@ pub(crate) struct ActivityRecord {
     rounds: AtomicU64,
     /// How often a round is due, in nanoseconds; 0 for never.
     interval: AtomicU64,
-    /// Messages that nobody waited for any more when their turn came.
+    /// Requests whose callers had stopped waiting when their turn came.
     expired: AtomicU64,
 }
 
@@ -85,7 +85,7 @@ impl ActivityRecord {
         self.rounds.store(self.rounds.load(Relaxed) + 1, Relaxed);
     }
 
-    /// A message came too late for whoever waited.
+    /// Counts a request whose caller had stopped waiting.
     pub(crate) fn expire(&self) {
         self.expired.store(self.expired.load(Relaxed) + 1, Relaxed);
     }
@@ -214,7 +214,7 @@ mod tests {
         let reading = stamp.read();
         assert!(
             reading.turn.is_multiple_of(2) || reading.incarnation != 3,
-            "or somebody has claimed it"
+            "or it was claimed meanwhile"
         );
     }
 

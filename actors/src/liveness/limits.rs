@@ -43,11 +43,11 @@ impl Default for ComponentLimits {
     }
 }
 
-/// The watch looks once in a beat: whoever is at work at two looks would be hanging.
+/// The sampler looks once in a beat: with less, a component at work at two looks would be hanging.
 const BLOCK_MIN: Duration = Duration::from_millis(10);
 /// The clocks of threads and media are no finer than this.
 const LEAST: Duration = Duration::from_millis(1);
-/// Signs of life that come more seldom tell nobody anything; silence is not watched at all then.
+/// Signs of life that come more seldom are of no use: then silence is not watched at all.
 const SIGNS: RangeInclusive<Duration> = LEAST..=Duration::from_secs(24 * 60 * 60);
 /// Signs of life that may be missing. A thousand is an hour of one in four seconds.
 const TOLERANCE: RangeInclusive<u32> = 1..=1000;

@@ -254,7 +254,7 @@ impl Drop for SamplerGuard {
     fn drop(&mut self) {
         self.ended.store(true, Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It never waits for anybody, so that it is gone after the present look.
+            // The thread never blocks, so that it ends after the present look.
             let _ = thread.join();
         }
     }
@@ -443,7 +443,7 @@ impl Eyes {
         let arbiters: BTreeSet<u64> =
             self.stamps.0.iter().flatten().map(|known| known.arbiter).collect();
         self.pulses.retain(|id, pulse| {
-            // A fenced arbiter is followed until it comes back or is lost, also if nobody is left.
+            // A fenced arbiter is followed until it is lost or goes on, also without components.
             let awaited = pulse.is_fenced() && !pulse.is_lost();
             let kept = awaited || arbiters.contains(id);
             if !kept {
@@ -502,7 +502,7 @@ impl Eyes {
                 LivenessReported::Resumed { objects: objects.into() }
             }
             LivenessEvent::Lost { arbiter, culprit, victims } => {
-                // It may have come back just now; then nobody has to move.
+                // It may have come back just now; then its components stay.
                 if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?) {
                     return None;
                 }

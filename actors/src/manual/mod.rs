@@ -1,28 +1,29 @@
-//! The manual: what an application can rely on, and what it has to say.
+//! The manual: how to build a robot with this crate, and what it guarantees.
 //!
-//! Each page is short and about one thing; its examples run as tests. Whole programs, one lesson a
-//! file, lie in the folder `examples` and run as `cargo run -p blastema-examples --example hello`.
+//! Each page begins with the shortest working example, and then states guarantees and limits. The
+//! examples run as tests. Whole programs, one lesson a file, are in the folder `examples`; run them
+//! by `cargo run -p blastema-examples --example hello`.
 //!
 //! | page | answers |
 //! | --- | --- |
-//! | [start] | how a first component, a first node and a first fault come to be |
-//! | [contracts] | what may be sent, who understands it, and what is refused |
-//! | [components] | the life of a component: hooks, ports, timers, tasks, checks |
+//! | [start] | a first component, a first node and a first fault |
+//! | [contracts] | types of messages: what they may contain, versions, and when two parties agree |
+//! | [components] | the life cycle of a component: hooks, ports, timers, tasks, checks |
 //! | [sending] | tell, deliver, ask; what every error means and what to do |
 //! | [events] | publish and subscribe: conditions and topics |
 //! | [variables] | values that outlive restarts: read, written and watched from any node |
 //! | [parameters] | settings with defaults, units and ranges: from a file, and set while a component runs |
-//! | [commanding] | actuators that come to rest by themselves when their commander goes |
+//! | [commanding] | actuators that become safe by themselves when their commander is gone |
 //! | [services] | services that a standby on another node takes over |
-//! | [supervision] | who is restarted with whom, how often, and what follows then |
+//! | [supervision] | which components are restarted together, how often, and the safe state |
 //! | [faults] | the list of faults, roots and symptoms |
 //! | [monitoring] | what a node knows of itself: objects, threads, sessions; `blastema monitor` |
-//! | [recovery] | which measure answers which fault; strategies of one's own |
+//! | [recovery] | which recovery action answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
-//! | [names] | names of the whole robot, which nodes claim: an address without a node |
+//! | [names] | names of the whole robot: addresses without a node |
 //! | [media] | what a network can be made of, written as one string; media of one's own |
-//! | [guarantees] | order, loss, restarts, and how soon what is found |
+//! | [guarantees] | order, loss, restarts, and the times until faults are found |
 //! | [limits] | every bound, its reason, and how to change it |
 //! | [testing] | components and whole nodes in virtual time |
 //!

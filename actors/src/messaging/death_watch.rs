@@ -73,11 +73,11 @@ impl From<&ExitReason> for DownReason {
     }
 }
 
-/// Somebody who wants to be told.
+/// An object that watches another one.
 pub(crate) struct Watcher {
-    /// Asking twice is asking once.
+    /// The watching object; a second watch of the same object replaces the first.
     pub(crate) who: ObjectName,
-    /// The life that asked; when it has ended, nobody is told any more.
+    /// The incarnation that asked. Once it has ended, it gets no notice.
     pub(crate) life: Arc<IncarnationToken>,
     pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
 }

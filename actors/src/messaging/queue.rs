@@ -37,7 +37,7 @@ pub(crate) enum Popped<T> {
     Retired,
 }
 
-/// What came of a message that went in; for whoever let go of locks of its own meanwhile.
+/// The result of enqueuing a message, to be acted upon after locks were released.
 pub(crate) struct Pushed<T> {
     /// The older one that had to leave.
     pub(crate) displaced: Option<T>,
@@ -137,7 +137,7 @@ impl<T> BoundedQueue<T> {
         if lane.queue.len() >= self.capacity {
             match self.policy {
                 WhenFull::DropOldest => displaced = lane.queue.pop_front(),
-                // Nobody takes from it now: the reason is the death, not the load.
+                // No incarnation takes from it now: the reason is the death, not the load.
                 _ if lane.owner.is_none() => return Err((message, DeliveryError::Restarting)),
                 _ => return Err((message, DeliveryError::Full)),
             }
@@ -298,7 +298,7 @@ impl<T> BoundedQueue<T> {
         self.lock().queue.iter().cloned().collect()
     }
 
-    /// Closes the lane until it is given to somebody again, and hands out what was never served.
+    /// Closes the queue until it has an owner again, and returns what was never served.
     pub(crate) fn stop(&self) -> VecDeque<T> {
         self.stop_if(|_| true)
     }
@@ -345,7 +345,7 @@ impl<T> SpaceWaiter<'_, T> {
         if let Some(ticket) = self.ticket {
             let mine = lane.room.iter_mut().find(|(of, _)| *of == ticket);
             let Some((_, kept)) = mine else {
-                self.ticket = None; // Somebody made room and called this claim.
+                self.ticket = None; // Capacity was freed, and this waiter was woken.
                 return Poll::Ready(());
             };
             kept.clone_from(waker);

@@ -1,8 +1,9 @@
-//! The place where the answer to one request is put.
+//! The slot for the reply to one request.
 //!
-//! A slot belongs to the asker's side. The callee holds a way to fill it, and whoever watches over
-//! the callee holds a way to revoke it, so that a callee which hangs cannot keep its askers
-//! waiting, and what it says after it was given up is refused. A slot takes one result, the first.
+//! A slot belongs to the caller's side. The callee holds a [`Responder`] that fills it, and the
+//! callee's cell and deadline hold a [`Cancel`] that resolves it without the callee. So a callee
+//! that hangs does not keep its callers waiting, and a reply of an abandoned one is refused. A slot
+//! takes the first result only.
 
 use crate::arbiter::deadline::{Cancel, Deadline};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
@@ -24,9 +25,9 @@ pub(crate) type ReplyCallback<M> =
 
 pub(crate) struct ReplySlot<M: Contract> {
     state: Mutex<State<M>>,
-    /// Nothing has come yet, and somebody wants it; to be looked at without the lock.
+    /// No result has come yet, and the caller waits; readable without the lock.
     open: AtomicBool,
-    /// Nobody wants it after this; known of requests from other nodes.
+    /// The caller's deadline, which is known of requests from other nodes.
     until: Option<Instant>,
 }
 
@@ -35,12 +36,12 @@ enum State<M: Contract> {
     Open(Listener<M>),
     /// This has come, and waits to be fetched.
     Resolved(Result<M::Reply, RequestError<M>>),
-    /// Nobody wants an answer any more.
+    /// The caller does not wait any more.
     Closed,
 }
 
 enum Listener<M: Contract> {
-    Nobody,
+    None,
     Task(Waker),
     Callback(ReplyCallback<M>),
 }
@@ -54,8 +55,8 @@ impl<M: Contract> ReplySlot<M> {
         let mut state = self.lock();
         let State::Open(listener) = &mut *state else { return };
         self.open.store(false, Relaxed);
-        match std::mem::replace(listener, Listener::Nobody) {
-            Listener::Nobody => *state = State::Resolved(result),
+        match std::mem::replace(listener, Listener::None) {
+            Listener::None => *state = State::Resolved(result),
             Listener::Task(waker) => {
                 *state = State::Resolved(result);
                 drop(state);
@@ -88,7 +89,7 @@ impl<M: Contract> Responder<M> {
 
     /// A slot whose result is awaited until then.
     pub(crate) fn awaited_until(until: Option<Instant>) -> (Responder<M>, ReplyFuture<M>) {
-        let state = Mutex::new(State::Open(Listener::Nobody));
+        let state = Mutex::new(State::Open(Listener::None));
         let slot = Arc::new(ReplySlot { state, open: AtomicBool::new(true), until });
         (Responder(Some(slot.clone())), ReplyFuture { slot, limit: Limit::None, done: false })
     }
@@ -115,13 +116,13 @@ impl<M: Contract> Responder<M> {
         }
     }
 
-    /// The end of the slot for whoever watches over the callee.
+    /// The end of the slot that resolves it without the callee.
     #[inline]
     pub(crate) fn revocable(&self) -> Option<Arc<dyn Cancel>> {
         self.0.clone().map(|slot| slot as Arc<dyn Cancel>)
     }
 
-    /// When nobody wants the answer any more, if that is known.
+    /// The caller's deadline, if it is known.
     pub(crate) fn until(&self) -> Option<Instant> {
         self.0.as_ref().and_then(|slot| slot.until)
     }
@@ -144,8 +145,8 @@ impl<M: Contract> Drop for Responder<M> {
     }
 }
 
-/// The asker's end of a slot: resolves to the reply, or to why there is none. Dropped, it tells the
-/// callee that nobody waits.
+/// The caller's end of a slot: resolves to the reply, or to the reason why there is none. Dropping
+/// it tells the callee that the caller does not wait any more.
 pub(crate) struct ReplyFuture<M: Contract> {
     slot: Arc<ReplySlot<M>>,
     limit: Limit,

@@ -1,4 +1,4 @@
-//! Where messages of one contract can be sent, whoever is behind it and wherever it lives.
+//! Where messages of one contract can be sent, to a local or a remote receiver alike.
 
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::incarnation::IncarnationToken;
@@ -229,4 +229,4 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
     }
 }
 
-// By hand, so that nobody asks the user's message for `Debug`.
+// By hand: a derive would require `Debug` of the user's message.

@@ -114,7 +114,7 @@ impl Drop for CarrierMonitor {
     fn drop(&mut self) {
         self.end();
         if let Some(thread) = self.thread.take() {
-            // It waits for nobody, so that it is gone after one look.
+            // The thread never blocks for longer than one look.
             let _ = thread.join();
         }
     }

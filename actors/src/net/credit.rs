@@ -102,8 +102,8 @@ impl CreditPool for Pool {
     fn give_back(&self, bytes: usize) {
         let messages = self.messages.fetch_sub(1, Relaxed);
         let before = self.bytes.fetch_sub(bytes, Relaxed);
-        // Decided by what these found: when several give back at once, each may see only its own,
-        // and one of them opens it. Whoever is woken too early looks and waits on.
+        // Decided by the values before: when several return credit at once, one of them sees the
+        // limit. A sender that is woken too early checks and waits again.
         if messages >= MESSAGES_MAX || before >= BYTES_MAX {
             self.changed.notify_waiters();
         }

@@ -1,4 +1,4 @@
-//! The body of discovery: neighbours that nobody has described.
+//! Drives discovery: finds neighbours that are not in the node's configuration.
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
@@ -146,7 +146,8 @@ impl DiscoveryActor {
         }
     }
 
-    /// Whoever says for seconds what must be refused is named, until it was quiet.
+    /// Raises an alarm for a sender whose messages are refused for seconds, and clears it when none
+    /// was refused for a while.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
@@ -270,7 +271,7 @@ impl Handler<Received> for Ears {
     }
 }
 
-/// A beacon, or what somebody else said to the group.
+/// A beacon, or another frame to the group.
 #[derive(Message)]
 #[rtype(result = "()")]
 struct Beacon {

@@ -90,7 +90,7 @@ impl MessageResponse<RemoteRecoverer, Recover> for DeferredAnswer {
     fn handle(self, _: &mut Context<RemoteRecoverer>, answer: Option<OneshotSender<Confirmed>>) {
         actix_rt::spawn(async move {
             if let (Ok(confirmed), Some(answer)) = (self.0.await, answer) {
-                // Whoever asked may have given up.
+                // The caller may have stopped waiting.
                 let _ = answer.send(confirmed);
             }
         });

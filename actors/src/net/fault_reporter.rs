@@ -5,7 +5,7 @@ use actix::prelude::*;
 use blastema_contract::reports::{DeclaredFaultCleared, FaultDeclared};
 use blastema_core::{FaultKind, ObjectName};
 
-/// Where one object of the network tells what is wrong. Where nobody is named, nobody is told.
+/// Reports the faults of one object of the network. Without recipients, reports are dropped.
 #[derive(Clone)]
 pub(crate) struct FaultReporter {
     object: ObjectName,

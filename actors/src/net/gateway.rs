@@ -305,8 +305,7 @@ impl GatewayActor {
         }
     }
 
-    /// Two nodes do not mean the same: whoever wrote to one of them wants to know, and so does
-    /// whoever looks after the robot.
+    /// Two nodes hold different contracts: shown in the session's row, and a fault.
     fn differs(&mut self, peer: NodeId, difference: &str) {
         if let Some(peer) = self.peers.get_mut(&peer) {
             peer.differs(difference);
@@ -477,14 +476,14 @@ impl Actor for GatewayActor {
 }
 
 impl Supervised for GatewayActor {
-    /// Every promise is resolved, and every session begins anew, so that both ends agree again.
+    /// Resolves every pending request and reopens every session, so that both ends agree again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         for (node, reply_to) in std::mem::take(&mut self.replies).into_values() {
-            let reason = format!("the way to {node} began anew");
+            let reason = format!("the session with {node} was reopened");
             reply_to(Err(DeliveryError::OutcomeUnknown { reason }));
         }
         let peers: Vec<_> = self.peers.keys().copied().collect();
-        let why = DeliveryError::OutcomeUnknown { reason: "the gateway began anew".to_owned() };
+        let why = DeliveryError::OutcomeUnknown { reason: "the gateway was restarted".to_owned() };
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));

@@ -65,7 +65,7 @@ impl IsolationControl {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether it has a session with this node, or somebody has voted on it.
+    /// Whether this node has had a session with it, or a node has voted on it.
     pub(super) fn know(&self, node: &NodeName) -> bool {
         self.lock().knows(node)
     }

@@ -35,7 +35,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
 
-/// What a link costs that nobody has given a cost, over a medium of a megabyte per second and more.
+/// The cost of a link without a configured one, over a medium of a megabyte per second and more.
 const USUAL_COST: u64 = 10;
 /// What it costs at most for its medium's slowness: a way over many fast links may still be too
 /// long.
@@ -86,7 +86,7 @@ pub(super) struct LinksActor {
     bytes_per_second: Option<u64>,
     /// Where all are reached at once, if the medium is a bus.
     bus: Option<MediumAddress>,
-    /// What the router was told last: it must be taken back when the links begin anew.
+    /// What the router was told last: it must be taken back when the actor restarts.
     told: BTreeMap<LinkId, LinkStatus>,
     /// Those that were never heard while the medium could not be opened.
     unheard: BTreeSet<LinkId>,
@@ -223,7 +223,7 @@ impl LinksActor {
                 let reason = refusal.map_or_else(|| reason.to_owned(), ToString::to_string);
                 self.tell_monitor(number, LinkCondition::Down { reason });
             }
-            // Nothing is torn down on a suspicion, and nobody is told who could act on it.
+            // Nothing is torn down on a suspicion, and the recoverer gets no report of it.
             LinkState::Connecting | LinkState::Suspect => {}
         }
     }
@@ -251,8 +251,8 @@ impl LinksActor {
         }
     }
 
-    /// What must be refused for seconds is a fault until it was quiet: somebody else speaks with
-    /// the neighbour's address, or the neighbour is broken.
+    /// Frames that are refused for seconds are a fault until none was refused for a while: another
+    /// node sends with the neighbour's address, or the neighbour is broken.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
@@ -289,7 +289,7 @@ impl LinksActor {
         self.wiring.faults.declare(FaultKind::NameTaken, detail);
     }
 
-    /// Nobody came. Told as any link that is down; that it is up is told when somebody comes.
+    /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
     fn missing(&mut self, number: LinkId, heard: bool) {
         if self.mtu.is_none() {
             // Why nothing is heard was told, and is found here.

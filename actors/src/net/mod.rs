@@ -9,13 +9,13 @@
 //!
 //! All of them live on one arbiter, under the guardian. What becomes of a panic in:
 //!
-//! * a network's links: they are built anew and say hello; neighbours notice nothing or a late
+//! * a network's links: they are built again and send hellos; neighbours notice nothing or a late
 //!   hello.
-//! * the router: it is built anew, asks links and neighbours, and knows its place again within two
-//!   round trips; packets in between are lost, and the sessions repeat them.
-//! * the sessions: the one that was being served is built anew, after handing back what it had not
+//! * the router: it is built again, asks links and neighbours, and has its routes within two round
+//!   trips; packets in between are lost, and the sessions retransmit them.
+//! * the sessions: the session in service is built again, after it has returned what it had not
 //!   delivered; the others go on.
-//! * the gateway: every request is resolved, every session begins anew.
+//! * the gateway: every request is resolved, and every session is reopened.
 
 mod carrier;
 mod credit;
@@ -88,14 +88,14 @@ pub(crate) struct LinkSpec {
     pub(crate) name: Arc<str>,
     /// The neighbour's address on the medium.
     pub(crate) remote: MediumAddress,
-    /// Who must be there; `None` takes whoever speaks first.
+    /// The node at the other end; `None` takes the first that sends.
     pub(crate) neighbour: Option<NodeName>,
     /// How dear it is to use: of two paths the cheaper is taken. `None` is as its medium is.
     pub(crate) cost: Option<u16>,
     /// How often we say hello, unless the medium is too slow for that. A dead link is found after
     /// three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
-    /// How soon after the start the neighbour must be there; `None` where nobody need be.
+    /// How soon after the start the neighbour must be there; `None` for no limit.
     pub(crate) expected_within: Option<Duration>,
 }
 

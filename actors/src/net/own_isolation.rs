@@ -23,7 +23,7 @@ impl Outcast {
         self.other.store(other.0, Relaxed);
     }
 
-    /// A session has begun, or nobody has said so any more for long.
+    /// A session was opened, or no node has refused this one for a while.
     pub(super) fn let_in(&self) {
         self.other.store(0, Relaxed);
     }

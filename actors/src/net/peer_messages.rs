@@ -89,15 +89,15 @@ impl PeerChannel {
     }
 }
 
-/// Takes letters that nobody here reads, so that whoever writes them is not told of an unknown
-/// object.
+/// Drops messages that no actor of this node reads, so that their sender gets no error for an
+/// unknown object.
 pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
-    registry.register_hidden(place, ContractPort::of_doorway::<ActorMessage>(Arc::new(Nobody)));
+    registry.register_hidden(place, ContractPort::of_doorway::<ActorMessage>(Arc::new(Discard)));
 }
 
-struct Nobody;
+struct Discard;
 
-impl Skeleton for Nobody {
+impl Skeleton for Discard {
     fn deliver(
         &self,
         _: &Bytes,

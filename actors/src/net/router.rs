@@ -34,12 +34,12 @@ pub(super) struct RouterActor {
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
-    /// Who can be reached, in which life: what a router that begins anew must find again.
+    /// The nodes that can be reached, and their incarnations: what a restarted router finds again.
     reached: BTreeMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as
     /// the recoverer has under way, which gives each two seconds.
     inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
-    /// Who is isolated: a router that begins anew must know.
+    /// The isolated nodes, which a restarted router is given.
     kept_out: BTreeSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     outcast: Outcast,
@@ -70,7 +70,7 @@ impl RouterActor {
         }
     }
 
-    /// Names that are given twice: whoever gave them has to act.
+    /// Names that are used twice: a user must act.
     fn declare(&self, kind: FaultKind, detail: String) {
         error!("{detail}");
         self.faults.declare(kind, detail);
@@ -116,7 +116,7 @@ impl RouterActor {
 
     fn answer_inquirers(&mut self, context: &mut Context<Self>) {
         for (node, inquirer) in std::mem::take(&mut self.inquirers) {
-            // Nobody minds an answer that is not waited for any more.
+            // The caller may have stopped waiting.
             let _ = match self.machine.verdict(NodeId::of(&node), platform::now()) {
                 Some(true) => inquirer.send(Ok(RecoveryDone::default())),
                 Some(false) => inquirer.send(Err(format!("no other way leads to {node}").into())),
@@ -146,7 +146,7 @@ impl Actor for RouterActor {
 
 impl Supervised for RouterActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
-        // What goes on is told anew.
+        // What persists is reported again.
         self.machine.troubles().for_each(|trouble| self.mend(trouble));
         let reached = self.reached.clone();
         self.machine = net::Router::restarted(self.config.clone(), reached, platform::now());
@@ -341,7 +341,7 @@ impl Handler<Reroute> for RouterActor {
         let node = match place {
             FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
             other => {
-                let error = format!("nobody is known to be behind {other}");
+                let error = format!("the node behind {other} is not known");
                 return Box::pin(async { Err(error.into()) });
             }
         };
@@ -349,6 +349,6 @@ impl Handler<Reroute> for RouterActor {
         self.inquirers.retain(|(_, inquirer)| !inquirer.is_closed());
         self.inquirers.push((node, answer));
         self.answer_inquirers(context);
-        Box::pin(async { verdict.await.unwrap_or_else(|_| Err("the router began anew".into())) })
+        Box::pin(async { verdict.await.unwrap_or_else(|_| Err("the router was restarted".into())) })
     }
 }

@@ -26,7 +26,7 @@ use tracing::{error, info, warn};
 const PEERS_MAX: usize = 512;
 /// How often it is looked at what was refused.
 const LOOK: Duration = Duration::from_secs(1);
-/// A session that is built anew counts on from there: more than any life of a session needs.
+/// A session that is built again counts on from there: more than any session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
 /// One session per peer node.
@@ -97,7 +97,7 @@ impl SessionsActor {
         id
     }
 
-    /// Makes room for a new peer: somebody without a path goes.
+    /// Makes room for a new peer: removes one without a path.
     fn forget_one(&mut self) {
         let gone = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id);
         if let Some(id) = gone {
@@ -136,7 +136,8 @@ impl SessionsActor {
         }
     }
 
-    /// Whoever sends for seconds what must be refused is named, until it was quiet.
+    /// Raises an alarm for a peer whose packets are refused for seconds, and clears it when none
+    /// was refused for a while.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
         let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
@@ -150,8 +151,8 @@ impl SessionsActor {
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
             let detail = format!("what comes from {name} is refused all the time: {since}");
             warn!("{detail}");
-            // Nodes on the way may speak in another's name. Over its own links it is itself, unless
-            // somebody repeats there what it said once.
+            // Nodes on the path may send in another's name. Over its own links it is itself, unless
+            // an attacker replays its packets there.
             let its_own = !relayed && since.of_the_present() >= MANY;
             if let (Some(nodes), Some(peer), true) =
                 (&self.nodes, peer.and_then(|id| self.peers.get(&id)), its_own)
@@ -185,7 +186,7 @@ impl Actor for SessionsActor {
 }
 
 impl Supervised for SessionsActor {
-    /// The session that was being served is built anew; the others have not noticed.
+    /// The session in service is built again; the others go on.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.started(context);

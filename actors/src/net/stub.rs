@@ -279,7 +279,7 @@ impl PeerStubs {
         }
     }
 
-    /// This node ends: nothing more is taken, and whoever waits for room is told so.
+    /// This node ends: refuses messages, and wakes the senders that wait for credit.
     pub(super) fn end(&self) {
         self.ended.store(true, Relaxed);
         self.lock().values().for_each(|gate| gate.changed.notify_waiters());

@@ -227,7 +227,7 @@ impl Robot {
         self.cable(end).do_send(Restore);
     }
 
-    /// Nobody hears any more what the node says here.
+    /// Closes the transport: no frame of the node leaves here any more.
     fn kill(&self, end: &str) {
         self.cable(end).do_send(Close);
     }

@@ -186,7 +186,7 @@ impl NodeBuilder {
     /// same user may look, and nothing can be changed from there. It can be seen from the start on,
     /// and in the safe state.
     ///
-    /// The path is absolute; any other is refused at start, as is one at which nobody can listen.
+    /// The path is absolute; any other is refused at start, as is one that cannot be listened at.
     #[cfg(feature = "unix")]
     pub fn inspection_socket(mut self, path: impl Into<PathBuf>) -> Self {
         self.shown_at = Some(path.into());

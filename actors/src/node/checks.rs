@@ -57,8 +57,8 @@ const THREADS: RangeInclusive<usize> = 1..=1024;
 /// The neighbours of a handler that hangs stand still for so long at most.
 const GRACE_MAX: Duration = Duration::from_secs(60 * 60);
 
-/// A call that takes no longer than a beat blocks nobody; who waits for safety waits no longer than
-/// a minute.
+/// A call that takes no longer than a beat blocks no component, and safe outputs wait at most a
+/// minute.
 const CALLBACK_LIMITS: RangeInclusive<Duration> =
     Duration::from_millis(10)..=Duration::from_secs(60);
 
@@ -135,8 +135,7 @@ fn check_journal(file: &Path) -> Result<(), StartError> {
     Err(StartError::Journal { file: file.to_owned(), reason: reason.to_owned() })
 }
 
-/// Nobody is called like somebody else: neither components nor supervisors, nor what the middleware
-/// has.
+/// Refuses two objects of one name, whether components, supervisors or middleware objects.
 pub(super) fn check_names<'a>(
     names: impl IntoIterator<Item = &'a ObjectName>,
 ) -> Result<(), NameTaken> {

@@ -77,7 +77,7 @@ pub(super) struct NodeControllerSetup {
     pub(super) incarnation: Incarnation,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) safe_outputs: SafeOutputs,
-    /// Nobody commands at rest.
+    /// Grants no leases in the safe state.
     pub(super) actuators: ActuatorTable,
     /// Is told of this node as of others.
     pub(super) nodes: Recipient<NodeReported>,
@@ -89,7 +89,7 @@ pub(super) struct NodeController {
     /// The root's.
     life: Incarnation,
     phase: Phase,
-    /// The node is at rest, and is to begin anew as soon as all have ended.
+    /// The node is in the safe state, and restarts as soon as all children have ended.
     again: bool,
     /// It comes to rest: the safe outputs are being applied.
     comes_to_rest: bool,
@@ -314,13 +314,13 @@ impl Handler<ChildReport> for NodeController {
             return;
         }
         match report.event {
-            // What waits for something that is not there yet holds nobody up who looks after the
-            // node.
+            // A child that waits for a device that is not there yet does not delay the start of
+            // the node.
             ChildEvent::Started | ChildEvent::Unavailable { .. } => {
                 if self.state() == NodeState::Starting {
                     info!("the node runs");
                     self.setup.state.send_replace(NodeState::Running);
-                    // Whoever asks a node at rest waits for the next life, not for this one.
+                    // Callers of a restart wait for the next incarnation, not for this one.
                     self.tell_started(&Ok(()));
                 }
             }

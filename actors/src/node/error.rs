@@ -91,7 +91,7 @@ pub enum StartError {
         /// What is wrong, and where.
         reason: String,
     },
-    /// Nobody can look at the node where it was to be shown.
+    /// The inspection socket cannot be created.
     #[error("the node cannot be shown: {0}")]
     Shown(String),
     /// A watchdog of the process cannot be used.

@@ -24,7 +24,7 @@ pub struct FaultEvents {
     state: watch::Receiver<NodeState>,
 }
 
-/// Lives as long as the detector knows it and somebody reads.
+/// Lives as long as the detector knows it and the reader exists.
 #[derive(Debug)]
 pub(super) struct FaultListener {
     events: mpsc::Sender<FaultEvent>,
@@ -81,7 +81,7 @@ impl FaultEvents {
         tokio::select! {
             biased;
             event = events.recv() => event,
-            // Also where nobody is left who could say so.
+            // Also if the sender of the state was dropped.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => events.try_recv().ok(),
         }
     }

@@ -1,8 +1,8 @@
-//! The window: a socket in the file system at which other processes of the machine see the node.
+//! The inspection socket: a Unix socket at which other processes of the machine see the node.
 //!
-//! Whoever connects is given one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end.
-//! Nothing is read, so that nothing can be asked or done there. It stays open in the safe state,
-//! and closes with the node.
+//! A client that connects gets one [`NodeSnapshot`](super::NodeSnapshot) as JSON, and the end of
+//! the stream. Nothing is read, so that a client cannot change anything. The socket stays open in
+//! the safe state, and closes with the node.
 
 pub(crate) mod server;
 
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 use tokio::sync::watch;
 
-/// Its owner's processes may look, nobody else's.
+/// Processes of the owner may connect, and no others.
 const MODE: u32 = 0o600;
 
 /// Shows the node, once there is one.
@@ -27,7 +27,7 @@ pub(super) struct InspectionActor {
     reports: FaultReports,
 }
 
-/// The node can be seen from now on. Answers why nobody can listen there, and what to do.
+/// Opens the socket. Returns why that is not possible, and what to do.
 #[derive(Message)]
 #[rtype(result = "Result<(), String>")]
 pub(super) struct StartInspection(Weak<Shared>);
@@ -54,7 +54,7 @@ impl InspectionActor {
         let until_the_end = async move {
             tokio::select! {
                 () = showing.run() => {}
-                // Also where nobody is left who could say so.
+                // Also if the sender of the state was dropped.
                 _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
             }
         };

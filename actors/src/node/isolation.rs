@@ -40,7 +40,7 @@ pub enum IsolateError {
     },
 }
 
-/// So many nodes are named to somebody who named none of them.
+/// So many known nodes are listed if the given name is none of them.
 const KNOWN_MAX: usize = 10;
 
 fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
@@ -59,14 +59,14 @@ impl Node {
     /// of the nodes have said so. A node that is away is told when it is back.
     ///
     /// # Errors
-    /// Nothing has changed: the name does not parse, is this node's own, or belongs to nobody that
-    /// this node has met or was told of, as neighbour, warden, or member of a service.
+    /// Nothing has changed: the name does not parse, is this node's own, or is not that of a node
+    /// that this one has met or was configured with, as neighbour, warden, or member of a service.
     pub fn isolate(&self, node: &str) -> Result<(), IsolateError> {
         self.set_isolated(node, true)
     }
 
     /// Takes back what this node has said about an isolated one, or says that it is to be let in
-    /// again. The session with that node begins anew.
+    /// again. The session with that node is opened again.
     ///
     /// # Errors
     /// As [`isolate`](Self::isolate).

@@ -178,7 +178,7 @@ impl Node {
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
         match state.wait_for(ended).await {
             Ok(state) => state.clone(),
-            // Nobody is left who could change it.
+            // The sender of the state was dropped with the node's controller.
             Err(_) => NodeState::Stopped,
         }
     }
@@ -522,7 +522,7 @@ impl Drop for Shared {
             NodeState::Stopped => "it was shut down",
         };
         let panic = if std::thread::panicking() { "by a panic " } else { "" };
-        // Whoever lets go of the last reference without a shutdown still leaves no thread behind.
+        // Dropping the last reference without a shutdown leaves no thread behind either.
         self.end(&format!("the node was dropped {panic}while {meanwhile}"));
     }
 }

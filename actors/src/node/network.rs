@@ -97,8 +97,8 @@ impl Network {
         Network::over(name, Medium::Own(Box::new(|| FrameTransport::new(medium))))
     }
 
-    /// UDP, at this address of our own, which is no group's. Links name the neighbours; nobody else
-    /// is listened to.
+    /// UDP, at this address of our own, which is no group's. Links name the neighbours; frames from
+    /// other addresses are dropped.
     #[cfg(feature = "ip")]
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
         Network::udp_with(name, {
@@ -233,8 +233,8 @@ impl Link {
     }
 
     /// The node called `neighbour`, at this address as its medium writes it: `10.0.0.2:7400`,
-    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which leads to nobody
-    /// else.
+    /// `/run/module2.sock`, a number on a CAN bus; empty on a serial line, which has one
+    /// other end.
     ///
     /// An address that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the
     /// node starts.

@@ -22,7 +22,7 @@ pub enum RestartError {
     #[error("the node was shut down: build another one")]
     ShutDown,
     /// Four components or more keep threads in handlers that never return, which cannot be ended.
-    /// Begin the process anew.
+    /// Restart the process.
     #[error("{count} threads hang for good: only a new process helps")]
     ThreadsHang {
         /// How many.

@@ -170,7 +170,7 @@ impl Node {
                 info!(node = %self.0.name, signal = signal.name(), "the node is shut down");
                 self.shut_down_because(&format!("{} shut it down", signal.name())).await;
             }
-            // Also where nobody is left who could say so.
+            // Also if the sender of the state was dropped.
             _ = state.wait_for(|state| *state == NodeState::Stopped) => {}
         }
         Ok(())

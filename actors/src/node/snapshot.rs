@@ -21,7 +21,8 @@ use std::time::Duration;
 pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
-/// where whoever keeps it did not answer within a second: that there is nothing is an empty list.
+/// if the actor that keeps it did not answer within a second; an empty list means that there is
+/// nothing.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NodeSnapshot {

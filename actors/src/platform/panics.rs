@@ -93,7 +93,7 @@ pub(crate) fn install_hook() {
         let previous = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
             if GUARDED.try_with(Cell::get).unwrap_or(0) == 0 {
-                // Whoever read has gone on purpose, as `head` does: `end_of_program` says so by its
+                // The reader has ended on purpose, as `head` does: `end_of_program` sets the
                 // status.
                 if !is_reader_gone(info.payload()) {
                     previous(info);
@@ -108,7 +108,7 @@ pub(crate) fn install_hook() {
     });
 }
 
-/// Whether this is the panic of `println!` where nobody reads standard output any more.
+/// Whether this is the panic of `println!` after the reader of standard output has ended.
 fn is_reader_gone(payload: &(dyn Any + Send)) -> bool {
     payload.downcast_ref::<String>().is_some_and(|text| {
         text.starts_with("failed printing to stdout") && text.contains("Broken pipe")

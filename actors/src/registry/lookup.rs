@@ -1,4 +1,4 @@
-//! What stands behind a `Sender` of a claimed name: whoever holds it when something is sent.
+//! What stands behind a `Sender` of a global name: sends to the holder at the time of sending.
 
 use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
@@ -26,7 +26,7 @@ impl<M: Contract> GlobalNameSender<M> {
         GlobalNameSender { name, registry, names, last: Mutex::default() }
     }
 
-    /// The way to whoever holds the name now.
+    /// The sender to the present holder of the name.
     fn present(&self) -> Result<Sender<M>, DeliveryError> {
         let holder = self.names.holder(&self.name);
         let holder =
@@ -65,7 +65,7 @@ impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
         let refused = refused.clone();
         Box::pin(async move {
             let mut revision = self.names.revision();
-            // Whoever has no room now need not be the one who is sent to next.
+            // The next message may go to another holder than the one that is full now.
             if let Ok(sender) = self.present() {
                 tokio::select! {
                     () = sender.0.room(&refused) => {}

@@ -1,8 +1,8 @@
 //! What answers a contract at an object's name without being its component.
 //!
 //! Variables and leases are kept by the node, so that they outlive the lives of the component that
-//! they belong to, and can be reached while it hangs. They are served on the thread of whoever
-//! asks.
+//! they belong to, and can be reached while it hangs. Requests are served on the thread of
+//! the caller.
 
 use crate::arbiter::heartbeat;
 use crate::messaging::error::{RequestError, SendError};

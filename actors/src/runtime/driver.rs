@@ -68,7 +68,7 @@ pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
     }
 }
 
-/// The one timer of a [`MachineActor`]. A body that begins anew begins with a fresh one.
+/// The one timer of a [`MachineActor`]. An actor that restarts replaces it.
 #[derive(Default)]
 pub(crate) struct WakeTimer {
     armed: Option<Instant>,

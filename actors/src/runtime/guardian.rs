@@ -1,9 +1,9 @@
 //! The reflex that keeps the middleware's own actors alive.
 //!
-//! Components are hosted; the objects of the middleware itself are plain actors, and this is what
+//! Components are hosted; the objects of the middleware itself are plain actors, and the guardian
 //! stands between their panics and actix. A panic is caught around each poll, so that actix never
-//! sees it: the actor begins anew in [`Supervised::restarting`], and its address and its mailbox
-//! live on. Only the message that it was serving is lost.
+//! sees it: the actor restarts in [`Supervised::restarting`], and keeps its address and its
+//! mailbox. Only the message that it was serving is lost.
 
 use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
@@ -64,8 +64,8 @@ pub(crate) fn own_arbiter() -> std::io::Result<ArbiterHandle> {
     Ok(arbiter.handle())
 }
 
-/// Runs actors that must not die. They begin anew, in their own `restarting`, from what they were
-/// configured with.
+/// Runs actors that must not die. They restart, in their own `restarting`, from their
+/// configuration.
 #[derive(Clone, Default)]
 pub(crate) struct Guardian {
     deaths: Arc<OnceLock<Recipient<Exited>>>,

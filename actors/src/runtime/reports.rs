@@ -1,11 +1,11 @@
-//! Where a component, and whatever else may fail, reports it.
+//! Where components, guards and middleware actors report exits, states and faults.
 
 use crate::runtime::guardian;
 use actix::Recipient;
 use blastema_contract::reports::{DeclaredFaultCleared, Exited, FaultDeclared, StateReported};
 use blastema_core::{FaultKind, ObjectName};
 
-/// Who is told what guards and components report. Whoever is not named is not told.
+/// The recipients of what guards and components report. A report without a recipient is dropped.
 #[derive(Clone, Default)]
 pub(crate) struct FaultReports {
     pub(crate) exits: Option<Recipient<Exited>>,

@@ -403,7 +403,7 @@ impl<E: Event> Hub<E> {
                 ear.place.set(ear.listener.take(event, posted.at, &self.pulse, ear));
             }
             if self.pulse.is_fenced() {
-                // Whoever kept the thread has returned.
+                // The handler that kept the thread has returned.
                 self.pulse.lift();
                 if self.pulse.is_lost() {
                     return Progress::Lost;

@@ -1,4 +1,4 @@
-//! What a topic carries, from whom and for whom: shown to people, judged by nobody.
+//! What a topic carries, with its publishers and listeners: for display only.
 
 use super::{TopicKey, lock};
 use blastema_core::{Instant, ObjectName};
@@ -35,7 +35,7 @@ pub struct TopicRow {
     pub rate_hz: f64,
     /// How many bytes one event takes when it is sent to another node, measured lately.
     pub bytes: Option<usize>,
-    /// Nobody listens to this topic, and this one of a similar name has listeners and no
+    /// If this topic has no listeners: the topic of a similar name that has listeners and no
     /// publishers.
     pub similar: Option<String>,
 }

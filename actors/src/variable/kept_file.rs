@@ -4,9 +4,8 @@
 //!  "blastema-variables 1\n" │ values, by the codec │ CRC-32C of all before, little-endian
 //! ```
 //!
-//! It is written anew as a whole beside the old one, brought to the disk, and then put in its
-//! place: whatever ends the process, or the power, leaves the old one or the new one, and nothing
-//! in between.
+//! The whole file is written beside the old one, synchronised to the disk, and then renamed over
+//! it: whatever ends the process, or the power, leaves the old file or the new one.
 
 use crate::platform;
 use blastema_core::contract::codec;
@@ -52,7 +51,7 @@ pub(super) fn load(path: &Path) -> Result<Vec<PersistedValue>, LoadError> {
     codec::decode_bounded::<_, FILE_MAX>(values).map_err(|_| LoadError::Foreign)
 }
 
-/// Puts a file aside that cannot be used, for somebody to look at.
+/// Renames a file that cannot be used, so that a user can inspect it.
 pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
     let aside = beside(path, "damaged");
     fs::rename(path, &aside)?;

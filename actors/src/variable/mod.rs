@@ -55,8 +55,8 @@ impl<V: Variable> VariableSpec<V> {
         self
     }
 
-    /// Refuses values for which this says why, also as default. It runs on the thread of whoever
-    /// writes, and must not block.
+    /// Refuses values for which this returns a reason, also as default. It runs on the thread of
+    /// the writer, and must not block.
     #[must_use]
     pub fn check(
         mut self,

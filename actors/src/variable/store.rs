@@ -27,7 +27,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
-/// Somebody who waits, and what is told.
+/// A caller that waits, and its reply.
 type Told = (Responder<VariableRequest>, VariableReply);
 
 /// A variable as a component declares it, without its type.
@@ -49,7 +49,7 @@ impl DeclaredVariable {
             let undecodable = |error: codec::DecodeError| error.to_string();
             let value = codec::decode::<V>(bytes)
                 .map_err(|error| DeliveryError::Undecodable { reason: undecodable(error) })?;
-            // The check is the user's, and runs on the thread of whoever writes.
+            // The check is the user's, and runs on the writer's thread.
             let _guarded = PanicGuard::enter();
             let checked = catch_unwind(AssertUnwindSafe(|| check(&value)));
             let reason = match checked {
@@ -66,7 +66,7 @@ impl DeclaredVariable {
         DeclaredVariable { identity, default, policy, check, observer: None }
     }
 
-    /// The owner is told of each value that is written, on the thread of whoever writes.
+    /// Calls the owner's observer with each written value, on the writer's thread.
     pub(crate) fn observed(mut self, observer: impl Fn(&[u8]) + Send + Sync + 'static) -> Self {
         self.observer = Some(Arc::new(observer));
         self
@@ -100,7 +100,7 @@ struct Inner {
     /// Values of an earlier process whose owner is not there yet, or not any more.
     kept: BTreeMap<VariableKey, PersistedValue>,
     file: Option<PersistenceFile>,
-    /// What is wrong with values that were to be restored, until somebody can be told.
+    /// Faults of values that could not be restored, until they can be reported.
     complaints: Vec<String>,
 }
 
@@ -314,8 +314,7 @@ impl VariableStore {
         self.lock().waiting.len()
     }
 
-    /// Changes something. Where values are kept, whoever wanted it is answered when it is on the
-    /// disk.
+    /// Changes values. With a file, the caller is answered when they are on the disk.
     fn change(
         &self,
         variables: Vec<VariableKey>,

@@ -1,7 +1,7 @@
 //! For tests of Blastema components: a test node, probes, a paused clock.
 //!
-//! A dev-dependency of whoever writes components. Tests run in virtual time: nobody sleeps, an hour
-//! passes in milliseconds, and nothing depends on how busy the machine is.
+//! A dev-dependency of packages with components. Tests run in virtual time: no test sleeps, an hour
+//! passes in milliseconds, and no result depends on how busy the machine is.
 //!
 //! | item | what it is for |
 //! | --- | --- |
@@ -69,8 +69,8 @@ pub use probe::{Actuator, Listener, Owner, Probe, Server, Target, owner};
 
 pub use blastema::platform::now;
 
-/// Runs a test on this thread, in virtual time: the clock stands while anybody has something to do,
-/// and then jumps to the next thing that is due.
+/// Runs a test on this thread, in virtual time: the clock stands while a task can run, and then
+/// jumps to the next timer.
 ///
 /// [`#[blastema_testkit::test]`](macro@test) does the same to a test function.
 ///

@@ -14,7 +14,7 @@ use std::ops::Deref;
 use std::time::Duration;
 use tokio::time::timeout;
 
-/// Between two looks at what nobody reports: finer than anything that a test measures.
+/// Between two looks at states that are not reported: finer than anything that a test measures.
 const LOOK: Duration = Duration::from_millis(1);
 
 /// A node that lives on the test's thread and under its clock, with everything that a real one has.

@@ -6,7 +6,7 @@ use blastema_doubles::Record;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Records the messages of one contract in somebody's place, and answers requests.
+/// Records the messages of one contract in place of a component, and answers requests.
 ///
 /// It gives the [`ChildSpec`] of a component that listens to a topic, takes commands by name, or
 /// serves requests; what that component is sent is found here. Probes outlive the restarts of their
@@ -94,7 +94,7 @@ impl<E: Event> Probe<E> {
         ChildSpec::new(name, move || Listener { record: record.clone() })
     }
 
-    /// A component that takes this event as a command, from whoever knows its name.
+    /// A component that accepts this event as a command by name.
     pub fn target(&self, name: &str) -> ChildSpec<Target<E>> {
         let record = self.0.clone();
         ChildSpec::new(name, move || Target { record: record.clone() })

@@ -172,7 +172,7 @@ fn misplaced(key: &str, derive: Derive) -> Option<String> {
             Some("a request has no max_age: the asker states a deadline; remove `max_age`".into())
         }
         ("idempotent", Derive::Event) => Some(
-            "an event is not answered, so that nobody waits or sends it again: remove `idempotent`"
+            "an event is not answered, so that no caller waits or sends it again: remove `idempotent`"
                 .into(),
         ),
         ("latched", Derive::Request) => Some(

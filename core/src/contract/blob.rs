@@ -15,8 +15,8 @@ use std::ops::Deref;
 /// may declare the one, another the other. (On one node a contract is one Rust type.) A clone costs
 /// a counter. A large one that is the last thing in a message, an event or a reply goes to the
 /// network as it lies; before other things it is copied once. What comes from another node is a
-/// part of the message as it arrived, which stays in memory as long as any of its blobs: whoever
-/// keeps a few bytes of a large message copies them.
+/// part of the message as it arrived, which stays in memory as long as any of its blobs: to
+/// keep a few bytes of a large message, copy them.
 ///
 /// ```
 /// use blastema_core::Blob;

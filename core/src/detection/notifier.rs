@@ -8,9 +8,9 @@ use std::time::Duration;
 
 /// Hands every fault to every port, and limits storms.
 ///
-/// Each port has a queue of its own, so that a recoverer that cannot be reached holds up nobody
-/// else. In a queue, what is over goes first, then critical faults, errors, warnings. A fault is
-/// never twice in a queue; one that is over before its turn is taken out again.
+/// Each port has a queue of its own, so that a recoverer that cannot be reached does not delay the
+/// others. In a queue, ends of faults go first, then critical faults, errors, warnings. A fault is
+/// never twice in a queue; one that has ended before its turn is taken out again.
 #[derive(Clone, Debug)]
 pub struct Notifier {
     limits: NotifierLimits,

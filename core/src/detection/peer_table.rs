@@ -222,8 +222,8 @@ impl PeerTable {
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
-        // The last word of a life may come after the first sign of the next, which nobody would
-        // ever clear of it.
+        // The last report of an incarnation may arrive after the first sign of the next, and would
+        // never be cleared.
         if seen.incarnation != incarnation && seen.incarnation != Incarnation::default() {
             return Err(seen.incarnation);
         }

@@ -156,8 +156,8 @@ impl PingMonitor {
         schedule(&mut self.looks, object, asked);
     }
 
-    /// The open question will never be answered: the mailbox is closed, or whoever asked has begun
-    /// anew. It is asked again at the next turn; the silence goes on.
+    /// The open ping will never be answered: the mailbox is closed, or the actor that sent it was
+    /// restarted. The next ping is sent at the next turn; the silence goes on.
     pub fn handle_unanswered(&mut self, object: &ObjectName, now: Instant) {
         if let Some(asked) = self.asked.get_mut(object)
             && asked.open

@@ -76,7 +76,7 @@ impl MonitorRow {
 /// | --- | --- | --- |
 /// | unheard | never heard in this life, and its start-up time is not over | nothing |
 /// | trusted | its signs of life come | nothing |
-/// | suspect | a sign is overdue, or it stands behind somebody else's hang | it is counted and shown |
+/// | suspect | a sign is overdue, or it waits behind another component that hangs | it is counted and shown |
 /// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
 /// | at rest | its life ended as it should | nothing |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -7,8 +7,8 @@
 //! ```text
 //!  session begins      All (in parts)        everything the node claims
 //!  something changes   Changed               what came and went
-//!  a quarter of the    Alive                 a sum over the claims, while there are any: whoever
-//!  lease has passed                          has another sum asks for all of them (TellAll)
+//!  a quarter of the    Alive                 a sum over the claims, while there are any: a node
+//!  lease has passed                          with another sum asks for all of them (TellAll)
 //! ```
 //!
 //! What a node claims holds for a lease after it was last heard of. Every claim that is granted has

@@ -328,11 +328,11 @@ fn claims_that_begin_anew_within_their_nodes_life_keep_what_they_hold_and_ask_fo
                 own.epoch,
             )
         });
-        let mut anew = GlobalNames::reborn(claims.config.clone(), own, ms(robot.now));
+        let mut restarted = GlobalNames::reborn(claims.config.clone(), own, ms(robot.now));
         for (other, peer) in &claims.peers {
-            anew.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
+            restarted.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
         }
-        robot.nodes.insert(node(name), anew);
+        robot.nodes.insert(node(name), restarted);
         robot.carry();
     }
     robot.advance(500);

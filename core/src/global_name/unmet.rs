@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 /// The most of them that are named: what helps the first ones helps all.
 const NAMED_MAX: usize = 8;
 
-/// Who goes without which name, and why. Nobody waits for what comes of a component's claim: what
-/// is said here is a fault for as long as there is any.
+/// The components that lack a name that they claim, and why. No caller waits for the result of a
+/// component's claim: as long as there is an entry, it is a fault.
 #[derive(Clone, Debug, Default)]
 pub struct UnmetClaims {
     /// By the name and the number of the claim; as many as components here claim.

@@ -9,7 +9,7 @@ use std::time::Duration;
 /// One thing that can be done about a fault.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum RecoveryAction {
-    /// Nothing but to keep it in the record: it passes, or somebody else has it in hand.
+    /// Nothing but to keep it in the record: it passes, or another part recovers it.
     Observe,
     /// Let the component recover by itself, in its present life (`on_reset`).
     Reset,

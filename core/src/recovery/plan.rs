@@ -54,7 +54,7 @@ pub enum PlanError {
         /// The component that is spelt most like it.
         nearest: Option<String>,
     },
-    /// The plan calls for a strategy that nobody handed over.
+    /// The plan names a strategy that was not given to the node.
     #[error("the plan answers {what} by {strategy:?}, but no strategy of that name was handed over{}", hint(.nearest))]
     NoSuchStrategy {
         /// What it answers.
@@ -136,16 +136,16 @@ impl Default for Plan {
             }
             // The supervisor has already decided to hand it to its parent.
             FaultKind::RestartStorm => observe.clone(),
-            // What it sends does harm: nobody must have to take it, and it cannot be recovered from
+            // What it sends does harm: the other nodes refuse it, and it cannot be recovered from
             // here.
             FaultKind::NodeFaulty => {
                 Ladder::first(RecoveryAction::Isolate).then(RecoveryAction::Observe)
             }
-            // Whoever gave the names has to give others.
+            // A user must change a name.
             FaultKind::NameTaken => observe.clone(),
             // The actuator's node has applied the safe outputs already.
             FaultKind::CommanderGone => observe.clone(),
-            // Whoever brings it back is a person, or the application.
+            // A user, or the application, brings it back.
             FaultKind::NodeAtRest => observe.clone(),
             // Who starts its process again is for the robot's service manager to say.
             FaultKind::CrashLoop => observe.clone(),
@@ -153,7 +153,7 @@ impl Default for Plan {
             FaultKind::NodePaused => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
-            // Its nodes elect somebody by themselves as soon as they can.
+            // Its nodes elect a primary by themselves as soon as they can.
             FaultKind::ServiceUnavailable => observe.clone(),
             // The component tries again by itself until what it needs is there.
             FaultKind::Unavailable => observe.clone(),

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  fault ─► case of its place ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
-//!                                   └─ done ─► recovered, its symptoms are judged anew
+//!                                   └─ done ─► recovered, its symptoms are judged again
 //! ```
 //!
 //! There is one case per place at a time: a second fault of the place joins it. A symptom waits
@@ -405,7 +405,7 @@ impl Recoverer {
         now: Instant,
     ) {
         self.memories.retain(|_, memory| now <= memory.until);
-        // More than that at once is a storm, in which nobody's past matters.
+        // More than that at once is a storm, in which single ladders do not matter.
         if self.memories.len() < self.limits.cases {
             let until = now + self.limits.memory;
             self.memories.insert(what, LadderProgress { rung, attempt, until });

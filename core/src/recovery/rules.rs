@@ -109,7 +109,7 @@ pub struct SupervisorRules {
     pub period: Duration,
     /// What is done when restarts exceed the intensity.
     pub when_exceeded: WhenExceeded,
-    /// Nobody stands above it: its end is the node's safe state.
+    /// It has no parent: its end is the node's safe state.
     pub root: bool,
 }
 

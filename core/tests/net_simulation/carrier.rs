@@ -54,7 +54,7 @@ impl World {
     }
 }
 
-/// With hellos every 20 ms, a link of which nobody says anything is suspect after 40.
+/// With hellos every 20 ms, a link without any report is suspect after 40.
 #[test]
 fn the_other_end_does_not_wait_for_hellos_where_there_is_another_way() {
     let check = |nodes, wires: &[(usize, usize)], within| {
@@ -71,7 +71,7 @@ fn the_other_end_does_not_wait_for_hellos_where_there_is_another_way() {
     check(2, &[(0, 1), (0, 1)], 4 * MS);
     check(3, &[(0, 1), (0, 2), (2, 1)], 5 * MS);
     check(3, &[(0, 1), (0, 2), (0, 2), (2, 1)], 5 * MS);
-    // No alternate is known beforehand: the ways are computed anew.
+    // No alternate is known beforehand: the routes are computed again.
     check(5, &[(0, 1), (0, 2), (2, 3), (3, 4), (4, 1)], 15 * MS);
 }
 
@@ -83,7 +83,7 @@ fn the_last_way_is_kept_until_hellos_judge_it() {
     world.pull(0, 0);
     world.run(10 * MS);
 
-    assert_eq!(world.state(0, 1), LinkState::Up, "nobody can say so");
+    assert_eq!(world.state(0, 1), LinkState::Up, "no path carries the report");
     world.run(100 * MS);
     assert_eq!(world.state(0, 1), LinkState::Down);
     assert_eq!(world.given_up, 0);

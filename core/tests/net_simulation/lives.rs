@@ -205,7 +205,7 @@ fn changed_bits_in_every_kind_of_frame_are_survived_and_forgotten() {
         }
 
         world.flips = 0.0;
-        // Whatever was believed of another's links is said anew every ten seconds.
+        // Each node floods its links again every ten seconds.
         healed_within(&mut world, Duration::from_secs(15));
         world.run(3000 * MS);
         assert!(is_whole(&world));

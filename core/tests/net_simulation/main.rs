@@ -85,7 +85,7 @@ fn a_partition_gives_messages_back_and_a_merge_lets_them_through_again() {
     world.run(Duration::from_secs(3));
     assert_eq!(world.returned.len(), 1);
     assert_eq!(world.nodes[0].as_ref().unwrap().reachable.len(), 1);
-    assert!(!world.send(0, 3, 10), "nobody is there");
+    assert!(!world.send(0, 3, 10), "no path leads there");
 
     world.wires[1].cut = false;
     world.run(Duration::from_secs(1));

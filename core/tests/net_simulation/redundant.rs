@@ -1,4 +1,4 @@
-//! What goes every way at once: a single fault is not noticed by whoever listens.
+//! Messages sent over several paths at once: a single fault is not noticed by the receiver.
 
 use crate::world::{CALM, MS, World, for_seeds, name};
 use blastema_core::net::link::LinkState;

@@ -32,7 +32,7 @@ fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
     });
 }
 
-/// Node 1 speaks in somebody's name: in which life, the how-manieth, which links.
+/// Node 1 sends an advertisement in another's name: incarnation, sequence number, links.
 fn lie(origin: usize, (life, sequence): (u64, u32), to: &[usize]) -> Advertisement {
     let node = name(origin);
     let (origin, incarnation) = (NodeId::of(&node), Incarnation(life));

@@ -446,7 +446,7 @@ pub(crate) fn read(message: &Bytes) -> Key {
 pub(crate) fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
     struct Tell(u64);
     impl Drop for Tell {
-        #[expect(clippy::print_stderr, reason = "whoever sees the test fail needs the seed")]
+        #[expect(clippy::print_stderr, reason = "a failing test is repeated by its seed")]
         fn drop(&mut self) {
             if std::thread::panicking() {
                 eprintln!("the failing seed is {}", self.0);

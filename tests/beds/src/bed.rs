@@ -160,7 +160,7 @@ impl Bed {
             .map_err(|error| format!("socat: {error}"))?;
         let words = relay.stderr.take().expect("it was asked for");
         self.relays.push((name, relay));
-        // A tap that is moved while it is being opened is lost to whoever opens it.
+        // A tap that is moved while a process opens it is lost to that process.
         if !is_relaying(words) {
             return Err(format!("socat did not open {}", taps.join(" and ")));
         }
@@ -213,7 +213,7 @@ impl Bed {
         }
     }
 
-    /// The cable carries nothing any more, and nobody is told.
+    /// The cable carries nothing any more, and neither end gets a report.
     pub(crate) fn silence(&self, cable: Cable) -> Result<(), String> {
         let name = cable.name;
         if self.kind == Kind::Tap {

@@ -158,7 +158,7 @@ pub(crate) async fn measure(arguments: &[String]) -> Result<(), String> {
         for hand in &mut hands {
             hand.set(interface, off)?;
         }
-        // The one that meets the cut waits for the other cable; which it is, nobody here knows.
+        // The request that meets the cut waits for the other cable. It cannot be told from the others.
         let mut worst = Duration::ZERO;
         while start.elapsed() < WINDOW {
             let asked = Instant::now();

@@ -106,10 +106,10 @@ impl Handle<Order> for Ledger {
     }
 }
 
-/// Says something to whoever started this process.
+/// Writes a line to the process that started this one.
 pub(crate) fn say(line: &str) {
     let mut out = std::io::stdout().lock();
-    // Where nobody reads any more, standard input has ended, too.
+    // If the reader has ended, standard input has ended, too.
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
 
@@ -197,7 +197,7 @@ pub(crate) async fn mirror(arguments: &[String]) -> Result<(), String> {
     Ok(())
 }
 
-/// Lines from whoever started this process; the channel ends when they do.
+/// Lines from the process that started this one; the channel ends when they do.
 fn commands() -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel(16);
     std::thread::spawn(move || {

@@ -57,7 +57,7 @@ fn trial(kind: Kind, medium: &str, prefix: &str) -> Result<(), String> {
     let mut trial = Trial { bed, hosts };
     let result = trial.tell_story(kind);
     if result.is_err() || std::env::var("BED_VERBOSE").is_ok() {
-        // Whoever reads of the failure needs what led to it.
+        // The report of a failure shows what led to it.
         trial.hosts.iter().for_each(|host| println!("{}", host.last_words(200)));
     }
     result?;

@@ -10,10 +10,10 @@ use std::sync::Arc;
 use std::task::{Context, Waker};
 
 pub(crate) const MODELS: [Model; 7] = [
-    ("lane: what two send is taken once each, and nobody sleeps over it", two_senders),
+    ("lane: what two send is taken once each, and no wake is lost", two_senders),
     ("lane: a message is taken by one life, whichever owns the lane then", change_of_owner),
     ("lane: of a life that dies and one who gives it up, one decides", death_and_abandonment),
-    ("lane: whoever waits for room gets it", waiting_for_room),
+    ("lane: a sender that waits for capacity gets it", waiting_for_room),
     ("lane: room that a sender gave up is the next one's", room_given_up),
     ("lane: what a stop meets is handed out or refused", push_and_stop),
     ("lane: a notice wakes its life, and reaches no other", notice_and_change_of_owner),
@@ -85,7 +85,7 @@ fn change_of_owner() {
         let lane = lane.clone();
         thread::spawn(move || match lane.take(FIRST, Waker::noop()) {
             Popped::Got(n) => Some(n),
-            Popped::Empty => panic!("it was there, and nobody else's"),
+            Popped::Empty => panic!("it was there, and for this taker alone"),
             Popped::Retired => None,
         })
     };

@@ -1,4 +1,4 @@
-//! The reply slot: a request has one result, and whoever awaits it is woken.
+//! The reply slot: a request has one result, and the caller that awaits it is woken.
 
 use crate::messaging::error::RequestError;
 use crate::messaging::reply::{ReplyFuture, Responder};

@@ -8,7 +8,7 @@ use loom::thread;
 use std::sync::Arc;
 
 pub(crate) const MODELS: [Model; 3] = [
-    ("token: whoever was told of the end finds the token ended", told_of_the_end),
+    ("token: a party that was told of the end finds the token ended", told_of_the_end),
     ("token: an end is final, whatever is muted meanwhile", an_end_is_final),
     ("token: what follows the successor's first message is fenced", fenced_before_the_successor),
 ];

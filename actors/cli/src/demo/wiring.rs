@@ -28,7 +28,7 @@ impl CableAddresses {
     /// Chooses a free port for every end.
     ///
     /// Another process may take one before the module opens it; the module then says so and the
-    /// director chooses anew.
+    /// director chooses again.
     ///
     /// # Errors
     /// The system refuses to open a socket on the loopback addresses.

@@ -22,7 +22,7 @@ const PAUSE: Duration = Duration::from_millis(10);
 pub(crate) enum InspectError {
     /// No node serves the socket.
     #[error("no node answers at {}: {reason}", path.display())]
-    Nobody {
+    NoAnswer {
         /// The path.
         path: PathBuf,
         /// The cause, and what to do.
@@ -90,7 +90,7 @@ pub(crate) async fn look(path: &Path, within: Duration) -> Result<ReceivedSnapsh
             read(bytes).map_err(|reason| InspectError::NoNode { path: path.to_owned(), reason })
         }
         Ok(Err(error)) => {
-            Err(InspectError::Nobody { path: path.to_owned(), reason: explain(path, &error) })
+            Err(InspectError::NoAnswer { path: path.to_owned(), reason: explain(path, &error) })
         }
         Err(_) => {
             Err(InspectError::Silent { path: path.to_owned(), within, reason: silence_of(peer) })

@@ -67,7 +67,7 @@ impl SafeOutputs {
     fn call(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
         let (done, applied) = oneshot::channel();
         let Some(apply) = self.apply.clone() else {
-            // Nobody waits yet.
+            // The receiver was created above and is returned below.
             let _ = done.send(Ok(()));
             return applied;
         };

@@ -61,7 +61,7 @@ impl<C: Component> ComponentExecutor<C> {
         };
         if !mine {
             self.anchor.record.forget_exit(incarnation);
-            return self.leave(); // It had been given up before; nobody waits for its report.
+            return self.leave(); // It had been abandoned before: its report is not awaited.
         }
         match restarted_as {
             Some(next) => {
@@ -197,7 +197,7 @@ impl<C: Component> ComponentExecutor<C> {
         nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
     }
 
-    /// Somebody gave this life up and begins, or has begun, the next.
+    /// This incarnation was abandoned, and the next one begins or has begun.
     pub(super) fn is_abandoned(&self) -> bool {
         self.life.token.has_ended() && !self.over
     }

@@ -161,7 +161,7 @@ impl<C: Component> ComponentExecutor<C> {
         if self.course.is_starting() {
             self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
         }
-        // Whoever gave this life up before its place was known could not tell it so.
+        // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.anchor.lane.owner() != Some(self.life.incarnation) {
             self.life.token.end();
         }
@@ -183,7 +183,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.tell_news();
     }
 
-    /// Somebody asks the component to return to work, or to leave it.
+    /// Activates or deactivates the component on request.
     pub(crate) fn activate(&mut self, active: bool) {
         self.course.handle_activate(active);
     }

@@ -250,7 +250,7 @@ fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
     });
 }
 
-/// Blocks whoever listens to it.
+/// Blocks its listener.
 #[derive(Clone, Event)]
 struct Hold;
 

@@ -1,4 +1,4 @@
-//! No two lives of one component have one number, whoever begins them.
+//! No two incarnations of one component have one number, in whatever way they begin.
 
 use super::{Add, Boom, Slow, Stage, acc, boom, order};
 use crate::arbiter::pool::ArbiterPool;
@@ -16,7 +16,11 @@ fn a_life_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
         let (mut child, acc) = stage.start(spec).await;
         child.standing_order(order(5));
         acc.tell(boom("one")).unwrap();
-        assert_eq!(acc.ask(Slow(0)).await, Ok(2000), "the second life, and nobody has heard of it");
+        assert_eq!(
+            acc.ask(Slow(0)).await,
+            Ok(2000),
+            "the second incarnation, which no supervisor knows of"
+        );
 
         // The supervisor still knows the first one, and wants it replaced.
         child.abandon();

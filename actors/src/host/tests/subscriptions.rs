@@ -137,7 +137,7 @@ fn a_condition_that_blocks_on_the_first_event_is_named_and_its_neighbours_are_no
         assert_eq!(victims.len(), 2);
         until("all got it", || [&first, &log, &last].iter().all(|log| *log.lock().unwrap() == [1]))
             .await;
-        assert_eq!(stage.exits.drain(), [], "nobody died of it");
+        assert_eq!(stage.exits.drain(), [], "no component died of it");
         stage.environment.arbiters.stop();
     });
 }

@@ -120,7 +120,7 @@ impl GatewayActor {
             }
             return;
         };
-        // Nobody overtakes what waits.
+        // A message does not overtake those that wait.
         let behind = self.queues.room.is_waiting(peer, &bound.object)
             && !bound.newest
             && bound.doorway.room().is_some();
@@ -204,7 +204,7 @@ impl GatewayActor {
                 }
                 let age = postmark.age + (platform::now() - *arrived);
                 match doorway.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
-                    // Somebody else was quicker.
+                    // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
                         if let Some(room) = doorway.room() {
                             self.watch(peer, object, room, context);
@@ -238,7 +238,8 @@ impl GatewayActor {
         self.offends(peer, "it breaks a contract that it has agreed to");
     }
 
-    /// Whoever goes on for seconds although it was told to stop is named, until it was quiet.
+    /// Raises an alarm for a peer that sends on for seconds although it was told to stop, and
+    /// clears it when none did for a while.
     pub(super) fn look_at_refusals(&mut self) {
         let now = platform::now();
         let looks: Vec<_> = self.queues.room.refusals().collect();

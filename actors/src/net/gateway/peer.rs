@@ -19,7 +19,7 @@ pub(super) struct GatewayPeer {
 }
 
 impl GatewayPeer {
-    /// More are in the log: whoever differs in so many was built from another source.
+    /// More are in the log: a node with so many differences was built from another source.
     const DIFFERENCES_MAX: usize = 16;
 
     /// One that no session was open with yet.

@@ -32,8 +32,8 @@ pub(super) struct UndeliveredEvents {
     node: NodeName,
     contract: String,
     topic: ObjectName,
-    /// Those that are not in the office yet, by reason: whoever publishes pays for nothing else,
-    /// however many find no room.
+    /// Losses that are not in the dead-letter log yet, by reason: a publisher only counts here,
+    /// however many events are lost.
     counts: [AtomicU64; REASONS.len()],
 }
 
@@ -63,7 +63,7 @@ impl UndeliveredEvents {
 }
 
 impl Drop for UndeliveredEvents {
-    /// Whoever is publishing just now may count one more after the last look.
+    /// A publisher may have counted one more since the last look.
     fn drop(&mut self) {
         self.collect();
     }
@@ -115,8 +115,8 @@ impl GatewayActor {
         past.iter().for_each(|key| drop(self.past.remove(key)));
     }
 
-    /// Counts an event that found its subscription ended. If the peer has ended it, nobody misses
-    /// the event.
+    /// Counts an event that found its subscription ended. If the peer has ended it, the
+    /// event is not missed.
     pub(super) fn bury_late(&self, forward: (NodeId, u32)) {
         if let Some(past) = self.past.get(&forward) {
             past.losses.write_down(past.reason, 1);
@@ -132,7 +132,7 @@ impl GatewayActor {
             }
             MessageTarget::Subscription(number) => match self.losses_under(peer, number) {
                 Some(losses) => losses.write_down(why.into(), 1),
-                None => debug!(%peer, %why, "an event came back that nobody listens to any more"),
+                None => debug!(%peer, %why, "an event came back whose subscription has ended"),
             },
             MessageTarget::Forgotten => {
                 debug!(%peer, %why, "a message came back, and to whom is not known")

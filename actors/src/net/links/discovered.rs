@@ -1,4 +1,4 @@
-//! Links that nobody has described: made and given up while the node runs.
+//! Links to discovered neighbours: created and removed while the node runs.
 
 use super::LinksActor;
 use crate::net::LinkSpec;

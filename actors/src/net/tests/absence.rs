@@ -49,7 +49,7 @@ fn why_a_medium_does_not_open_stays_the_cause_for_as_long_as_it_does_not() {
 
         robot.restore("ethernet/left");
         let LinkCondition::Down { reason } = left.links.expect().await.condition else {
-            panic!("nobody is there");
+            panic!("the neighbour is missing");
         };
         assert!(reason.starts_with("never heard since the start"), "{reason}");
     });

@@ -160,7 +160,7 @@ fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_known() 
         assert!(matches!(why, DeliveryError::OutcomeUnknown { .. }), "{why}");
         let why = kept.await.unwrap().unwrap_err();
         assert_eq!(why, DeliveryError::Unreachable { node: "right".into() });
-        assert_eq!(log.take(), [0, 1], "it did take effect, which nobody could know");
+        assert_eq!(log.take(), [0, 1], "it did take effect, which the caller could not know");
     });
 }
 

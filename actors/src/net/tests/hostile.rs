@@ -17,8 +17,8 @@ async fn three() -> (Robot, [Module; 3]) {
     (robot, [left, right, middle])
 }
 
-/// Somebody says all this to `module` again and again, in the name of `source`, while it is asked
-/// by a friend and answers. Answers what was declared.
+/// Sends all this to `module` repeatedly, in the name of `source`, while a friend asks it and gets
+/// answers. Returns the declared faults.
 async fn under_fire(
     (victim, friend): (&Module, &Module),
     (source, direct): (&str, bool),
@@ -78,7 +78,7 @@ fn forged_and_replayed_sessions_are_refused_counted_and_named_and_the_forged_one
         assert_eq!(left.log.take(), [1, 2]);
         let lost = left.host.dead_letters.total() + right.host.dead_letters.total();
         assert_eq!(lost, 0);
-        // It came by way of others: who has made it up, nobody can tell.
+        // It was relayed by others: the node that forged it cannot be told.
         assert_eq!(offences(&left), Vec::<String>::new());
     });
 }

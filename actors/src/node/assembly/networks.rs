@@ -164,7 +164,7 @@ fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
     names.into_iter().flatten()
 }
 
-/// Claims of a node that knows nobody.
+/// The configuration of global names for a node without a network.
 pub(super) fn claims_setup(
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,

@@ -34,7 +34,7 @@ pub(super) struct InspectionServer {
     reports: FaultReports,
     /// `None` while the socket cannot be made.
     listener: Option<PathListener>,
-    /// Whether it was told last that it cannot. Nobody knows what a life before has told.
+    /// Whether the last report was that it cannot; unknown at first, and after a restart.
     told: Option<bool>,
     audience: SnapshotServer,
     /// Those who are not given their picture yet.
@@ -127,7 +127,7 @@ impl InspectionServer {
     fn give(&mut self, viewer: ClientId, text: Arc<str>) {
         let Some(mut stream) = self.waiting.remove(&viewer) else { return };
         let (seen, looking) = abortable(async move {
-            // Whoever goes away while it reads has seen enough.
+            // A client may disconnect before it has read all.
             let _ = stream.write_all(text.as_bytes()).await;
             Done::Seen(viewer)
         });
@@ -135,8 +135,7 @@ impl InspectionServer {
         self.work.push(Box::pin(async move { seen.await.unwrap_or(Done::Closed) }));
     }
 
-    /// Makes the socket again where somebody has removed it. That this cannot be done is a fault
-    /// until it can.
+    /// Creates the socket again if it was removed. A failure of that is a fault until it succeeds.
     fn look_after_the_socket(&mut self) {
         if self.listener.as_ref().is_some_and(PathListener::stands) {
             return;

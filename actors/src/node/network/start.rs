@@ -63,7 +63,7 @@ impl Medium {
         }
     }
 
-    /// Whoever clashes with us there is to learn who we are.
+    /// Sets the node's name, which another node with the same address on a bus gets to see.
     fn name_node(&mut self, own: &NodeName) {
         if let Medium::At(Endpoint::Can(CanConfig { node, .. }))
         | Medium::At(Endpoint::Slcan(SlcanConfig { node, .. })) = self

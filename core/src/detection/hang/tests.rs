@@ -126,10 +126,10 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
 }
 
 #[test]
-fn an_arbiter_on_which_nobody_runs_has_no_culprit() {
+fn an_arbiter_on_which_no_component_runs_has_no_culprit() {
     let mut world = World::new();
     assert_eq!(world.pass(5000, false), []);
-    world.pulse.running = Some(1); // Nobody's place.
+    world.pulse.running = Some(1); // A slot without a component.
     assert_eq!(world.pass(5000, false), []);
 }
 

@@ -62,8 +62,8 @@ pub struct HangLimits {
     pub max_wait: Duration,
     /// How long it may give no sign of life, if it is expected to.
     pub max_silence: Option<MaxSilence>,
-    /// How long neither it nor its arbiter may move, if it is asked whether it is alive: whoever
-    /// moves could answer.
+    /// How long neither it nor its arbiter may make progress, if it is pinged: with progress, it
+    /// could answer.
     pub max_unanswered: Option<Duration>,
     /// How long a message may wait in its queue.
     pub max_delay: Duration,

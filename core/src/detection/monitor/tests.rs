@@ -193,7 +193,7 @@ fn what_is_not_confirmed_is_repeated_and_given_up_loudly() {
             match output {
                 MonitorOutput::Observe { .. } => sent += 1,
                 MonitorOutput::GivenUp { tries, .. } => given_up = tries,
-                MonitorOutput::Ask { .. } => panic!("nobody is asked"),
+                MonitorOutput::Ask { .. } => panic!("no object is pinged"),
             }
         }
     }

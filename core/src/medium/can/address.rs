@@ -107,7 +107,7 @@ impl Addressing {
             (Addressing::Extended { .. }, CanId::Extended(_)) => {
                 let kind = number >> 16 & 0x3ff;
                 let target = number >> 8 & 0xff;
-                // "To one" of whom nobody can be called so, or "to all" of some group: not ours.
+                // "To one" with an address that no node has, or "to all" of some group: not ours.
                 let to_all = match kind {
                     TO_ONE if target != 0xff => false,
                     TO_ALL if target == 0xff => true,

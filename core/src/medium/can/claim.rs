@@ -1,9 +1,9 @@
 //! Whose an address of the bus is, after the model of SAE J1939-81.
 //!
 //! ```text
-//!            claim said        nobody objects for 250 ms
+//!            claim sent        no objection for 250 ms
 //! Claiming ─────────────────────────────────────────────► Held
-//!     │ somebody goes before us                             │ somebody goes before us
+//!     │ another node has precedence                         │ another node has precedence
 //!     └─────────────────────────► Lost ◄────────────────────┘
 //! ```
 //!

@@ -13,8 +13,8 @@ pub enum ReplacementCause {
     Died,
     /// It does not answer: it is given up without being asked.
     Stuck,
-    /// It stands still behind somebody else's hang: it is given up too, and that its life is
-    /// replaced is not held against it or its supervisor.
+    /// It waits behind another component that hangs: it is abandoned, too, and its replacement
+    /// counts neither against it nor against its supervisor.
     Behind,
     /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly
     /// end.
@@ -113,7 +113,7 @@ pub(super) struct SupervisedChild {
     pub(super) incarnation: Incarnation,
     pub(super) state: ChildPhase,
     pub(super) goal: ChildTarget,
-    /// Its life ended for this reason, and nobody has decided yet.
+    /// Its incarnation ended for this reason, and the recoverer has not decided yet.
     pub(super) failed: Option<String>,
     pub(super) restarts: u64,
     pub(super) isolated: bool,

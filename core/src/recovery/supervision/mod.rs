@@ -13,9 +13,9 @@
 //!
 //! Two sets carry all order. `going` holds the children whose present life must end: only the last
 //! of them in start order is stopped at a time. `coming` holds those that are to start: only the
-//! first of them is started at a time, and only when nobody is going any more. A group restart puts
+//! first of them is started at a time, and only when `going` is empty. A group restart puts
 //! children into both; whatever fails in between joins the same sets, so that nothing is lost or
-//! done twice. Under one_for_one a restarted child depends on nobody and passes by both.
+//! done twice. Under one_for_one a restarted child depends on no other and passes by both.
 //!
 //! A child whose life has ended blocks those behind it in `coming` until the recoverer has said
 //! what is to be done: restart it, or put it to rest. The supervisor never restarts a component on
@@ -183,7 +183,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// No life follows the one that has ended: whoever waits for a child to work is told so.
+    /// No incarnation follows the one that has ended: answers the requests that wait for a child.
     pub fn handle_retired(&mut self) {
         let (work, others) = std::mem::take(&mut self.pending)
             .into_iter()
@@ -292,7 +292,7 @@ impl Supervisor {
         let child = self.kept(key);
         let incarnation = child.lives().then_some(child.incarnation);
         if isolated && !child.lives() && child.goal == ChildTarget::Run {
-            // Nobody waits for a child that may not speak.
+            // The start of an isolated child is not waited for.
             child.goal = ChildTarget::Rest;
             child.failed = None;
             self.coming.remove(&key);
@@ -424,7 +424,7 @@ impl Supervisor {
         }
     }
 
-    /// The child's life ended although nobody had asked for it. With `restarted_as`, its guard has
+    /// The child's incarnation ended unasked. With `restarted_as`, its guard has
     /// carried out its standing order, and the restart is counted here.
     pub fn handle_died(
         &mut self,
@@ -464,9 +464,9 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The actor around this machine began anew after a panic of its own: what was under way is not
-    /// known any more. Children at work stay there; those in between are given up and started
-    /// again. Requests that waited are forgotten.
+    /// The actor that drives this machine restarted after a panic of its own: what was in progress
+    /// is not known any more. Active children stay active; children between two states are
+    /// abandoned and started again. Requests that waited are forgotten.
     pub fn handle_own_restart(&mut self, now: Instant) {
         self.outputs.clear();
         self.pending.clear();

@@ -124,9 +124,9 @@ impl Supervisor {
         }
     }
 
-    /// Somebody whose life has ended in the meantime holds up those behind it, until its own fault
-    /// has been decided upon. That may wait in turn for what is being answered here. So does one
-    /// that waits for what is not there yet.
+    /// A child whose incarnation has ended in the meantime delays those behind it until the recoverer
+    /// has decided on its fault. That may wait in turn for what is being answered here. So does a
+    /// child that waits for a device that is not there yet.
     fn is_held_up(&self) -> bool {
         let first = self.coming.first().and_then(|key| self.children.get(key));
         first.is_some_and(|child| child.failed.is_some() || child.state == ChildPhase::Unavailable)
@@ -220,7 +220,7 @@ impl Supervisor {
         self.outputs.extend(finished.into_iter().map(retire));
     }
 
-    /// Ends a child's life for good, or until somebody asks for it again.
+    /// Ends a child for good, or until it is started again on request.
     pub(super) fn dismiss(
         &mut self,
         key: ChildKey,
@@ -368,7 +368,7 @@ impl Supervisor {
         let again = wanted
             && match &self.phase {
                 Phase::Starting | Phase::Serving => true,
-                // The parent begins it anew, unless there is none.
+                // The parent restarts it, unless there is none.
                 Phase::Ending { escalation: Some(_) } => !self.rules.root,
                 Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
             };

@@ -4,7 +4,7 @@ use crate::recovery::RestartGrant;
 use crate::{Incarnation, ObjectName};
 use std::time::Duration;
 
-/// A request that waits for its outcome; the number is chosen by whoever asks.
+/// A request that waits for its outcome; the caller chooses the number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CallId(pub u64);
 
@@ -66,8 +66,8 @@ pub enum GiveUpReason {
         /// The bound.
         limit: usize,
     },
-    /// The supervisor lost this request when it began anew.
-    #[error("its supervisor began anew")]
+    /// The supervisor lost this request when it was restarted.
+    #[error("its supervisor was restarted")]
     Forgotten,
 }
 
@@ -156,7 +156,7 @@ pub enum SupervisorOutput {
         /// What it waits for, as the component said it.
         reason: String,
     },
-    /// A start took too long; nobody else can know it.
+    /// A start took too long, which only the supervisor can see.
     Overdue {
         /// The child.
         child: ObjectName,

@@ -34,8 +34,8 @@ pub struct IsoTpConfig {
     pub flow_timeout: Duration,
     /// How long the next frame of a message may take (N_Cr).
     pub frame_timeout: Duration,
-    /// How long a frame may wait for the bus to take it (N_As, N_Ar). A bus on which nobody else is
-    /// never takes one.
+    /// How long a frame may wait for the bus to take it (N_As, N_Ar). A bus without another
+    /// node never takes one.
     pub bus_timeout: Duration,
     /// How often a sender is told to wait while we have no room.
     pub wait_interval: Duration,
@@ -55,7 +55,7 @@ impl Default for IsoTpConfig {
             receptions_max: 64,
             block_size: 0,
             separation: SeparationTime(0),
-            // Slower than a classic frame on a bus of 250 kbit/s, so that nobody's buffer
+            // Slower than a classic frame on a bus of 250 kbit/s, so that no receiver's buffer
             // overflows.
             separation_to_all: Duration::from_micros(500),
             // As the standard has them: shorter ones break transfers on a bus that is full for a

@@ -15,8 +15,8 @@
 //!   pairs any number. Where several of ours go out, frames take turns.
 //! * To all nodes a message goes without flow control, at a fixed pace. The standard knows only
 //!   single frames to all; longer messages go as Linux sends them (`CAN_ISOTP_CF_BROADCAST`).
-//! * A target that does not answer loses all that waits for it: what is old when it is back helps
-//!   nobody.
+//! * All messages that wait for a target that does not answer are dropped: they would be too old
+//!   when it is back.
 //!
 //! Nothing is repeated here: a message that fails is reported and gone. ISO 15765-2 has no check
 //! over a message, only that of each frame; a user that wants one puts it into the message.

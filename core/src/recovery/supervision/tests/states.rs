@@ -157,13 +157,13 @@ fn finish(rig: &mut Rig, case: &str) {
             ChildState::Stopping => drop(rig.stopped(name, life)),
             ChildState::Resetting => drop(rig.reset_done(name, life, Ok(()))),
             ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, life)),
-            // Either somebody else must move first, or the supervisor does not want to.
+            // Either another child must move first, or the supervisor does not want to.
             _ if !rig.machine.at_work() => break,
             _ => {
                 let moving = table.iter().find(|child| {
                     matches!(child.state, ChildState::Starting | ChildState::Stopping)
                 });
-                let child = moving.unwrap_or_else(|| panic!("{case}: {name} waits for nobody"));
+                let child = moving.unwrap_or_else(|| panic!("{case}: {name} waits for no other"));
                 let (name, life) = (child.name.as_str(), child.incarnation.0);
                 match child.state {
                     ChildState::Starting => drop(rig.started(name, life)),
