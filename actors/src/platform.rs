@@ -3,6 +3,7 @@
 
 pub(crate) mod errors;
 pub(crate) mod panics;
+pub(crate) mod processor_time;
 pub(crate) mod signals;
 pub(crate) mod systemd;
 #[cfg(feature = "journal")]

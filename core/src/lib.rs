@@ -5,6 +5,7 @@
 
 mod backoff;
 mod hash;
+mod timer;
 
 pub mod contract;
 pub mod delivery;

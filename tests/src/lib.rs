@@ -1,1 +1,69 @@
 //! Whole systems under test.
+
+use std::net::{SocketAddr, UdpSocket};
+use std::process::{Child, Command, Stdio};
+
+/// The role of a process that was started by a test.
+const ROLE: &str = "BLASTEMA_TEST_ROLE";
+/// The addresses of all nodes, by number.
+const ADDRESSES: &str = "BLASTEMA_TEST_ADDRESSES";
+
+/// A process that runs this test program in a role. Dropping it kills it.
+///
+/// The program has a test called `a_process_plays_its_role`, which plays the [`role`] it finds.
+pub struct Process(Child);
+
+impl Process {
+    /// Starts the role with the addresses of all nodes and more variables of the environment.
+    pub fn start_with(role: &str, addresses: &[String], more: &[(&str, &String)]) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let child = Command::new(program)
+            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
+            .env(ROLE, role)
+            .env(ADDRESSES, addresses.join(","))
+            .envs(more.iter().copied())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn();
+        Process(child.expect("the test can be started again"))
+    }
+
+    /// Sends it a signal, such as `-STOP`.
+    pub fn signal(&self, signal: &str) {
+        let status = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
+        assert!(status.expect("there is kill").success());
+    }
+
+    /// As `kill -9` does.
+    pub fn kill(&mut self) {
+        self.0.kill().expect("it still runs");
+        self.0.wait().expect("it was started here");
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // It may have been killed already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The role that this process was started for, if it was.
+pub fn role() -> Option<String> {
+    std::env::var(ROLE).ok()
+}
+
+/// The addresses of all nodes, in a process with a role.
+pub fn addresses() -> Vec<String> {
+    let text = std::env::var(ADDRESSES).expect("a process with a role has addresses");
+    text.split(',').map(str::to_owned).collect()
+}
+
+/// Free UDP addresses of this computer.
+pub fn free_addresses(count: usize) -> Vec<SocketAddr> {
+    let held: Vec<_> = (0..count)
+        .map(|_| UdpSocket::bind("127.0.0.1:0").expect("the loopback interface has free ports"))
+        .collect();
+    held.iter().map(|socket| socket.local_addr().expect("it is bound")).collect()
+}

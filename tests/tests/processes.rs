@@ -8,63 +8,20 @@ use blastema::{
     ActuatorSpec, Link, Network, RestoreDecision, RestorePolicy, Role, ServiceSpec, StandbyKind,
     Stateful, Transaction,
 };
-use std::net::{SocketAddr, UdpSocket};
-use std::process::{Child, Command, Stdio};
+use blastema_tests::{Process, free_addresses};
+use std::net::SocketAddr;
 use std::time::Duration;
 
-/// The role of a process that was started by a test.
-const ROLE: &str = "BLASTEMA_TEST_ROLE";
-/// The addresses of all nodes, by number.
-const ADDRESSES: &str = "BLASTEMA_TEST_ADDRESSES";
 /// For everything that takes time on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A process that is killed at the latest when the test ends.
-struct Process(Child);
-
-impl Process {
-    fn start(role: &str, addresses: &[SocketAddr]) -> Self {
-        Process::start_with(role, addresses, &[])
-    }
-
-    fn start_with(role: &str, addresses: &[SocketAddr], more: &[(&str, &String)]) -> Self {
-        let addresses: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
-        let program = std::env::current_exe().expect("a running program has a path");
-        let child = Command::new(program)
-            .args(["--exact", "a_process_plays_its_role", "--nocapture"])
-            .env(ROLE, role)
-            .env(ADDRESSES, addresses.join(","))
-            .envs(more.iter().copied())
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .spawn();
-        Process(child.expect("the test can be started again"))
-    }
-
-    fn signal(&self, signal: &str) {
-        let status = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
-        assert!(status.expect("there is kill").success());
-    }
-
-    /// As `kill -9` does.
-    fn kill(&mut self) {
-        self.0.kill().expect("it still runs");
-        self.0.wait().expect("it was started here");
-    }
+fn start(role: &str, addresses: &[SocketAddr]) -> Process {
+    start_with(role, addresses, &[])
 }
 
-impl Drop for Process {
-    fn drop(&mut self) {
-        // It may have been killed already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Addresses of this computer that nobody uses.
-fn free_addresses(count: usize) -> Vec<SocketAddr> {
-    let held: Vec<_> = (0..count).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
-    held.iter().map(|socket| socket.local_addr().unwrap()).collect()
+fn start_with(role: &str, addresses: &[SocketAddr], more: &[(&str, &String)]) -> Process {
+    let addresses: Vec<String> = addresses.iter().map(SocketAddr::to_string).collect();
+    Process::start_with(role, &addresses, more)
 }
 
 /// The network of node `own` of these, with a link to every other.
@@ -78,13 +35,13 @@ fn ethernet(addresses: &[SocketAddr], own: usize) -> Network {
 }
 
 fn addresses() -> Vec<SocketAddr> {
-    let text = std::env::var(ADDRESSES).expect("whoever gives a role gives addresses");
-    text.split(',').map(|address| address.parse().expect("an address")).collect()
+    let texts = blastema_tests::addresses();
+    texts.iter().map(|address| address.parse().expect("an address")).collect()
 }
 
 #[test]
 fn a_process_plays_its_role() {
-    let Ok(role) = std::env::var(ROLE) else { return };
+    let Some(role) = blastema_tests::role() else { return };
     blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
     blastema::run(async {
         match role.as_str() {
@@ -94,7 +51,6 @@ fn a_process_plays_its_role() {
             "carrier3" => carry_counter(3).await,
             "keeper" => keep_books().await,
             "bystander" => stand_by().await,
-            "paused" => tell_faults().await,
             other => panic!("there is no role {other}"),
         }
     });
@@ -103,96 +59,6 @@ fn a_process_plays_its_role() {
 async fn stand_by() {
     let _node = Node::builder("module1").network(ethernet(&addresses(), 1)).start().await.unwrap();
     std::future::pending::<()>().await;
-}
-
-/// Answers what the node that it lives on has found so far: kind, place, and whether it is a root.
-#[derive(Clone, Debug, Request)]
-#[contract(name = "faults/read", reply = Vec<(String, String, bool)>)]
-struct ReadFaults;
-
-struct Faults(tokio::sync::watch::Receiver<Vec<(String, String, bool)>>);
-
-impl Component for Faults {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<ReadFaults>();
-    }
-}
-
-impl Handle<ReadFaults> for Faults {
-    async fn handle(
-        &mut self,
-        _: ReadFaults,
-        _: &mut Context<Self>,
-    ) -> Vec<(String, String, bool)> {
-        self.0.borrow().clone()
-    }
-}
-
-/// Works at 50 Hz: it would be late by 150 rounds, and silent.
-struct Pulse;
-
-impl Component for Pulse {
-    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        Ok(())
-    }
-}
-
-/// A link between two nodes that bears a busy computer.
-fn patient(addresses: &[SocketAddr], own: usize) -> Network {
-    let far = Link::new(&format!("module{}", 1 - own), addresses[1 - own]);
-    Network::udp("ethernet", addresses[own]).link(far)
-}
-
-async fn tell_faults() {
-    let (found, told) = tokio::sync::watch::channel(Vec::new());
-    let mut builder = Node::builder("module1")
-        .network(patient(&addresses(), 1))
-        .child(ChildSpec::new("faults", move || Faults(told.clone())))
-        .child(ChildSpec::new("pulse", || Pulse).rate_hz(50.0));
-    let mut faults = builder.fault_events();
-    let node = builder.start().await.unwrap();
-    while faults.next().await.is_some() {
-        let row = |entry: blastema::core::detection::FaultEntry| {
-            let blastema::Fault { kind, place, symptom_of, .. } = entry.fault;
-            (kind.code().to_owned(), place.to_string(), symptom_of.is_none())
-        };
-        found.send_replace(node.faults().await.entries.into_iter().map(row).collect());
-    }
-}
-
-#[test]
-fn a_process_that_was_stopped_blames_itself_and_none_of_its_peers_or_components() {
-    let addresses = free_addresses(2);
-    blastema::run(async {
-        let node = Node::builder("module0").network(patient(&addresses, 0)).start().await.unwrap();
-        let process = Process::start("paused", &addresses);
-        assert!(node.connected("module1", PATIENCE).await);
-        let faults: Sender<ReadFaults> = node.sender("module1:faults").unwrap();
-        faults.ask_within(ReadFaults, PATIENCE).await.expect("it runs");
-
-        process.signal("-STOP");
-        sleep(Duration::from_secs(3)).await;
-        process.signal("-CONT");
-
-        let heard = async {
-            loop {
-                match faults.ask_within(ReadFaults, PATIENCE).await {
-                    Ok(found) if found.iter().any(|(code, ..)| code == "B24") => return found,
-                    // Another session begins.
-                    _ => sleep(Duration::from_millis(10)).await,
-                }
-            }
-        };
-        let found = tokio::time::timeout(PATIENCE, heard).await.expect("it answers again");
-        // A busy computer loses hellos also before and after.
-        let judged = |row: &&(String, String, bool)| row.2 && row.0 != "B12";
-        let roots: Vec<_> = found.iter().filter(judged).collect();
-        let [(code, place, _)] = roots[..] else { panic!("{found:?}") };
-        assert_eq!((code.as_str(), place.as_str()), ("B24", "module1"), "{found:?}");
-        let suffered = |code: &str| ["B11", "B12", "B13", "B24"].contains(&code);
-        assert!(found.iter().all(|(code, ..)| suffered(code)), "{found:?}");
-        node.shutdown().await;
-    });
 }
 
 #[test]
@@ -205,7 +71,7 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
             record.entries.into_iter().filter(|e| e.fault.kind == kind).collect::<Vec<_>>()
         };
         for restarts in 0..5 {
-            let mut process = Process::start("bystander", &addresses);
+            let mut process = start("bystander", &addresses);
             let seen = async {
                 let place =
                     blastema::FaultLocation::Node(blastema::NodeName::new("module1").unwrap());
@@ -263,7 +129,7 @@ async fn command_wheels() {
 fn wheels_stop_by_themselves_when_their_commanders_process_is_killed() {
     let addresses = free_addresses(2);
     let (turned, turns) = std::sync::mpsc::sync_channel(16);
-    let mut commander = Process::start("commander", &addresses);
+    let mut commander = start("commander", &addresses);
 
     blastema::run(async {
         let wheels = ChildSpec::new("wheels", move || Wheels(turned.clone()));
@@ -363,7 +229,7 @@ impl Handle<Ready> for Witness {
 #[test]
 fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
     let addresses = free_addresses(4);
-    let start = |number: usize| Process::start(&format!("carrier{number}"), &addresses);
+    let start = |number: usize| start(&format!("carrier{number}"), &addresses);
     let mut carriers = [start(1), start(2), start(3)];
 
     blastema::run(async {
@@ -398,7 +264,7 @@ fn a_service_goes_on_counting_when_the_processes_that_serve_it_are_killed() {
 #[test]
 fn a_standby_that_was_killed_has_everything_when_it_is_back_and_takes_over() {
     let addresses = free_addresses(4);
-    let start = |number: usize| Process::start(&format!("carrier{number}"), &addresses);
+    let start = |number: usize| start(&format!("carrier{number}"), &addresses);
     let mut carriers = [start(1), start(2), start(3)];
 
     blastema::run(async {
@@ -500,7 +366,7 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
     let addresses = free_addresses(2);
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("variables").display().to_string();
-    let start = || Process::start_with("keeper", &addresses, &[("BLASTEMA_TEST_FILE", &file)]);
+    let start = || start_with("keeper", &addresses, &[("BLASTEMA_TEST_FILE", &file)]);
     let mut keeper = start();
 
     blastema::run(async {

@@ -52,6 +52,10 @@ fn numbers_of_the_node_that_make_no_sense_are_refused() {
         refused(node().work_threads(usize::MAX), &[threads, "1024"]).await;
         refused(node().grace(Duration::MAX), &["grace of the node is", "an hour at most"]).await;
         taken(node().work_threads(1).grace(Duration::ZERO).child(lamp())).await;
+        let session = ["session_timeout of the node is", "200 ms to an hour"];
+        refused(node().session_timeout(199 * MS), &session).await;
+        refused(node().session_timeout(Duration::MAX), &session).await;
+        taken(node().session_timeout(200 * MS).child(lamp())).await;
 
         let storm = node().intensity(3, Duration::ZERO);
         refused(storm, &["the intensity's period of root is 0ns", "1 ms at least"]).await;

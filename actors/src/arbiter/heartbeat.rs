@@ -6,11 +6,12 @@
 use super::deadline;
 use crate::platform;
 use crate::platform::panics::{Unwinding, UnwindingPanic};
+use crate::platform::processor_time::ThreadNumber;
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
-use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 
@@ -35,6 +36,8 @@ pub(crate) struct ArbiterHeartbeat {
     time: AtomicU64,
     /// The panic that unwinds on its thread.
     unwinding: Arc<Unwinding>,
+    /// Its thread, once it beats.
+    thread: OnceLock<ThreadNumber>,
 }
 
 thread_local! {
@@ -74,6 +77,7 @@ impl Default for ArbiterHeartbeat {
             gate: AtomicU8::new(0),
             time: AtomicU64::new(0),
             unwinding: Arc::default(),
+            thread: OnceLock::new(),
         }
     }
 }
@@ -123,6 +127,9 @@ impl ArbiterHeartbeat {
             return;
         }
         let beating = Beating(self.clone());
+        if let Some(here) = ThreadNumber::here() {
+            let _ = self.thread.set(here);
+        }
         self.time.store(platform::now().as_nanos(), Relaxed);
         actix_rt::spawn(async move {
             let _beating = beating;
@@ -147,6 +154,11 @@ impl ArbiterHeartbeat {
     /// How often it has beaten.
     pub(crate) fn beats(&self) -> u64 {
         self.beat.load(Relaxed)
+    }
+
+    /// Its thread; `None` before its first beat, and where threads have no numbers.
+    pub(crate) fn thread(&self) -> Option<ThreadNumber> {
+        self.thread.get().copied()
     }
 
     /// When it last beat; `None` where none beats.

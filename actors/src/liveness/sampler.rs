@@ -9,6 +9,7 @@ use super::limits::ComponentLimits;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
+use crate::platform::processor_time::ThreadNumber;
 use actix::Recipient;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::{
@@ -387,11 +388,14 @@ impl Eyes {
         for (id, pulse) in &self.pulses {
             let running = pulse.running();
             let known = running.and_then(|slot| self.stamps.get(slot));
+            let beat = pulse.beats();
+            let stands = self.scanner.stands(*id, beat);
             let reading = ArbiterSample {
-                beat: pulse.beats(),
+                beat,
                 running,
                 stamp: known.map(|known| read(Some(known))),
                 fenced: pulse.is_fenced(),
+                used: pulse.thread().filter(|_| stands).and_then(ThreadNumber::used_while_ready),
             };
             self.scanner.handle_pulse(*id, reading);
         }

@@ -17,6 +17,7 @@ use blastema_contract::link::{
     ReportLinks, TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
+use blastema_contract::reports::LivenessReported;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
     Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
@@ -68,6 +69,7 @@ pub(super) struct LinksRecipients {
     pub(super) router_changes: Recipient<LinkChanged>,
     pub(super) router_loads: Recipient<ReceivedOnLink>,
     pub(super) monitor: Option<Recipient<LinkReported>>,
+    pub(super) stalls: Option<Recipient<LivenessReported>>,
     /// Who tells others of our neighbours, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
     pub(super) faults: FaultReporter,
@@ -367,6 +369,12 @@ impl MachineActor for LinksActor {
     fn carry_out(&mut self, output: LinkSetOutput, _: &mut Context<Self>) {
         let (link, output) = match output {
             LinkSetOutput::Of(link, output) => (link, output),
+            LinkSetOutput::Stalled(gap) => {
+                if let Some(stalls) = &self.wiring.stalls {
+                    stalls.do_send(LivenessReported::Stalled { gap });
+                }
+                return;
+            }
             LinkSetOutput::Greet(frame) => {
                 if let Some(to) = self.bus.clone() {
                     self.transmit(to, frame);

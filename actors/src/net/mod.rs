@@ -50,7 +50,9 @@ use blastema_contract::link::{AddLinks, LinkRow, ReadLinks};
 use blastema_contract::monitor::{LinkReported, NodeReported};
 use blastema_contract::naming::{FindObject, NodeRow, ReadDifferences, ReadNames};
 use blastema_contract::recoverer::Recover;
-use blastema_contract::reports::{AreYouAlive, DeclaredFaultCleared, FaultDeclared};
+use blastema_contract::reports::{
+    AreYouAlive, DeclaredFaultCleared, FaultDeclared, LivenessReported,
+};
 use blastema_contract::router::{AddSessions, InjectPanic, ReadRoutes, Routes};
 use blastema_contract::session::{
     AddGateway, CloseSessions, PeerStatusChanged, ReadSessions, SessionRow,
@@ -135,8 +137,12 @@ pub(crate) struct NetEnvironment {
     pub(crate) recoverer: Option<Recipient<Recover>>,
     /// Is told how links are.
     pub(crate) links: Option<Recipient<LinkReported>>,
+    /// Is told when the network's thread was not run.
+    pub(crate) stalls: Option<Recipient<LivenessReported>>,
     /// Is told how nodes are.
     pub(crate) nodes: Option<Recipient<NodeReported>>,
+    /// When the session with a peer that does not answer ends.
+    pub(crate) session_timeout: Duration,
     /// Whose word isolates a node.
     pub(crate) judges: IsolationAuthority,
     /// Is told of faults that are found in what other nodes send.
@@ -226,9 +232,10 @@ pub(crate) fn start(
 
     let told = (environment.own_faults("sessions"), environment.nodes.clone());
     let to_router = (router.clone().recipient(), life.clone(), told);
+    let timeout = environment.session_timeout;
     let sessions = guardian.start(named("sessions"), place, move |_| {
         let (router, (node, incarnation), faults) = to_router;
-        sessions::SessionsActor::new(node, incarnation, router, faults)
+        sessions::SessionsActor::new((node, incarnation), timeout, router, faults)
     });
     router.do_send(AddSessions {
         segments: sessions.clone().recipient(),
@@ -267,6 +274,7 @@ pub(crate) fn start(
             router_changes: router.clone().recipient(),
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
+            stalls: environment.stalls.clone(),
             discovery: told.clone().map(|told| (grounds.len(), told)),
             faults,
         };

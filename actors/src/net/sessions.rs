@@ -33,6 +33,7 @@ const NUMBERS_PER_LIFE: u32 = 1 << 16;
 pub(super) struct SessionsActor {
     node: NodeName,
     incarnation: Incarnation,
+    idle_timeout: Duration,
     crowd: MachineSet<NodeId, Session>,
     wake: WakeTimer,
     peers: BTreeMap<NodeId, Peer>,
@@ -57,14 +58,15 @@ struct Peer {
 
 impl SessionsActor {
     pub(super) fn new(
-        node: NodeName,
-        incarnation: Incarnation,
+        (node, incarnation): (NodeName, Incarnation),
+        idle_timeout: Duration,
         router: Recipient<SendSegment>,
         (faults, nodes): (FaultReporter, Option<Recipient<NodeReported>>),
     ) -> Self {
         SessionsActor {
             node,
             incarnation,
+            idle_timeout,
             crowd: MachineSet::default(),
             wake: WakeTimer::default(),
             peers: BTreeMap::new(),
@@ -81,7 +83,8 @@ impl SessionsActor {
         let Some(peer) = self.peers.get(&id) else { return };
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
-        let config = SessionConfig { number: peer.number, ..config };
+        let (number, idle_timeout) = (peer.number, self.idle_timeout);
+        let config = SessionConfig { number, idle_timeout, ..config };
         self.crowd.insert(id, Session::new(config, platform::now()));
     }
 

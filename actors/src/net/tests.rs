@@ -38,6 +38,7 @@ use blastema_contract::transport::{
 use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::detection::{LinkCondition, NodeCondition};
 use blastema_core::net::isolation::IsolationAuthority;
+use blastema_core::net::session::IDLE_TIMEOUT;
 use blastema_core::net::{LinkId, LinkState};
 use blastema_core::{
     DeliveryError, Fault, FaultId, FaultKind, FaultLocation, Incarnation, NodeName, ObjectName,
@@ -201,10 +202,12 @@ impl Robot {
             dead_letters: host.dead_letters.clone(),
             recoverer: Some(faults.recipient()),
             links: Some(links.recipient()),
+            stalls: None,
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
             mended: Some(mended.recipient()),
             judges: IsolationAuthority::Majority,
+            session_timeout: IDLE_TIMEOUT,
             envoys: Vec::new(),
         };
         let net = start(environment, specs).unwrap();

@@ -111,6 +111,7 @@ struct NodeAssembly {
     node: NodeName,
     incarnation: Incarnation,
     judges: IsolationAuthority,
+    session_timeout: Duration,
     placement: ActorPlacement,
     plan: Arc<Plan>,
     parts: FaultChainParts,
@@ -160,6 +161,7 @@ impl NodeAssembly {
             node,
             incarnation,
             judges,
+            session_timeout: builder.session_timeout,
             plan,
             parts,
         })
@@ -200,7 +202,7 @@ impl NodeAssembly {
             self.enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
             return Ok(());
         }
-        let networks = (networks, self.judges.clone());
+        let networks = (networks, self.judges.clone(), self.session_timeout);
         let (networks, enrolments) =
             make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
         self.undone.own.extend(networks.arbiter.clone());

@@ -10,6 +10,7 @@ use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable
 use crate::host::spec::ChildSpec;
 use crate::runtime::callbacks::CALLBACK_LIMIT;
 use crate::service::{Carried, ServiceSpec, ServiceSpecError, Stateful};
+use blastema_core::net::session::IDLE_TIMEOUT;
 use blastema_core::recovery::{Plan, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind};
 use std::fmt;
@@ -47,6 +48,7 @@ pub struct NodeBuilder {
     pub(super) placement: ActorPlacement,
     pub(super) grace: Duration,
     pub(super) callback_limit: Duration,
+    pub(super) session_timeout: Duration,
     pub(super) process_watchdogs: ProcessWatchdogs,
     pub(super) handles_signals: bool,
     pub(super) networks: Vec<Network>,
@@ -84,6 +86,7 @@ impl NodeBuilder {
             // Twenty beats: a handler that was merely slow has come back by then.
             grace: Duration::from_millis(200),
             callback_limit: CALLBACK_LIMIT,
+            session_timeout: IDLE_TIMEOUT,
             process_watchdogs: ProcessWatchdogs::default(),
             handles_signals: true,
             networks: Vec::new(),
@@ -315,6 +318,15 @@ impl NodeBuilder {
     /// same arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {
         self.grace = grace;
+        self
+    }
+
+    /// How long another node may owe an answer, or be without a path, before the session with it
+    /// ends and what it did not acknowledge comes back: 2 s unless this says otherwise, 200 ms to
+    /// an hour. Longer rides out longer outages; shorter resolves requests sooner. Where answers
+    /// take long, it is three of the present retransmission timeouts if these are longer.
+    pub fn session_timeout(mut self, timeout: Duration) -> Self {
+        self.session_timeout = timeout;
         self
     }
 

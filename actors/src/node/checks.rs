@@ -7,6 +7,7 @@ use super::tree::PreparedTree;
 use crate::registry::NameTaken;
 use crate::service::Carried;
 use blastema_core::detection::dependencies::{Dependencies, DependencyError, circle};
+use blastema_core::net::session::IDLE_TIMEOUT_RANGE;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
 use blastema_core::{NodeName, ObjectName};
@@ -78,6 +79,10 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
     if !CALLBACK_LIMITS.contains(&builder.callback_limit) {
         let cure = "write 10 ms to a minute, or leave it out for 500 ms";
         return wrong("callback_limit", format!("{:?}", builder.callback_limit), cure);
+    }
+    if !IDLE_TIMEOUT_RANGE.contains(&builder.session_timeout) {
+        let cure = "write 200 ms to an hour, or leave it out for 2 s";
+        return wrong("session_timeout", format!("{:?}", builder.session_timeout), cure);
     }
     check_watchdogs(builder)?;
     if let Some(name) = &builder.strategy_twice {

@@ -12,6 +12,7 @@ use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
+use pause::Pause;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
@@ -50,8 +51,8 @@ pub struct Detector {
     reminders: DecisionTimeouts,
     conduct: OffenceWindow,
     crash_loops: CrashLoops,
-    /// This node was paused, and until when links and nodes may suffer from it.
-    pause: Option<(FaultId, Instant)>,
+    /// The latest pause of this node, while links and nodes may suffer from it.
+    pause: Option<Pause>,
     handover: ConfirmedQueue<FaultNotice>,
     told: VecDeque<DetectorOutput>,
     last_number: u64,
@@ -82,7 +83,11 @@ pub struct DetectorLimits {
     /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
-    /// After a pause of this node, links and other nodes have so long to be there again. What is
+    /// A pause of this node from this length on is a fault. A shorter one is a fault only if a link
+    /// or node suffers from it, up to this long after it. Shorter tells of each spell of an
+    /// overloaded computer.
+    pub pause: Duration,
+    /// After a pause that is a fault, links and other nodes have so long to be there again. What is
     /// still down then is a fault of its own. Longer blames the pause for more.
     pub after_pause: Duration,
     /// The hand-over to the notifier.
@@ -109,6 +114,8 @@ impl Default for DetectorLimits {
             crash_loop_restarts: 3,
             // systemd waits 0.1 s between two starts, a careful unit file up to 20 s.
             crash_loop_period: Duration::from_secs(60),
+            // Requests expire after as long, unless they say otherwise, and links are down before.
+            pause: Duration::from_secs(1),
             // A link that has gone down four times lately comes up after 48 hellos, 2.4 s; then
             // routes and sessions follow.
             after_pause: Duration::from_secs(5),
@@ -544,7 +551,7 @@ impl Machine for Detector {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let pause = self.pause.map(|(_, until)| until);
+        let pause = self.pause.as_ref().map(|pause| pause.until);
         let others = [self.reminders.next(), self.crash_loops.poll_timeout(), pause];
         others.into_iter().chain([self.handover.poll_timeout()]).flatten().min()
     }
@@ -557,13 +564,12 @@ impl Machine for Detector {
         while let Some(node) = self.crash_loops.pop_over(now) {
             self.end_crash_loop(node, now);
         }
-        if let Some((pause, _)) = self.pause.take_if(|(_, until)| *until <= now) {
-            self.end_pause(pause, now);
-        }
+        self.end_pause(now);
     }
 }
 
 mod next_life;
+mod pause;
 mod rules;
 #[cfg(test)]
 mod tests;

@@ -14,7 +14,6 @@ use crate::{
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
@@ -44,9 +43,6 @@ pub struct Monitor {
 pub struct MonitorLimits {
     /// How many rows the table may have. A row takes some hundred bytes.
     pub rows: usize,
-    /// From this length on, that no thread of the node ran is a fault. Shorter tells of each spell
-    /// of an overloaded computer.
-    pub pause: Duration,
     /// The hand-over to the detector.
     pub handover: ConfirmedQueueLimits,
 }
@@ -58,8 +54,6 @@ impl Default for MonitorLimits {
         // At start every object is enrolled at once, and some of them have more to tell.
         MonitorLimits {
             rows,
-            // Requests expire after as long, unless they say otherwise, and links are down before.
-            pause: Duration::from_secs(1),
             handover: ConfirmedQueueLimits { capacity: 4 * rows, ..Default::default() },
         }
     }

@@ -145,10 +145,12 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             dead_letters: host.dead_letters.clone(),
             recoverer: None,
             links: None,
+            stalls: None,
             nodes: None,
             faults: None,
             mended: None,
             judges: IsolationAuthority::Majority,
+            session_timeout: IDLE_TIMEOUT,
             envoys: Vec::new(),
         };
 

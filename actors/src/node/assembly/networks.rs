@@ -79,7 +79,7 @@ impl Networks {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 pub(super) fn make_networks(
-    (networks, judges): (Vec<Network>, IsolationAuthority),
+    (networks, judges, session_timeout): (Vec<Network>, IsolationAuthority, Duration),
     placement: ActorPlacement,
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
@@ -119,10 +119,12 @@ pub(super) fn make_networks(
         dead_letters: environment.dead_letters.clone(),
         recoverer: Some(chain.recoverer.clone()),
         links: Some(monitor.clone().recipient()),
+        stalls: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
         mended: Some(monitor.clone().recipient()),
         judges,
+        session_timeout,
         envoys: Vec::new(),
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();

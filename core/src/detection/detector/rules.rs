@@ -295,7 +295,8 @@ impl Detector {
             NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeAtRest),
             NodeCondition::Lost { reason } => {
                 self.crash_loops.handle_lost(&node);
-                let cause = self.pause_or(self.crash_loop_of(&scene));
+                let cause = self.crash_loop_of(&scene);
+                let cause = self.pause_or(cause);
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
@@ -333,43 +334,6 @@ impl Detector {
                 self.withdraw(id, scene.at);
             }
         }
-    }
-
-    /// What was found of links and other nodes since this node began to stand still is a symptom of
-    /// that, and so is what is found for a while from now on.
-    fn judge_pause(&mut self, scene: &Scene, span: Duration) {
-        let detail = format!(
-            "it did not run for {:.1} s: its process was stopped, or its computer stood still",
-            span.as_secs_f32()
-        );
-        let kind = FaultKind::NodePaused;
-        let known = self.chronicle.standing(&scene.place, &kind);
-        let known = known.filter(|&id| self.repeat(id, scene, &detail));
-        let id = known.unwrap_or_else(|| self.record(scene, kind, detail, Cause::Itself));
-        self.recover(id, scene.at);
-        self.pause = Some((id, scene.at + self.limits.after_pause));
-        let suffers = |fault: &&Fault| {
-            let of_network =
-                matches!(fault.place, FaultLocation::Link { .. } | FaultLocation::Node(_));
-            let fresh = scene.at - fault.found_at <= span;
-            of_network && fresh && fault.place != scene.place && fault.symptom_of.is_none()
-        };
-        let suffer = self.chronicle.all_standing().filter(suffers).map(|fault| fault.id);
-        let suffer: Vec<FaultId> = suffer.collect();
-        self.explain(&suffer, Some(id), scene.at);
-    }
-
-    /// The pause of this node is no cause of anything any more.
-    pub(super) fn end_pause(&mut self, id: FaultId, at: Instant) {
-        self.repair(id, at);
-        let outlives = |fault: &&Fault| fault.symptom_of == Some(id);
-        let outlive = self.chronicle.all_standing().filter(outlives).map(|fault| fault.id);
-        let outlive: Vec<FaultId> = outlive.collect();
-        self.explain(&outlive, None, at);
-    }
-
-    fn pause_or(&self, cause: Cause) -> Cause {
-        self.pause.map_or(cause, |(id, _)| Cause::Known(id))
     }
 
     /// A node that has stayed up for long enough is in a crash loop no more.

@@ -14,7 +14,7 @@ use std::time::Duration;
 /// other.
 const SATURATED: f32 = 0.8;
 /// The interval of the usual looks, by which a span is turned into a number of them.
-const LOOK: Duration = Duration::from_millis(10);
+pub(super) const LOOK: Duration = Duration::from_millis(10);
 
 fn looks_in(span: Duration) -> usize {
     let looks = usize::try_from(span.as_nanos() / LOOK.as_nanos()).unwrap_or(usize::MAX);

@@ -12,7 +12,8 @@
 //!
 //! Nobody is condemned for time that the scanner itself was not scheduled: it keeps a clock that
 //! goes on only while it looks, and measures everything by that. A computer on which it is late at
-//! every look is judged later, and no less.
+//! every look is judged later, and no less. Nor for time in which a thread was ready to run and the
+//! operating system did not run it.
 
 mod lateness;
 mod load;
@@ -31,6 +32,9 @@ use occupancy::Occupancy;
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
+/// A handler whose thread is not run hangs after so many times its limit.
+const STARVED_MAX: u32 = 10;
+
 #[derive(Debug)]
 struct Arbiter {
     beat: u64,
@@ -41,6 +45,11 @@ struct Arbiter {
     since: Instant,
     /// When this beat was first seen.
     beat_since: Instant,
+    /// What its thread had used of the processor at the last look, if it was ready to run.
+    used: Option<Duration>,
+    /// For how long it was ready to run, stood, and was not run; of that, in this turn.
+    starved: Duration,
+    starved_in_turn: Duration,
     occupancy: Occupancy<SlotId>,
     hang: Option<Hang>,
     /// Who was given up while it was on the thread.
@@ -63,6 +72,8 @@ struct ComponentRecord {
     reading: Option<ComponentSample>,
     /// Its arbiter's beat at the last look.
     beat: u64,
+    /// How long its arbiter had been starved at the last look.
+    starved: Duration,
     turn_since: Instant,
     alive_since: Instant,
     /// When it was last seen to have given a sign of life, in this incarnation.
@@ -97,6 +108,8 @@ pub struct HangDetector {
     looked_at: Option<Instant>,
     /// The time in which it has looked.
     clock: Instant,
+    /// How far its clock went between the last two looks.
+    step: Duration,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
     components: Vec<Option<ComponentRecord>>,
@@ -110,6 +123,7 @@ impl HangDetector {
             config,
             looked_at: None,
             clock: Instant::ORIGIN,
+            step: Duration::ZERO,
             arbiters: BTreeMap::new(),
             components: Vec::new(),
             outputs: VecDeque::new(),
@@ -146,7 +160,8 @@ impl HangDetector {
     pub fn handle_look(&mut self, now: Instant) {
         let gap = self.looked_at.map_or(Duration::ZERO, |before| now - before);
         self.looked_at = Some(now);
-        self.clock = self.clock + gap.min(self.config.gap);
+        self.step = gap.min(self.config.gap);
+        self.clock = self.clock + self.step;
         if gap > self.config.stall {
             self.outputs.push_back(LivenessEvent::Stalled { gap });
         }
@@ -162,6 +177,14 @@ impl HangDetector {
         at + self.missed()
     }
 
+    /// Whether an arbiter has not beaten for two looks: perhaps the operating system does not run
+    /// its thread.
+    pub fn stands(&self, id: ArbiterId, beat: u64) -> bool {
+        self.arbiters.get(&id).is_some_and(|arbiter| {
+            arbiter.beat == beat && self.clock - arbiter.beat_since >= 2 * load::LOOK
+        })
+    }
+
     /// What an arbiter says.
     pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample) {
         let now = self.clock;
@@ -174,6 +197,9 @@ impl HangDetector {
             allowance,
             since: now,
             beat_since: now,
+            used: None,
+            starved: Duration::ZERO,
+            starved_in_turn: Duration::ZERO,
             occupancy: Occupancy::default(),
             hang: None,
             left: None,
@@ -198,6 +224,17 @@ impl HangDetector {
             arbiter.since = now;
         }
         arbiter.allowance = allowance;
+        let waited = match (std::mem::replace(&mut arbiter.used, reading.used), reading.used) {
+            (Some(before), Some(used)) => self.step.saturating_sub(used.saturating_sub(before)),
+            _ => Duration::ZERO,
+        };
+        arbiter.starved += waited;
+        if arbiter.since < now {
+            arbiter.since = arbiter.since + waited;
+            arbiter.starved_in_turn += waited;
+        } else {
+            arbiter.starved_in_turn = Duration::ZERO;
+        }
         arbiter.fenced_since = reading.fenced.then(|| arbiter.fenced_since.unwrap_or(now));
         let age = now - arbiter.since;
         let resumed = if changed { arbiter.hang.take() } else { None };
@@ -217,9 +254,12 @@ impl HangDetector {
         let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
         let Some(culprit) = self.component(slot) else { return };
         let limit = culprit.judged.max_block.max(arbiter.allowance);
-        if age < limit || culprit.judged.arbiter != id {
+        let starved = arbiter.starved_in_turn;
+        let hangs = age >= limit || age + starved >= limit.saturating_mul(STARVED_MAX);
+        if !hangs || culprit.judged.arbiter != id {
             return;
         }
+        let age = age + starved;
         let object = culprit.judged.object.clone();
         let victims = self.others_on(id, slot);
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
@@ -365,6 +405,7 @@ impl ComponentRecord {
             judged,
             reading: None,
             beat: 0,
+            starved: Duration::ZERO,
             turn_since: now,
             alive_since: now,
             last_sign: None,
@@ -402,11 +443,15 @@ impl ComponentRecord {
         let before = self.reading.replace(reading);
         let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
         let beats = std::mem::replace(&mut self.beat, beat) != beat;
+        let starved = around.arbiter.map_or(Duration::ZERO, |arbiter| arbiter.starved);
+        let waited = starved.saturating_sub(std::mem::replace(&mut self.starved, starved));
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
             let fresh = ComponentRecord::new(self.judged.clone(), now);
-            *self = ComponentRecord { reading: Some(reading), beat, ..fresh };
+            *self = ComponentRecord { reading: Some(reading), beat, starved, ..fresh };
             return;
         };
+        self.turn_since = (self.turn_since + waited).min(now);
+        self.alive_since = (self.alive_since + waited).min(now);
         let turned = before.turn != reading.turn;
         if turned {
             if self.waits {

@@ -70,9 +70,21 @@ impl World {
             interval: Duration::ZERO,
             expired: 0,
         };
-        let pulse = ArbiterSample { beat: 0, running: None, stamp: None, fenced: false };
+        let pulse =
+            ArbiterSample { beat: 0, running: None, stamp: None, fenced: false, used: None };
         let queues = [QueueReading::default(); 3];
         World { scanner, now: 0, pulse, eyes: Eyes { stamps: [stamp; 3], queues }, every: 1 }
+    }
+
+    /// Time passes; the arbiter stands, ready to run, and gets so many of ten milliseconds.
+    fn starve(&mut self, millis: u64, share: u64) -> Vec<LivenessEvent> {
+        let mut seen = Vec::new();
+        for _ in 0..millis / 10 {
+            let used = self.pulse.used.unwrap_or_default() + ms(share);
+            self.pulse.used = Some(used);
+            seen.extend(self.pass(10, false));
+        }
+        seen
     }
 
     /// Time passes; the arbiter beats or stands.
@@ -386,6 +398,47 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
     assert_eq!(told.count(), 1, "{seen:?}");
     let (_, status) = world.scanner.arbiters().next().expect("it was shown one");
     assert_eq!(status.hangs.map(|(_, since)| at(world.now) - since), Some(ms(600)));
+}
+
+#[test]
+fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    world.eyes.stamps[2].speaks = true;
+    world.look();
+
+    assert_eq!(world.starve(1500, 2), [], "neither is its victim silent: it had 300 ms");
+    let seen = world.starve(1500, 2);
+    let [LivenessEvent::Hangs { slot: 0, age, .. }, LivenessEvent::Silent { .. }] = seen[..] else {
+        panic!("{seen:?}")
+    };
+    assert!(age > ms(2400) && age < ms(2600), "{age:?}");
+}
+
+#[test]
+fn a_handler_whose_thread_is_not_run_hangs_after_ten_times_its_limit() {
+    let mut world = World::new();
+    world.pulse.running = Some(0);
+    world.look();
+
+    assert_eq!(world.starve(4900, 0), []);
+    assert!(matches!(world.starve(200, 0)[..], [LivenessEvent::Hangs { slot: 0, .. }]));
+}
+
+#[test]
+fn a_handler_that_waits_or_is_run_all_the_time_hangs_after_its_limit() {
+    for share in [None, Some(10)] {
+        let mut world = World::new();
+        world.pulse.running = Some(0);
+        world.look();
+        let mut pass = |millis| match share {
+            Some(share) => world.starve(millis, share),
+            None => world.pass(millis, false),
+        };
+
+        assert_eq!(pass(490), []);
+        assert!(matches!(pass(20)[..], [LivenessEvent::Hangs { slot: 0, .. }]));
+    }
 }
 
 #[test]

@@ -92,6 +92,10 @@ pub struct ArbiterSample {
     pub stamp: Option<ComponentSample>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
+    /// How much of the processor its thread has used, if it is ready to run; `None` where it waits
+    /// for something, or where that is not known. Asked only where
+    /// [`stands`](super::HangDetector::stands).
+    pub used: Option<Duration>,
 }
 
 /// What a component says about itself.

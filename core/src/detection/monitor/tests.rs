@@ -492,9 +492,7 @@ fn a_stall_of_the_monitor_itself_condemns_nobody() {
 
     let told = run(&mut monitor, 60_100);
     assert!(told.iter().all(|(_, text)| text != "m:laser Silent"), "{told:?}");
-    assert!(told.iter().any(|(_, text)| text == "m Node"), "a long one is a fault: {told:?}");
-    monitor.handle_stall(Duration::from_millis(900), at(61_000));
-    assert!(seen(&mut monitor, 61_000).iter().all(|text| text != "m Node"));
+    assert!(told.iter().any(|(_, text)| text == "m Node"), "{told:?}");
 }
 
 #[test]

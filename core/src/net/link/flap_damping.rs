@@ -22,7 +22,7 @@ impl Link {
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
-                let late = self.due(self.config.suspect_after_percent);
+                let late = self.silent_at(self.config.suspect_after_percent);
                 if self.is_given_up() || late.is_some_and(|due| due <= now) {
                     return;
                 }

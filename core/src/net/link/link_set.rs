@@ -31,6 +31,7 @@ pub struct LinkSet {
     /// Whom each link's word went to last; `None` where there is no bus.
     bus: Option<BTreeMap<LinkId, Told>>,
     greetings: VecDeque<GatherBuffer>,
+    stalled: Option<Duration>,
 }
 
 /// What was said to a neighbour last.
@@ -48,6 +49,8 @@ pub enum LinkSetOutput {
     Of(LinkId, LinkOutput),
     /// Give this frame to all nodes of the bus.
     Greet(GatherBuffer),
+    /// This node was not run for so long, as a timer that fired so late shows. Links suffer from it.
+    Stalled(Duration),
 }
 
 impl LinkSet {
@@ -57,6 +60,9 @@ impl LinkSet {
     pub const WORDS: usize = 2;
     /// All greetings of a bus together may take one part in so many of it.
     const SHARE: u64 = 10;
+    /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
+    /// missing.
+    const STALL: Duration = Duration::from_millis(100);
 
     /// Adds a link, or replaces it.
     pub fn insert(&mut self, number: LinkId, mut link: Link) {
@@ -192,6 +198,9 @@ impl Machine for LinkSet {
     type Output = LinkSetOutput;
 
     fn poll_output(&mut self) -> Option<LinkSetOutput> {
+        if let Some(late) = self.stalled.take() {
+            return Some(LinkSetOutput::Stalled(late));
+        }
         if let Some(greeting) = self.greetings.pop_front() {
             return Some(LinkSetOutput::Greet(greeting));
         }
@@ -204,6 +213,8 @@ impl Machine for LinkSet {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
+        let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
+        self.stalled = (late >= Self::STALL).then_some(late);
         self.crowd.handle_timeout(now);
         self.greet(now);
     }
@@ -322,5 +333,22 @@ mod tests {
                 LinkSetOutput::Of(LinkId(2), LinkOutput::Transmit(_)),
             ]
         ));
+    }
+
+    #[test]
+    fn a_timer_that_fires_late_shows_that_this_node_was_not_run() {
+        let mut bundle = LinkSet::default();
+        let config = LinkConfig::new(name(0), Incarnation(1));
+        bundle.insert(LinkId(1), Link::new(config, at(0)));
+        let mut stalls = Vec::new();
+        for now in [0, 50, 149, 250, 350, 400] {
+            bundle.handle_timeout(at(now));
+            let outputs = std::iter::from_fn(|| bundle.poll_output());
+            stalls.extend(outputs.filter_map(|output| match output {
+                LinkSetOutput::Stalled(late) => Some((now, late.as_millis())),
+                _ => None,
+            }));
+        }
+        assert_eq!(stalls, [(250, 100)]);
     }
 }

@@ -26,6 +26,7 @@ mod flap_damping;
 mod quality;
 mod reassembly;
 mod remote_down;
+mod timers;
 mod types;
 
 pub mod link_set;
@@ -41,6 +42,7 @@ use self::remote_down::RemoteDownNotice;
 use super::wire::frame::{Echo, Frame, Hello};
 use super::wire::hello_state::HelloState;
 use super::wire::{Refusals, WireError};
+use crate::timer::Timers;
 use crate::{GatherBuffer, Incarnation, Instant, Machine};
 use arrival::{ArrivalEstimator, HelloArrival};
 use bytes::Bytes;
@@ -292,12 +294,6 @@ impl Link {
         self.neighbour.as_ref().map(|heard| heard.last)
     }
 
-    /// We ourselves were not scheduled until `now`: every silence up to now is void.
-    pub fn handle_local_stall(&mut self, now: Instant) {
-        let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
-        self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
-    }
-
     /// Silence counts only from a while after `now`. A node that stands still over and over again
     /// still finds in the end that no hello comes.
     fn excuse(&mut self, a_while: Duration, now: Instant) {
@@ -370,7 +366,7 @@ impl Link {
 
     /// When silence, or deafness of the neighbour, will have lasted so long past the expected
     /// hello.
-    fn due(&self, after_percent: u32) -> Option<Instant> {
+    fn silent_at(&self, after_percent: u32) -> Option<Instant> {
         let heard = self.neighbour.as_ref()?;
         let interval = heard.arrivals.interval();
         let silent = heard.arrivals.expected() + percent(interval, after_percent);
@@ -458,46 +454,30 @@ impl Link {
         }
     }
 
-    fn judge_absence(&mut self, now: Instant) {
-        // A slow medium needs its time.
-        let patience = |by: Instant| by + self.interval().saturating_mul(Self::ABSENT_HELLOS);
-        let due = self.expected_by.filter(|by| *by <= now);
-        if self.state != LinkState::Connecting || due.is_none_or(|by| patience(by) > now) {
-            return;
-        }
+    fn report_absence(&mut self) {
         self.expected_by = None;
-        // Who is there instead was told, and says more.
-        if self.refused.is_some() {
-            return;
+        // The refused node at the other end was reported, which says more.
+        if self.refused.is_none() {
+            let heard = self.neighbour.is_some();
+            self.outputs.push_back(LinkOutput::Missing { heard });
         }
-        let heard = self.neighbour.is_some();
-        self.outputs.push_back(LinkOutput::Missing { heard });
     }
 
-    fn judge_silence(&mut self, now: Instant) {
-        let past = |due: Option<Instant>| due.is_some_and(|due| due <= now);
-        let down = past(self.due(self.down_after_percent()));
-        match self.state {
-            LinkState::Up | LinkState::Suspect if down => {
-                self.go_down("the neighbour is not heard, or does not hear", now);
-            }
-            LinkState::Up | LinkState::Suspect
-                if self.is_monitored() && past(self.due(self.config.suspect_after_percent)) =>
-            {
-                self.proving = false;
-                let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
-                let before = if lately { self.suspicions } else { 0 };
-                self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
-                (self.last_suspicion, self.calm) = (now, 0);
-                self.change(LinkState::Suspect, "a hello is late");
-            }
-            LinkState::Connecting | LinkState::Down if down => {
-                if let Some(heard) = &mut self.neighbour {
-                    heard.forget_proof();
-                }
-            }
-            _ => {}
+    fn detect_down(&mut self, now: Instant) {
+        if self.carries() {
+            self.go_down("the neighbour is not heard, or does not hear", now);
+        } else if let Some(heard) = &mut self.neighbour {
+            heard.forget_proof();
         }
+    }
+
+    fn suspect(&mut self, now: Instant) {
+        self.proving = false;
+        let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
+        let before = if lately { self.suspicions } else { 0 };
+        self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
+        (self.last_suspicion, self.calm) = (now, 0);
+        self.change(LinkState::Suspect, "a hello is late");
     }
 }
 
@@ -521,31 +501,21 @@ impl Machine for Link {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let silence = match self.state {
-            LinkState::Up | LinkState::Suspect if self.is_monitored() => {
-                self.due(self.config.suspect_after_percent)
-            }
-            LinkState::Up | LinkState::Suspect => self.due(self.down_after_percent()),
-            // Looked at with the next hello: no route depends on a link that is not up.
-            LinkState::Connecting | LinkState::Down => None,
-        };
-        silence.into_iter().chain([self.next_hello]).min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         let due = self.poll_timeout().unwrap_or(now);
-        // Woken so late, we are the one who stood still; the neighbour's hellos wait unread.
+        // A timer that fires so late means that this node was not run; the neighbour's hellos are
+        // still unread. After a long stall every silence up to now is void.
         let late = now - due;
         if late > self.config.hello_interval {
-            self.handle_local_stall(now);
+            let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
+            self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
         } else if late > Self::LATE {
             self.excuse(late, now);
         }
-        if self.next_hello <= now {
-            self.say_hello(now);
-        }
-        self.judge_absence(now);
-        self.judge_silence(now);
+        self.fire_due(now);
     }
 }
 

@@ -293,7 +293,7 @@ fn phi_rises_with_the_silence_and_is_nothing_before_anybody_spoke() {
 #[test]
 fn an_observer_that_is_a_little_late_first_reads_what_has_come() {
     let mut cable = running();
-    let due = cable.ends[0].due(cable.ends[0].config.suspect_after_percent).unwrap();
+    let due = cable.ends[0].silent_at(cable.ends[0].config.suspect_after_percent).unwrap();
 
     cable.ends[0].handle_timeout(due + Duration::from_millis(5));
 

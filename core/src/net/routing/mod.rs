@@ -13,6 +13,7 @@ mod contest;
 mod flooding;
 mod forwarding;
 mod remote_down;
+mod timers;
 mod types;
 
 pub mod topology;
@@ -25,6 +26,7 @@ use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
+use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -72,7 +74,8 @@ pub struct Router {
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
     remembered: Option<(Instant, Vec<(NodeName, Incarnation)>)>,
-    /// The earliest of all due times; computed again only when it has come.
+    /// No timer is due before. It is lowered by what starts one, and found again when it has come:
+    /// inputs look at no collection of links or advertisements.
     wake_at: Instant,
     now: Instant,
     refusals: Refusals,
@@ -330,7 +333,8 @@ impl Router {
     fn outdate(&mut self) {
         // A change comes as a burst of floods: the first is acted on at once, the rest together.
         const TOGETHER: Duration = Duration::from_millis(5);
-        self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
+        let due = *self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
+        self.wake_at = self.wake_at.min(due);
     }
 
     /// The network as far as it is used.
@@ -363,12 +367,10 @@ impl Router {
         for Route { node, incarnation, .. } in before.into_values() {
             self.outputs.push_back(RouterOutput::Lost { node, incarnation });
         }
+        self.settle_disputes();
     }
 
-    fn give_up_remembered(&mut self) {
-        if self.remembered.as_ref().is_none_or(|(until, _)| *until > self.now) {
-            return;
-        }
+    fn report_not_found_again(&mut self) {
         for (node, incarnation) in self.remembered.take().into_iter().flat_map(|(_, nodes)| nodes) {
             if !self.routes.contains_key(&NodeId::of(&node)) {
                 self.outputs.push_back(RouterOutput::Lost { node, incarnation });
@@ -376,37 +378,8 @@ impl Router {
         }
     }
 
-    fn earliest(&self) -> Instant {
-        let links = self
-            .links
-            .values()
-            .flat_map(|adjacent| adjacent.pending.values().copied().chain([adjacent.compare_at]));
-        let ages = self.known.values().flat_map(|known| {
-            known.believed.iter().map(|(_, until)| *until).chain([known.expires])
-        });
-        let remembered = self.remembered.iter().map(|(until, _)| *until);
-        let ends = self.dispute_ends().into_iter().chain(self.troubles.due());
-        links.chain(ages).chain(remembered).chain(ends).fold(self.refresh_at, Instant::min)
-    }
-}
-
-impl Machine for Router {
-    type Output = RouterOutput;
-
-    fn poll_output(&mut self) -> Option<RouterOutput> {
-        self.outputs.pop_front()
-    }
-
-    fn poll_timeout(&self) -> Option<Instant> {
-        Some(self.compute_at.map_or(self.wake_at, |at| at.min(self.wake_at)))
-    }
-
-    fn handle_timeout(&mut self, now: Instant) {
-        self.now = now;
-        if self.refresh_at <= now {
-            self.renew();
-        }
-        self.forget_the_old();
+    /// Link by link: sends again what was not confirmed, and the summary of the database.
+    fn synchronise(&mut self, now: Instant) {
         let numbers: Vec<_> = self.links.keys().copied().collect();
         for link in numbers {
             let Some(adjacent) = self.links.get(&link) else { continue };
@@ -420,16 +393,24 @@ impl Machine for Router {
                 self.compare(link);
             }
         }
-        let outdated = self.compute_at.is_some_and(|at| at <= now);
-        if outdated {
-            self.compute();
-        }
-        if outdated || !self.disputes.is_empty() {
-            self.settle_disputes();
-        }
-        self.give_up_remembered();
-        self.end_troubles();
-        self.wake_at = self.earliest();
+    }
+}
+
+impl Machine for Router {
+    type Output = RouterOutput;
+
+    fn poll_output(&mut self) -> Option<RouterOutput> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        Some(self.wake_at)
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        self.now = now;
+        self.fire_due(now);
+        self.wake_at = self.next_due().unwrap_or(self.refresh_at);
     }
 }
 

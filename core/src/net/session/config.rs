@@ -1,7 +1,15 @@
 //! How a session behaves.
 
 use crate::{Incarnation, NodeName};
+use std::ops::RangeInclusive;
 use std::time::Duration;
+
+/// How long a peer may owe an answer, or be without a path, unless a node says otherwise.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(2);
+/// What a node may say: a link is declared down after 175 ms, and what a session holds for a peer
+/// that does not come back within an hour is of no use to it.
+pub const IDLE_TIMEOUT_RANGE: RangeInclusive<Duration> =
+    Duration::from_millis(200)..=Duration::from_secs(60 * 60);
 
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;
@@ -62,7 +70,7 @@ impl SessionConfig {
             incarnation,
             peer,
             number: 0,
-            idle_timeout: Duration::from_secs(2),
+            idle_timeout: IDLE_TIMEOUT,
             message_max: MESSAGE_MAX,
             // Four of the largest messages, or a second of 1 kB at 4 kHz.
             buffer_bytes: 4 << 20,

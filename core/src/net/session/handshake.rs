@@ -143,7 +143,8 @@ impl Session {
         }
     }
 
-    pub(super) fn repeat_close(&mut self, peer: RemoteEnd, tries: u32) {
+    pub(super) fn repeat_close(&mut self) {
+        let State::Closing { peer, tries, .. } = self.state else { return };
         if tries > Self::CLOSE_TRIES {
             return self.end(DeliveryError::Stopped);
         }

@@ -36,12 +36,13 @@ mod reception;
 mod round_trip;
 mod status;
 mod tag;
+mod timers;
 mod transmission;
 
 pub mod ordering_key;
 pub mod size_class;
 
-pub use self::config::{PAYLOAD_MAX, SessionConfig};
+pub use self::config::{IDLE_TIMEOUT, IDLE_TIMEOUT_RANGE, PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 
@@ -54,6 +55,7 @@ use self::round_trip::RttEstimator;
 use super::wire::Refusals;
 use super::wire::packet::{PacketPriority, UndeliveredReason};
 use super::wire::segment::{Data, Datagram, Segment, Stream};
+use crate::timer::Timers;
 use crate::{DeliveryError, GatherBuffer, Incarnation, Instant, Machine};
 use bytes::Bytes;
 use ordering_key::OrderingKey;
@@ -493,12 +495,6 @@ impl Session {
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 
-    fn give_up_at(&self) -> Option<Instant> {
-        // Where an answer takes long, one that is lost is asked for twice before that.
-        let answers = if self.path.is_some() { 3 * self.rtt[0].timeout() } else { Duration::ZERO };
-        self.waiting_since.map(|since| since + self.config.idle_timeout.max(answers))
-    }
-
     /// The peer has owed us a sign of life for too long.
     fn give_up(&mut self) {
         self.waiting_since = None;
@@ -545,44 +541,19 @@ impl Machine for Session {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let again_at = match self.state {
-            State::Opening { again_at, .. } => self.path.map(|_| again_at),
-            State::Closing { again_at, .. } => again_at,
-            _ => None,
-        };
-        let [one, all] = self.retransmit_at;
-        [again_at, one, all, self.ack_owed(), self.give_up_at()].into_iter().flatten().min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        /// Woken so late, it was this node that stood still, and the peer's words wait unread.
+        /// A timer that fires so late means that this node was not run. Segments of the peer may
+        /// still be unread, so the delay is not counted as its silence.
         const STALL: Duration = Duration::from_millis(100);
         let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
         if late > STALL {
             self.waiting_since = self.waiting_since.map(|since| since + late);
         }
         self.now = now;
-        let due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
-        if due(self.give_up_at()) {
-            self.give_up();
-        }
-        for lane in 0..self.retransmit_at.len() {
-            if due(self.retransmit_at[lane]) {
-                self.retransmit_at[lane] = None;
-                if self.flying(lane) > 0 {
-                    self.handle_silence(lane);
-                }
-            }
-        }
-        match self.state {
-            State::Opening { again_at, .. } if again_at <= now && self.path.is_some() => {
-                self.say_open();
-            }
-            State::Closing { peer, again_at, tries } if due(again_at) => {
-                self.repeat_close(peer, tries);
-            }
-            _ => {}
-        }
+        self.fire_due(now);
     }
 }
 

@@ -253,7 +253,12 @@ impl Session {
         }
     }
 
-    pub(super) fn handle_silence(&mut self, of: usize) {
+    /// Takes all that is in flight on this lane for lost.
+    pub(super) fn detect_loss(&mut self, of: usize) {
+        self.retransmit_at[of] = None;
+        if self.flying(of) == 0 {
+            return;
+        }
         self.rtt[of].back_off();
         if of == 0 {
             let most = if self.is_narrow() { Self::CONGESTION_LEAST } else { Self::CONGESTION_MIN };

@@ -220,6 +220,34 @@ fn what_links_and_nodes_suffer_from_a_pause_of_this_node_is_its_symptom() {
 }
 
 #[test]
+fn a_short_pause_of_this_node_is_a_fault_only_if_links_or_nodes_suffer_from_it() {
+    let short = || Finding::Node(NodeCondition::Paused { span: Duration::from_millis(150) });
+    let mut bench = Bench::new();
+    bench.see("@m", ONE, short());
+    bench.run_until(5_000);
+    assert_eq!(bench.entries().len(), 0);
+
+    bench.see("@m", ONE, short());
+    bench.now = at(5_100);
+    bench.see("-eth-n", ONE, down());
+    bench.see("@n", ONE, lost());
+    let kinds = [1, 2, 3].map(|id| (bench.fault(id).kind, bench.fault(id).symptom_of.is_some()));
+    let [(FaultKind::NodePaused, false), (FaultKind::LinkDown, true), (FaultKind::NodeLost, true)] =
+        kinds
+    else {
+        panic!("{kinds:?}")
+    };
+
+    bench.see("-eth-n", ONE, Finding::Link(LinkCondition::Up));
+    bench.run_until(10_500);
+    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+    assert_eq!(bench.fault(3).symptom_of, None, "the node is lost all the same");
+    bench.see("-usb-k", ONE, down());
+    bench.see("@m", ONE, short());
+    assert_eq!(bench.fault(4).symptom_of, Some(FaultId(5)), "it was found before the pause was");
+}
+
+#[test]
 fn what_outlives_the_time_after_a_pause_is_a_fault_of_its_own() {
     let mut bench = Bench::new();
     bench.see("@m", ONE, paused());

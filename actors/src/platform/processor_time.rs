@@ -1,0 +1,60 @@
+//! How much of the processor a thread was given.
+
+use std::fs;
+use std::time::Duration;
+
+/// A thread of this process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ThreadNumber(u32);
+
+impl ThreadNumber {
+    /// This thread; `None` where the system does not number threads for `/proc`.
+    pub(crate) fn here() -> Option<Self> {
+        #[cfg(target_os = "linux")]
+        return Some(ThreadNumber(rustix::thread::gettid().as_raw_nonzero().get().cast_unsigned()));
+        #[cfg(not(target_os = "linux"))]
+        None
+    }
+
+    /// The processor time that the thread has used so far, if it runs or is ready to run; `None`
+    /// where it waits for something, has ended, or the system does not tell.
+    ///
+    /// The state is the third field of proc_pid_stat(5), and the time, which the kernel brings up
+    /// to date with each tick, the first of `schedstat` (sched-stats.rst).
+    pub(crate) fn used_while_ready(self) -> Option<Duration> {
+        let read = |file| fs::read_to_string(format!("/proc/self/task/{}/{file}", self.0)).ok();
+        // The thread's name before it, in parentheses, may hold any character.
+        let is_ready = read("stat")?.rsplit_once(") ")?.1.starts_with('R');
+        let nanos = read("schedstat").filter(|_| is_ready)?.split(' ').next()?.parse().ok()?;
+        Some(Duration::from_nanos(nanos))
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+    use std::thread;
+
+    #[test]
+    fn a_thread_that_works_is_ready_and_uses_time_and_one_that_waits_is_not() {
+        let here = ThreadNumber::here().unwrap();
+        let before = here.used_while_ready().unwrap();
+        while here.used_while_ready().unwrap() < before + Duration::from_millis(10) {}
+
+        let (sender, receiver) = mpsc::channel();
+        let (end, ended) = mpsc::channel::<()>();
+        let waiter = thread::spawn(move || {
+            sender.send(ThreadNumber::here().unwrap()).unwrap();
+            let _ = ended.recv();
+        });
+        let waiting = receiver.recv().unwrap();
+        while waiting.used_while_ready().is_some() {
+            thread::yield_now();
+        }
+
+        drop(end);
+        waiter.join().unwrap();
+        assert_eq!(waiting.used_while_ready(), None);
+    }
+}

@@ -1,0 +1,65 @@
+//! When a session acts by itself.
+
+use super::{Session, State};
+use crate::Instant;
+use crate::timer::Timers;
+use std::time::Duration;
+
+/// The timers of a session.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum SessionTimer {
+    /// Ends a session, or returns its messages, when the peer has owed an answer, or had no path,
+    /// for `idle_timeout`; with a path for three retransmission timeouts at least (QUIC: idle
+    /// timeout; TCP: user timeout, RFC 5482).
+    Idle,
+    /// Sends again what travels by one path: a retransmission timeout after the first chunk in
+    /// flight (RFC 6298).
+    LossOrdered,
+    /// The same for what travels by all paths.
+    LossRedundant,
+    /// Repeats the handshake while there is a path (TCP: SYN timer).
+    OpenRetransmit,
+    /// Repeats the close, [`Session::CLOSE_TRIES`] times in all (TCP: FIN timer).
+    CloseRetransmit,
+    /// Lets `poll_output` acknowledge received data that nothing has taken along: `ack_delay`, up
+    /// to 50 ms on a narrow path (QUIC: `max_ack_delay`).
+    AckDelay,
+}
+
+impl Timers for Session {
+    type Timer = SessionTimer;
+
+    const TIMERS: &'static [SessionTimer] = {
+        use SessionTimer::*;
+        &[Idle, LossOrdered, LossRedundant, OpenRetransmit, CloseRetransmit, AckDelay]
+    };
+
+    fn due(&self, timer: SessionTimer) -> Option<Instant> {
+        match (timer, self.state) {
+            (SessionTimer::Idle, _) => {
+                // Where an answer takes long, one that is lost is asked for twice before that.
+                let answers = self.path.map_or(Duration::ZERO, |_| 3 * self.rtt[0].timeout());
+                Some(self.waiting_since? + self.config.idle_timeout.max(answers))
+            }
+            (SessionTimer::LossOrdered, _) => self.retransmit_at[0],
+            (SessionTimer::LossRedundant, _) => self.retransmit_at[1],
+            (SessionTimer::OpenRetransmit, State::Opening { again_at, .. }) => {
+                self.path.map(|_| again_at)
+            }
+            (SessionTimer::CloseRetransmit, State::Closing { again_at, .. }) => again_at,
+            (SessionTimer::OpenRetransmit | SessionTimer::CloseRetransmit, _) => None,
+            (SessionTimer::AckDelay, _) => self.ack_owed(),
+        }
+    }
+
+    fn fire(&mut self, timer: SessionTimer, _: Instant) {
+        match timer {
+            SessionTimer::Idle => self.give_up(),
+            SessionTimer::LossOrdered => self.detect_loss(0),
+            SessionTimer::LossRedundant => self.detect_loss(1),
+            SessionTimer::OpenRetransmit => self.say_open(),
+            SessionTimer::CloseRetransmit => self.repeat_close(),
+            SessionTimer::AckDelay => {}
+        }
+    }
+}
