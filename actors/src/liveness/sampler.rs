@@ -3,7 +3,7 @@
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
 //! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
 
-use super::activity::ActivityRecord;
+use super::activity::{ActivityRecord, ActivitySample};
 use super::label;
 use super::limits::ComponentLimits;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
@@ -149,7 +149,7 @@ impl SampledComponents {
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
             let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
             let is_busy = reading.turn % 2 == 1;
-            let during = label::name(reading.during);
+            let during = during(&reading);
             let inside = watched.inside.upgrade()?;
             let current = is_busy.then_some(CurrentHandler { during, age });
             let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
@@ -234,7 +234,7 @@ impl Running {
         let on_thread = |(slot, watched): (&u32, &SampledComponent)| {
             let reading = watched.stamp.read();
             let running = watched.pulse.running() == Some(*slot);
-            running.then(|| (watched.object.clone(), label::name(reading.during), reading.turn))
+            running.then(|| (watched.object.clone(), during(&reading), reading.turn))
         };
         self.0.lock().iter().filter_map(on_thread).collect()
     }
@@ -452,7 +452,7 @@ impl Eyes {
     fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
         let during = |slot| {
             let known = self.stamps.get(slot);
-            label::name(known.map_or(u32::MAX, |known| known.stamp.read().during))
+            known.map_or("nothing", |known| during(&known.stamp.read()))
         };
         Some(match sighting {
             LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
@@ -498,6 +498,11 @@ impl Eyes {
             LivenessEvent::Stalled { gap } => LivenessReported::Stalled { gap },
         })
     }
+}
+
+/// What runs, for people.
+fn during(reading: &ActivitySample) -> &'static str {
+    if reading.condition { label::CONDITION } else { label::name(reading.during) }
 }
 
 fn read(known: Option<&Known>) -> ComponentSample {
