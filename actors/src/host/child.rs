@@ -2,7 +2,7 @@
 
 use super::Host;
 use super::executor::{ComponentExecutor, SharedExecutor};
-use super::lifecycle::Hook;
+use super::lifecycle::is_message;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
@@ -135,7 +135,7 @@ impl<C: Component> Child for ComponentChild<C> {
             record.environment.watch_list.leave(seated.slot.index);
             let reading = seated.slot.stamp.read();
             let during = label::name(reading.during);
-            if reading.turn % 2 == 1 && !Hook::is_name(during) {
+            if reading.turn % 2 == 1 && is_message(during) {
                 record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
             record.record_fatal_message(incarnation);

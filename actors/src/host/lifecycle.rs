@@ -4,6 +4,7 @@
 //! between.
 
 use crate::component::Failure;
+use crate::liveness::label::{CONDITION, FACTORY, TIMER};
 use blastema_contract::child::ChildEvent;
 use blastema_core::Lifecycle;
 use blastema_core::recovery::Backoff;
@@ -52,7 +53,7 @@ impl Hook {
     ];
 
     /// Whether this is the name of a hook.
-    pub(crate) fn is_name(text: &str) -> bool {
+    fn is_name(text: &str) -> bool {
         Hook::ALL.iter().any(|hook| hook.name() == text)
     }
 
@@ -71,6 +72,11 @@ impl Hook {
             Hook::Finalize => "on_finalize",
         }
     }
+}
+
+/// Whether what runs under this name serves a message.
+pub(crate) fn is_message(during: &str) -> bool {
+    !Hook::is_name(during) && ![CONDITION, FACTORY, TIMER].contains(&during)
 }
 
 /// How a life ends that does not panic.

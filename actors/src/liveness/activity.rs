@@ -4,7 +4,7 @@
 //! wants to know since when looks twice.
 
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
-use crate::sync::atomic::{AtomicU32, AtomicU64};
+use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -20,8 +20,10 @@ pub(crate) struct ActivityRecord {
     incarnation: AtomicU64,
     /// The label of what is in service.
     during: AtomicU32,
-    /// 1 while signs of life are to be expected.
-    speaks: AtomicU32,
+    /// Signs of life are to be expected.
+    speaks: AtomicBool,
+    /// A condition of the component runs, beside what is in service.
+    condition: AtomicBool,
     /// What the component announced to take longer than usual, in milliseconds.
     allowance: AtomicU64,
     /// Rounds that it has finished.
@@ -40,6 +42,7 @@ pub(crate) struct ActivitySample {
     pub(crate) incarnation: u64,
     pub(crate) during: u32,
     pub(crate) speaks: bool,
+    pub(crate) condition: bool,
     pub(crate) allowance: Duration,
     pub(crate) rounds: u64,
     pub(crate) interval: Duration,
@@ -66,12 +69,10 @@ impl ActivityRecord {
         self.step();
     }
 
-    /// Names what runs now, beside what is in service; answers the label of that.
+    /// A condition begins or ends, while something is in service.
     #[inline]
-    pub(crate) fn relabel(&self, label: u32) -> u32 {
-        let before = self.during.load(Relaxed);
-        self.during.store(label, Relaxed);
-        before
+    pub(crate) fn run_condition(&self, runs: bool) {
+        self.condition.store(runs, Relaxed);
     }
 
     #[inline]
@@ -101,7 +102,7 @@ impl ActivityRecord {
     }
 
     pub(crate) fn expect_signs(&self, expected: bool) {
-        self.speaks.store(u32::from(expected), Relaxed);
+        self.speaks.store(expected, Relaxed);
     }
 
     pub(crate) fn allow(&self, span: Duration) {
@@ -115,7 +116,8 @@ impl ActivityRecord {
             alive: self.alive.load(Relaxed),
             incarnation: self.incarnation.load(Relaxed),
             during: self.during.load(Relaxed),
-            speaks: self.speaks.load(Relaxed) == 1,
+            speaks: self.speaks.load(Relaxed),
+            condition: self.condition.load(Relaxed),
             allowance: Duration::from_millis(self.allowance.load(Relaxed)),
             rounds: self.rounds.load(Relaxed),
             interval: Duration::from_nanos(self.interval.load(Relaxed)),
@@ -174,7 +176,8 @@ impl Drop for ActivitySlot {
     fn drop(&mut self) {
         let stamp = self.stamp;
         stamp.incarnation.store(0, Relaxed);
-        stamp.speaks.store(0, Relaxed);
+        stamp.speaks.store(false, Relaxed);
+        stamp.condition.store(false, Relaxed);
         stamp.allowance.store(0, Relaxed);
         stamp.interval.store(0, Relaxed);
         if stamp.is_busy() {

@@ -3,6 +3,13 @@
 
 use std::sync::{Mutex, PoisonError};
 
+/// While a condition of the component runs.
+pub(crate) const CONDITION: &str = "a condition of a subscription";
+/// While the component is built.
+pub(crate) const FACTORY: &str = "its factory";
+/// While one of its timers runs.
+pub(crate) const TIMER: &str = "a timer";
+
 /// Bounded by the contracts of the program: only names that are `'static` come here.
 static NAMES: Mutex<Vec<&'static str>> = Mutex::new(Vec::new());
 

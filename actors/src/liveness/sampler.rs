@@ -3,7 +3,7 @@
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
 //! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
 
-use super::activity::ActivityRecord;
+use super::activity::{ActivityRecord, ActivitySample};
 use super::label;
 use super::limits::ComponentLimits;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
@@ -154,7 +154,7 @@ impl SampledComponents {
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
             let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
             let is_busy = reading.turn % 2 == 1;
-            let during = label::name(reading.during);
+            let during = during(&reading);
             let inside = watched.inside.upgrade()?;
             let current = is_busy.then_some(CurrentHandler { during, age });
             let sign = signs.binary_search_by_key(slot, |entry| entry.0).ok();
@@ -239,7 +239,7 @@ impl Running {
         let on_thread = |(slot, watched): (&u32, &SampledComponent)| {
             let reading = watched.stamp.read();
             let running = watched.pulse.running() == Some(*slot);
-            running.then(|| (watched.object.clone(), label::name(reading.during), reading.turn))
+            running.then(|| (watched.object.clone(), during(&reading), reading.turn))
         };
         self.0.lock().iter().filter_map(on_thread).collect()
     }
@@ -458,7 +458,7 @@ impl Eyes {
     }
 
     fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
-        let during = |slot| {
+        let during_of = |slot| {
             let known = self.stamps.get(slot);
             let unwinds = |known: &KnownComponent| {
                 let pulse = self.pulses.get(&known.arbiter);
@@ -468,19 +468,19 @@ impl Eyes {
             };
             match known {
                 Some(known) if unwinds(known) => UNWINDING,
-                _ => label::name(known.map_or(u32::MAX, |known| known.stamp.read().during)),
+                _ => known.map_or("nothing", |known| during(&known.stamp.read())),
             }
         };
         Some(match sighting {
             LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
                 object,
                 incarnation: read(self.stamps.get(slot)).incarnation,
-                during: during(slot),
+                during: during_of(slot),
                 age,
                 victims: victims.into(),
             },
             LivenessEvent::Waits { slot, object, incarnation, age } => {
-                LivenessReported::Waits { object, incarnation, during: during(slot), age }
+                LivenessReported::Waits { object, incarnation, during: during_of(slot), age }
             }
             LivenessEvent::Overloaded { object, incarnation, figures, victims } => {
                 LivenessReported::Overloaded {
@@ -515,6 +515,11 @@ impl Eyes {
             LivenessEvent::Stalled { gap } => LivenessReported::Stalled { gap },
         })
     }
+}
+
+/// What runs, for people.
+fn during(reading: &ActivitySample) -> &'static str {
+    if reading.condition { label::CONDITION } else { label::name(reading.during) }
 }
 
 fn read(known: Option<&KnownComponent>) -> ComponentSample {

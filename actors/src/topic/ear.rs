@@ -8,6 +8,7 @@ use crate::component::{Component, Handle, envelope};
 use crate::host::executor;
 use crate::host::executor::ComponentExecutor;
 use crate::liveness::activity::ActivitySlotRef;
+use crate::liveness::label::CONDITION;
 use crate::platform::panics;
 use blastema_core::{DeliveryError, Event, FaultKind};
 use std::any::Any;
@@ -17,9 +18,6 @@ use std::rc::Weak;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
-
-/// What the activity record and the fault say while a condition runs.
-pub(super) const CONDITION: &str = "a condition of a subscription";
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the
 /// others.

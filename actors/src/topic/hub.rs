@@ -4,16 +4,15 @@
 //! condition runs under its name, guard and stamp as its handler does, and where either takes long,
 //! the hub ends its turn and goes on from there in the next.
 
-use super::ear::{CONDITION, Ear, Resident};
+use super::ear::{Ear, Resident};
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
-use crate::component::Handle;
 use crate::component::cell::ComponentCell;
 use crate::component::envelope::Times;
 use crate::component::subscription::Subscription;
-use crate::liveness::activity::ActivitySlotRef;
-use crate::liveness::label::label;
+use crate::component::{Component, Handle};
+use crate::liveness::label::{CONDITION, label};
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -53,6 +52,8 @@ pub(crate) struct HubQueue<E> {
     reached: AtomicU64,
     /// How many of these events that ear has begun to look at.
     begun: AtomicUsize,
+    /// That ear's condition has not decided on the last of them.
+    undecided: AtomicBool,
     /// How often an ear has gone from here, so that the hub need not ask each whether it is still
     /// here.
     gone: AtomicU64,
@@ -87,6 +88,11 @@ impl<E> HubQueue<E> {
 }
 
 impl<E: Event> HubQueue<E> {
+    /// Whether this ear's condition has an event that it has not decided on: lost where it leaves.
+    fn is_undecided(&self, ear: u64) -> bool {
+        self.reached.load(Relaxed) == ear && self.undecided.load(Relaxed)
+    }
+
     /// What this ear would still have got here of what was published since it came. `leave` says,
     /// once and before anything is looked at, that it gets nothing here any more.
     fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
@@ -140,9 +146,9 @@ struct Batch<E> {
 /// Whose code a hub runs.
 #[derive(Clone, Copy)]
 enum Runs {
-    /// The condition of the ear that has its turn; where the component was serving something, with
-    /// the label of that.
-    Condition(Option<u32>),
+    /// The condition of the ear that has its turn, while the component was serving something or
+    /// not.
+    Condition { beside: bool },
     /// What the publisher wrote of the event, or the middleware.
     Other,
 }
@@ -182,6 +188,7 @@ impl<E: Event> Topic<E> {
             serving: Mutex::new(serving),
             reached: AtomicU64::new(0),
             begun: AtomicUsize::new(0),
+            undecided: AtomicBool::new(false),
             gone: AtomicU64::new(0),
         });
         let hub = Rc::new(Hub {
@@ -420,23 +427,26 @@ impl<E: Event> Hub<E> {
     /// Asks the listener's condition, which is the component's code as its handlers are.
     fn is_wanted(&self, ear: &Ear<E>, wanted: &EventFilter<E>, posted: &Posted<E>) -> bool {
         let stamp = ear.place.get().map(|place| place.stamp);
-        let busy = stamp.filter(|stamp| stamp.is_busy());
-        let before = busy.map(|stamp| stamp.relabel(self.condition));
-        if let (Some(stamp), None) = (stamp, before) {
-            stamp.begin(self.condition);
+        let beside = stamp.is_some_and(|stamp| stamp.is_busy());
+        match stamp {
+            Some(stamp) if beside => stamp.run_condition(true),
+            Some(stamp) => stamp.begin(self.condition),
+            None => {}
         }
-        self.runs.set(Runs::Condition(before));
+        self.runs.set(Runs::Condition { beside });
+        self.shared.undecided.store(true, Relaxed);
         let wants = wanted(&posted.event);
-        self.condition_ends(ear, before);
+        self.condition_ends(ear, beside);
         wants
     }
 
-    fn condition_ends(&self, ear: &Ear<E>, before: Option<u32>) {
+    fn condition_ends(&self, ear: &Ear<E>, beside: bool) {
+        self.shared.undecided.store(false, Relaxed);
         self.runs.set(Runs::Other);
-        match (ear.place.get(), before) {
-            (Some(ActivitySlotRef { stamp, .. }), Some(label)) => drop(stamp.relabel(label)),
-            (Some(ActivitySlotRef { stamp, .. }), None) => stamp.step(),
-            (None, _) => {}
+        match ear.place.get().map(|place| place.stamp) {
+            Some(stamp) if beside => stamp.run_condition(false),
+            Some(stamp) => stamp.step(),
+            None => {}
         }
     }
 
@@ -444,13 +454,13 @@ impl<E: Event> Hub<E> {
     /// the next.
     #[cold]
     fn blame(&self, ear: &Ear<E>, payload: Box<dyn Any + Send>) {
-        let Runs::Condition(before) = self.runs.get() else {
+        let Runs::Condition { beside } = self.runs.get() else {
             if let Some(topic) = self.topic.upgrade() {
                 topic.complain(payload);
             }
             return;
         };
-        self.condition_ends(ear, before);
+        self.condition_ends(ear, beside);
         ear.listener.die(payload);
     }
 
@@ -492,6 +502,12 @@ pub(crate) struct TopicSubscription<E: Event> {
     hub: Mutex<Option<At<E>>>,
 }
 
+/// The condition that was to decide on an event went down with its incarnation.
+fn lose_undecided<C: Component, E: Event>(anchor: &ComponentCell<C>, incarnation: u64) {
+    let why = DeliveryError::PeerDied { incarnation: Incarnation(incarnation) };
+    anchor.record.record_dead_letter(E::NAME, &why);
+}
+
 /// Where a subscription is served, and from which of the topic's events on.
 struct At<E> {
     lane: Arc<HubQueue<E>>,
@@ -521,6 +537,9 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         // listener moves and would miss it.
         let left = match &*at {
             Some(At { lane, since }) => {
+                if lane.is_undecided(self.present.load(Relaxed)) {
+                    lose_undecided::<C, E>(anchor, anchor.record.incarnation().0.saturating_sub(1));
+                }
                 let _guarded = PanicGuard::enter();
                 let left = catch_unwind(AssertUnwindSafe(|| lane.leftover(*since, leave)));
                 left.unwrap_or_else(|payload| {
@@ -571,6 +590,9 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
 
     fn end(&self, anchor: &ComponentCell<C>) {
         if let Some(At { lane, .. }) = lock(&self.hub).take() {
+            if lane.is_undecided(self.present.load(Relaxed)) {
+                lose_undecided::<C, E>(anchor, anchor.record.incarnation().0);
+            }
             self.present.store(0, Relaxed);
             self.topic.leave(&lane);
             let was_last = self.topic.remove_listener();

@@ -179,10 +179,10 @@ impl<C: Component> ComponentExecutor<C> {
         let record = &self.anchor.record;
         let DeferredCommands { tasks, timers, .. } = self.life.take_wishes();
         let fresh = timers.into_iter().map(|(_, _, action)| action);
-        fresh.for_each(|action| record.dispose("a timer", action, blame));
+        fresh.for_each(|action| record.dispose(label::TIMER, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.chores.clear();
-        timers.into_iter().for_each(|action| record.dispose("a timer", action, blame));
+        timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         record.dispose("the component", self.home.take(), blame);
     }

@@ -27,7 +27,7 @@ use crate::component::life::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::label;
+use crate::liveness::label::{FACTORY, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::queue::Popped;
 use crate::platform;
@@ -430,7 +430,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
-        self.slot.stamp.begin(label("its factory"));
+        self.slot.stamp.begin(label(FACTORY));
         let cx = Context::new(self.anchor.clone(), self.life.clone());
         let component = (self.anchor.factory)();
         self.home = Some(Rc::new(ComponentSlot::new(component, cx)));
@@ -465,7 +465,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
             DueWork::Timer(id) => {
                 if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
-                    self.slot.stamp.begin(label("a timer"));
+                    self.slot.stamp.begin(label(TIMER));
                     {
                         let mut chair = home.seat.borrow_mut();
                         let (component, cx) = chair.both();

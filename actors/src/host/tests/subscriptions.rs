@@ -143,6 +143,38 @@ fn a_condition_that_blocks_on_the_first_event_is_named_and_its_neighbours_are_no
 }
 
 #[test]
+fn an_event_that_a_condition_never_decided_on_is_a_dead_letter_of_its_contract() {
+    actix_rt::System::new().block_on(async {
+        let stage = Stage::on(ArbiterPool::pool(1));
+        let (sighted, _watch) = watched(&stage, Duration::from_millis(50));
+        let (barrier, (spec, log)) = (Barrier::default(), ear("judge", None));
+        let kept = barrier.clone();
+        let judge = spec.with_ports(move |ports| {
+            ports.listen::<Sample>().on("samples").only_if(move |Sample(n)| {
+                if *n == 1 {
+                    kept.wait();
+                }
+                true
+            });
+        });
+        let (mut judge, _) = stage.start(judge).await;
+        let publisher = stage.environment.topics().publisher("samples").unwrap();
+        publisher.publish(Sample(1)).unwrap();
+        publisher.publish(Sample(2)).unwrap();
+        sighted.wait(|sighted| matches!(sighted, LivenessReported::Hangs { .. })).await;
+
+        assert_eq!(stage.begin(&mut *judge, 2).await, ChildEvent::Started);
+        until("what waited comes along", || *log.lock().unwrap() == [2]).await;
+        let dead = stage.environment.dead_letters.counts();
+        barrier.open();
+
+        let dead: Vec<_> = dead.iter().map(|dead| (&dead.contract[..], dead.count)).collect();
+        assert_eq!(dead, [(Sample::NAME, 1)]);
+        stage.environment.arbiters.stop();
+    });
+}
+
+#[test]
 fn events_are_served_once_and_in_order_across_a_hang() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(2));
