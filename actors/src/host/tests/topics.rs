@@ -257,7 +257,8 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
         told.sort();
         let other = |more| ("other".to_owned(), more);
         let sample = |more| (Sample::NAME.to_owned(), more);
-        let mut expected = [other(false), other(true), sample(false), sample(true)];
+        // The first report is that its contract is known, to which another node listens.
+        let mut expected = [other(false), other(true), other(false), sample(false), sample(true)];
         expected.sort();
         assert_eq!(told, expected);
     });

@@ -197,7 +197,7 @@ fn who_is_older_than_the_sender_is_refused_with_the_difference_on_both_sides() {
         }
         let speed = ObjectName::new("speed").unwrap();
         let lost = left.host.dead_letters.count(&speed, DeadReason::ContractDiffers);
-        assert_eq!(lost, 3, "also those that were under way when the first was found to differ");
+        assert_eq!((lost, new.matched()), (0, 0), "it is no listener, and misses nothing");
     });
 }
 
