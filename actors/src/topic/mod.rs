@@ -274,7 +274,7 @@ impl<E: Event> Topic<E> {
             interest(&self.key, more);
         }
         if E::LATCHED && first_or_last && !more {
-            // Other nodes send their last one again when there is a listener.
+            // Other nodes send their last one anew when there is a listener again.
             let mut latch = lock(&self.latch);
             let foreign = latch.take_if(|last| last.is_foreign).map(|last| last.event);
             drop(latch);
