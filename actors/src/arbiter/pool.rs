@@ -87,7 +87,7 @@ impl ArbiterSlot {
         }
     }
 
-    /// The handler that kept a lost arbiter has returned: nobody lives here any more.
+    /// The handler that kept a lost arbiter has returned: no component lives here any more.
     pub(crate) fn return_late(&self) {
         self.handle.stop();
     }

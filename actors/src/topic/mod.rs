@@ -125,8 +125,8 @@ struct Hubs<E> {
     /// One for each arbiter that has listeners. Copied when it changes.
     list: Arc<[Arc<HubQueue<E>>]>,
     /// The number of the next event. It is taken, and the event handed to the hubs, under one lock:
-    /// whoever moves from one hub to another has all events before a number from the one, and all
-    /// others from the other.
+    /// a listener that moves from one hub to another gets all events before a number from the
+    /// first, and all others from the second.
     next: u64,
 }
 
@@ -165,7 +165,7 @@ impl<E: Event> Topic<E> {
         self.discard(earlier);
     }
 
-    /// How large the events are is measured where somebody wants to know.
+    /// Measures the size of an event, for the topic's row.
     fn measure(&self, event: &E) {
         let mut bytes = Vec::new();
         if codec::encode(event, &mut bytes).is_ok() {
@@ -173,8 +173,8 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    /// Publishes to nobody: where a topic of a similar name has listeners and no publisher, that
-    /// may have been meant.
+    /// The topic has no listeners: suggests one of a similar name that has listeners and no
+    /// publisher.
     #[cold]
     fn suggest(&self) {
         if !self.traffic.is_time_to_judge(heartbeat::coarse_now()) {
@@ -228,7 +228,7 @@ impl<E: Event> Topic<E> {
         }
     }
 
-    /// Drops what is the publisher's, each by itself: a `Drop` that panics harms nobody.
+    /// Drops the publisher's events one by one: a `Drop` that panics affects no listener.
     fn discard<T>(&self, events: impl IntoIterator<Item = T>) {
         if !std::mem::needs_drop::<T>() {
             return;
@@ -447,7 +447,7 @@ impl Topics {
         Ok(Publisher::new(self.topic(topic, Location::caller())?, object))
     }
 
-    /// The topics that anybody here has named.
+    /// The topics that objects of this node have named.
     pub(crate) fn rows(&self) -> Vec<TopicRow> {
         let topics: Vec<Arc<dyn AnyTopic>> =
             lock(&self.inner).topics.values().map(|known| known.erased.clone()).collect();

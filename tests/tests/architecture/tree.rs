@@ -33,6 +33,15 @@ pub(crate) struct Token {
     pub(crate) line: usize,
 }
 
+/// The definition of a type.
+#[derive(Debug)]
+pub(crate) struct Definition {
+    pub(crate) name: String,
+    pub(crate) line: usize,
+    /// Only its own file can name it.
+    pub(crate) private: bool,
+}
+
 /// One Rust file.
 #[derive(Debug)]
 pub(crate) struct Source {
@@ -41,6 +50,8 @@ pub(crate) struct Source {
     pub(crate) tokens: Vec<Token>,
     /// The files in which its declared modules may lie, and whether they exist only in tests.
     modules: Vec<(Vec<String>, bool)>,
+    /// The types that it defines outside of tests.
+    pub(crate) types: Vec<Definition>,
     /// Reached only as a test: a file under `tests/`, or behind `#[cfg(test)]`.
     pub(crate) test: bool,
     /// First and last lines of the items that exist only in tests.
@@ -266,13 +277,15 @@ fn source(path: &str, text: &str, test: bool) -> Source {
         panic!("{path}:{}: {error}: let rustfmt show what is wrong", error.span().start().line)
     });
     let stream = text.parse().expect("what parses as a file is made of tokens");
-    let mut test_lines = Vec::new();
+    let (mut test_lines, mut types) = (Vec::new(), Vec::new());
     collect_test_lines(&file.items, &mut test_lines);
+    collect_types(&file.items, &mut types);
     Source {
         path: path.into(),
         text: text.into(),
         tokens: tokens_of(stream),
         modules: declared_modules(&file.items, &module_folder(path), test),
+        types,
         test,
         test_lines,
     }
@@ -288,8 +301,26 @@ fn collect_test_lines(items: &[syn::Item], lines: &mut Vec<(usize, usize)>) {
     }
 }
 
-/// The attributes of an item that can be left out of a build.
-pub(crate) fn attributes(item: &syn::Item) -> &[syn::Attribute] {
+fn collect_types(items: &[syn::Item], types: &mut Vec<Definition>) {
+    for item in items.iter().filter(|item| !only_in_tests(attributes(item))) {
+        let (name, visibility) = match item {
+            syn::Item::Enum(item) => (&item.ident, &item.vis),
+            syn::Item::Struct(item) => (&item.ident, &item.vis),
+            syn::Item::Trait(item) => (&item.ident, &item.vis),
+            syn::Item::Type(item) => (&item.ident, &item.vis),
+            syn::Item::Union(item) => (&item.ident, &item.vis),
+            syn::Item::Mod(syn::ItemMod { content: Some((_, inner)), .. }) => {
+                collect_types(inner, types);
+                continue;
+            }
+            _ => continue,
+        };
+        let private = matches!(visibility, syn::Visibility::Inherited);
+        types.push(Definition { name: name.to_string(), line: name.span().start().line, private });
+    }
+}
+
+fn attributes(item: &syn::Item) -> &[syn::Attribute] {
     match item {
         syn::Item::Const(item) => &item.attrs,
         syn::Item::Enum(item) => &item.attrs,
@@ -308,7 +339,7 @@ pub(crate) fn attributes(item: &syn::Item) -> &[syn::Attribute] {
 }
 
 /// Whether the attributes hold `#[cfg(test)]`, or `test` as one condition of `all`.
-pub(crate) fn only_in_tests(attributes: &[syn::Attribute]) -> bool {
+fn only_in_tests(attributes: &[syn::Attribute]) -> bool {
     attributes.iter().filter(|attribute| attribute.path().is_ident("cfg")).any(|attribute| {
         let syn::Meta::List(list) = &attribute.meta else { return false };
         let tokens = tokens_of(list.tokens.clone());
