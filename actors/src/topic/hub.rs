@@ -4,14 +4,11 @@
 //! condition runs under its name, guard and stamp as its handler does, and where either takes long,
 //! the hub ends its turn and goes on from there in the next.
 
-use super::ear::{Ear, Resident};
+use super::ear::Ear;
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
-use crate::component::cell::ComponentCell;
 use crate::component::envelope::Times;
-use crate::component::subscription::Subscription;
-use crate::component::{Component, Handle};
 use crate::liveness::label::{CONDITION, label};
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
@@ -40,13 +37,13 @@ const OWNER: Incarnation = Incarnation::FIRST;
 
 /// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubQueue<E> {
-    lane: BoundedQueue<Posted<E>>,
-    id: u64,
+    pub(super) lane: BoundedQueue<Posted<E>>,
+    pub(super) id: u64,
     /// Changed under the topic's lock.
-    listeners: AtomicU64,
+    pub(super) listeners: AtomicU64,
     /// Its last listener has left. Changed under the topic's lock.
     retired: AtomicBool,
-    serving: Mutex<HubBatch<E>>,
+    pub(super) serving: Mutex<HubBatch<E>>,
     /// The number of the last ear that was offered what is served; ears have their turn by rising
     /// numbers.
     reached: AtomicU64,
@@ -61,12 +58,12 @@ pub(crate) struct HubQueue<E> {
 
 /// What a hub has taken from its lane, or is to give to one ear before that: for listeners that
 /// leave a hub that is stuck.
-struct HubBatch<E> {
+pub(super) struct HubBatch<E> {
     events: Arc<Vec<Posted<E>>>,
     /// They are for this ear only.
     only: Option<u64>,
     /// What ears brought along from the hubs that they left.
-    brought: VecDeque<(u64, Vec<Posted<E>>)>,
+    pub(super) brought: VecDeque<(u64, Vec<Posted<E>>)>,
 }
 
 #[derive(Clone)]
@@ -89,13 +86,13 @@ impl<E> HubQueue<E> {
 
 impl<E: Event> HubQueue<E> {
     /// Whether this ear's condition has an event that it has not decided on: lost where it leaves.
-    fn is_undecided(&self, ear: u64) -> bool {
+    pub(super) fn is_undecided(&self, ear: u64) -> bool {
         self.reached.load(Relaxed) == ear && self.undecided.load(Relaxed)
     }
 
     /// What this ear would still have got here of what was published since it came. `leave` says,
     /// once and before anything is looked at, that it gets nothing here any more.
-    fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
+    pub(super) fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
         let mut serving = lock(&self.serving);
         let ear = leave();
         let mut left = Vec::new();
@@ -117,13 +114,13 @@ impl<E: Event> HubQueue<E> {
 }
 
 /// A hub on its own arbiter.
-struct Hub<E: Event> {
-    shared: Arc<HubQueue<E>>,
+pub(super) struct Hub<E: Event> {
+    pub(super) shared: Arc<HubQueue<E>>,
     /// For what its events do when they are copied and dropped.
     topic: Weak<Topic<E>>,
     ears: RefCell<Vec<Ear<E>>>,
     /// Those that came since the last event.
-    newcomers: RefCell<Vec<Ear<E>>>,
+    pub(super) newcomers: RefCell<Vec<Ear<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
     pulse: Arc<ArbiterHeartbeat>,
@@ -170,7 +167,7 @@ thread_local! {
 
 impl<E: Event> Topic<E> {
     /// The hub of this arbiter, known to publishers.
-    fn hub_here(self: &Arc<Self>, hubs: &mut Hubs<E>) -> Rc<Hub<E>> {
+    pub(super) fn hub_here(self: &Arc<Self>, hubs: &mut Hubs<E>) -> Rc<Hub<E>> {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         let known = HUBS.with_borrow(|hubs| hubs.get(&self.id).cloned());
         let known = known.and_then(|hub| hub.downcast::<Hub<E>>().ok());
@@ -211,7 +208,7 @@ impl<E: Event> Topic<E> {
     }
 
     /// One of the hub's ears is not served any more. A hub without any is released.
-    fn leave(&self, hub: &Arc<HubQueue<E>>) {
+    pub(super) fn leave(&self, hub: &Arc<HubQueue<E>>) {
         let mut hubs = lock(&self.hubs);
         hub.gone.fetch_add(1, Relaxed);
         if hub.listeners.fetch_sub(1, Relaxed) > 1 {
@@ -232,7 +229,7 @@ impl<E: Event> Topic<E> {
 
 impl<E: Event> Topic<E> {
     /// What the topic keeps, for a listener that joins.
-    fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
+    pub(super) fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
         let _guarded = PanicGuard::enter();
         let kept = catch_unwind(AssertUnwindSafe(|| {
             let posted = |kept: &Latched<E>| Posted {
@@ -490,113 +487,4 @@ impl<E: Event> Hub<E> {
 #[inline]
 fn step(next: &AtomicUsize) {
     next.store(next.load(Relaxed) + 1, Relaxed);
-}
-
-/// A component's subscription to one topic.
-pub(crate) struct TopicSubscription<E: Event> {
-    topic: Arc<Topic<E>>,
-    only_if: Option<EventFilter<E>>,
-    /// The number of the ear that is served now; 0 for none.
-    present: Arc<AtomicU64>,
-    /// Its hub.
-    hub: Mutex<Option<At<E>>>,
-}
-
-/// The condition that was to decide on an event went down with its incarnation.
-fn lose_undecided<C: Component, E: Event>(anchor: &ComponentCell<C>, incarnation: u64) {
-    let why = DeliveryError::PeerDied { incarnation: Incarnation(incarnation) };
-    anchor.record.record_dead_letter(E::NAME, &why);
-}
-
-/// Where a subscription is served, and from which of the topic's events on.
-struct At<E> {
-    lane: Arc<HubQueue<E>>,
-    since: u64,
-}
-
-impl<E: Event> TopicSubscription<E> {
-    pub(crate) fn new(topic: Arc<Topic<E>>, only_if: Option<EventFilter<E>>) -> Self {
-        TopicSubscription { topic, only_if, present: Arc::default(), hub: Mutex::default() }
-    }
-}
-
-impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
-    fn attach(&self, anchor: &Arc<ComponentCell<C>>) {
-        static NEXT: AtomicU64 = AtomicU64::new(1);
-        // No event passes between what the topic keeps and what the listener gets from here on.
-        let latch = lock(&self.topic.latch);
-        let mut at = lock(&self.hub);
-        let mut hubs = lock(&self.topic.hubs);
-        let hub = self.topic.hub_here(&mut hubs);
-        if at.as_ref().is_some_and(|at| at.lane.id == hub.shared.id) {
-            return;
-        }
-        let (number, since) = (NEXT.fetch_add(1, Relaxed), hubs.next);
-        let leave = || self.present.swap(number, Relaxed);
-        // What still waits at the hub that the listener leaves: its arbiter is lost, or the
-        // listener moves and would miss it.
-        let left = match &*at {
-            Some(At { lane, since }) => {
-                if lane.is_undecided(self.present.load(Relaxed)) {
-                    lose_undecided::<C, E>(anchor, anchor.record.incarnation().0.saturating_sub(1));
-                }
-                let _guarded = PanicGuard::enter();
-                let left = catch_unwind(AssertUnwindSafe(|| lane.leftover(*since, leave)));
-                left.unwrap_or_else(|payload| {
-                    self.topic.complain(payload);
-                    Vec::new()
-                })
-            }
-            None => {
-                leave();
-                self.topic.kept(&latch)
-            }
-        };
-        hub.shared.listeners.fetch_add(1, Relaxed);
-        let joins = at.is_none().then(|| self.topic.add_listener(&latch));
-        drop((hubs, latch));
-        let mut newcomers = hub.newcomers.borrow_mut();
-        newcomers.retain(Ear::is_present);
-        newcomers.push(Ear {
-            only_if: self.only_if.clone(),
-            present: self.present.clone(),
-            number,
-            since,
-            place: Cell::new(None),
-            listener: Box::new(Resident { anchor: anchor.clone(), pump: RefCell::default() }),
-        });
-        drop(newcomers);
-        if !left.is_empty() {
-            lock(&hub.shared.serving).brought.push_back((number, left));
-            hub.shared.lane.wake();
-        }
-        if let Some(old) = at.replace(At { lane: hub.shared.clone(), since }) {
-            self.topic.leave(&old.lane);
-        }
-        if let Some(is_first) = joins {
-            self.topic.listener_changed(&anchor.record.name, true, is_first);
-        }
-    }
-
-    fn catch_up(&self, _: &Arc<ComponentCell<C>>) {
-        let left = self.topic.kept(&lock(&self.topic.latch));
-        if let Some(At { lane, .. }) = &*lock(&self.hub)
-            && !left.is_empty()
-        {
-            lock(&lane.serving).brought.push_back((self.present.load(Relaxed), left));
-            lane.lane.wake();
-        }
-    }
-
-    fn end(&self, anchor: &ComponentCell<C>) {
-        if let Some(At { lane, .. }) = lock(&self.hub).take() {
-            if lane.is_undecided(self.present.load(Relaxed)) {
-                lose_undecided::<C, E>(anchor, anchor.record.incarnation().0);
-            }
-            self.present.store(0, Relaxed);
-            self.topic.leave(&lane);
-            let was_last = self.topic.remove_listener();
-            self.topic.listener_changed(&anchor.record.name, false, was_last);
-        }
-    }
 }

@@ -20,12 +20,13 @@ mod erased;
 mod hub;
 pub(crate) mod ports;
 mod publisher;
+mod subscription;
 #[cfg(test)]
 mod tests;
 mod traffic;
 
-use hub::TopicSubscription;
 pub use publisher::Publisher;
+use subscription::TopicSubscription;
 pub use traffic::TopicRow;
 
 use crate::arbiter::heartbeat;

@@ -48,8 +48,9 @@ const PLACES: [Place; 13] = [
     Place { package: "blastema-cli", below: &["blastema"], below_in_tests: &[] },
     Place { package: "blastema-tests", below: EVERYTHING, below_in_tests: EVERYTHING },
     Place { package: "blastema-bench", below: EVERYTHING, below_in_tests: EVERYTHING },
-    // Its nodes are those of a user.
+    // Their nodes and contracts are those of a user.
     Place { package: "blastema-beds", below: &["blastema"], below_in_tests: &[] },
+    Place { package: "blastema-derives", below: &["blastema"], below_in_tests: &[] },
     Place {
         package: "blastema-examples",
         below: &["blastema"],
