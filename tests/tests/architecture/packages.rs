@@ -10,7 +10,7 @@ struct Place {
 }
 
 /// The map of the README as data, from the bottom to the top.
-const PLACES: [Place; 13] = [
+const PLACES: [Place; 14] = [
     Place { package: "blastema-macros", below: &[], below_in_tests: &[] },
     // The derives are written for the core's traits, so the core's tests try them.
     Place { package: "blastema-core", below: &[], below_in_tests: &["blastema-macros"] },
