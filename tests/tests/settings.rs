@@ -200,7 +200,7 @@ fn ports_of_which_one_could_not_be_reached_or_held_are_refused() {
         let twice = "wheel has two ports for \"settings/drive\"";
         refused(told::<0>(), &[twice, "leave one of them out"]).await;
         refused(told::<1>(), &[twice]).await;
-        refused(told::<2>(), &[twice, "for everybody", "holds the lease"]).await;
+        refused(told::<2>(), &[twice, "one for every sender", "the commander"]).await;
         refused(told::<3>(), &[twice, "both by actuator"]).await;
         refused(told::<4>(), &["two ports for \"settings/speed\"", "both by variable"]).await;
         refused(told::<5>(), &["a variable of wheel", "faster than it can stop"]).await;
