@@ -95,7 +95,7 @@ const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
 /// its new, lower number; none rises.
 const VAGUE_MAX: [(&str, usize); 6] = [
     ("actors/", 80),
-    ("core/", 203),
+    ("core/", 182),
     ("examples/", 0),
     ("tests/", 60),
     ("transports/", 0),
