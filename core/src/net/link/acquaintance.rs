@@ -1,26 +1,26 @@
-//! Who speaks, and whether to believe it.
+//! Which node sends on a link, and in which incarnation.
 //!
 //! ```text
 //!    neighbour                             we
-//!        │ hello 7 of a life unknown to us ──► │  a claimant, and no more
+//!        │ hello 7, unknown incarnation ─────► │  a claimant, and no more
 //!        │ ◄──────── hello 40, echo of that 7  │
-//!        │ hello 8, echo of our 40 ──────────► │  it lives now, and hears us: it is the neighbour
+//!        │ hello 8, echo of our 40 ──────────► │  it runs now, and receives: it is the neighbour
 //! ```
 //!
-//! A hello that goes on from the neighbour's last one is taken at once. One that does not (another
-//! life, another interval, a number that was passed or is far ahead) makes a *claimant*. It becomes
-//! the neighbour with a further hello that goes on from its first, and that echoes what we said
-//! only after that, if the neighbour has been silent since, and should not have been. A hello with
-//! a changed bit has no sequel, one that was made up without hearing us no echo, and one of a life
-//! that is over echoes what we said while that life was there.
+//! A hello that continues the neighbour's series is accepted at once. Any other (another
+//! incarnation, another interval, a number that was passed or is far ahead) makes its sender a
+//! *claimant*. The claimant becomes the neighbour with a further hello that continues its series
+//! and echoes a hello that we sent after its first, if the neighbour has been silent since although
+//! a hello was due. A hello with a changed bit is not continued, a forged one has no echo, and one of
+//! an earlier incarnation echoes hellos that we sent while that incarnation ran.
 //!
-//! What was recorded and comes again cannot echo what we said later. So a hello that echoes more of
-//! us outdoes one that echoes less: whoever repeats the past keeps nobody from becoming the
-//! neighbour, and does not stay it, also where we began anew and heard the past first.
+//! Recorded hellos cannot echo hellos that we sent later. A hello with a later echo therefore
+//! replaces a claimant with an earlier one: replayed hellos neither keep a node from becoming the
+//! neighbour nor keep the link, also if this node has restarted and received the replay first.
 //!
-//! Which life is the present one is thus decided by who answers, and not by whose number is
-//! greater: a node whose clock was set back while it was off is no worse off than another. Of two
-//! that both answer, the first has the link.
+//! The present incarnation is the one that answers, not the one with the greater number: a node
+//! whose clock was set back while it was off is found as fast as any other. Of two that both
+//! answer, the first keeps the link.
 
 use super::quality::QualityEstimator;
 use super::{Link, Neighbour, NeighbourRecord, PeerRefusal};
@@ -30,8 +30,8 @@ use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant};
 use std::time::Duration;
 
-/// A hello's number may be ahead by so many more intervals than have passed since the last one
-/// came, which may have waited on its way. Those that it has passed are missed, and two may be.
+/// A hello's number may be ahead by so many more intervals than have passed since the last one was
+/// received, which may have been delayed. The numbers in between count as missed.
 const AHEAD_MAX: u64 = 2;
 
 /// Of numbers that were passed, so many are remembered.
@@ -42,7 +42,7 @@ const BEHIND_MAX: i32 = 64;
 pub(super) struct Claimant {
     neighbour: Neighbour,
     interval: Duration,
-    /// Its last hello's number, and when it came.
+    /// Its last hello's number, and when it was received.
     sequence: u32,
     last: Instant,
     /// Our first hello that is later than its first.
@@ -55,7 +55,7 @@ impl Link {
     pub(super) fn check_name(&mut self, hello: &Hello) -> Result<(), Option<PeerRefusal>> {
         let (ours, theirs) = (&self.config.node, &hello.node);
         if ours == theirs {
-            // Our own hello may come back from a medium that echoes: no node, no refusal.
+            // A medium that echoes returns our own hello: that is no other node.
             let echoed = hello.incarnation == self.config.incarnation;
             return Err((!echoed).then(|| PeerRefusal::NameTaken { node: ours.clone() }));
         }
@@ -74,8 +74,8 @@ impl Link {
         }
     }
 
-    /// Counts every refusal. Tells each the second time in a row, and only when it is another than
-    /// the last that was told.
+    /// Counts every refusal. Reports one that occurs twice in a row, unless it was the last
+    /// reported.
     pub(super) fn refuse(&mut self, refusal: Option<PeerRefusal>) {
         self.refusals.unexpected += 1;
         if refusal.is_none() || refusal == self.refused {
@@ -89,8 +89,7 @@ impl Link {
         }
     }
 
-    /// Is it the neighbour who speaks, and when is the next hello due? What says nothing is
-    /// counted.
+    /// Whether this is a new hello of the neighbour. Any other is counted as refused.
     pub(super) fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> HelloArrival {
         let Some(heard) = &mut self.neighbour else {
             self.begin_with(hello, interval, now);
@@ -102,18 +101,18 @@ impl Link {
         if same
             && interval == interval_before
             && !is_far_behind(highest, hello.sequence)
-            && !is_far_ahead(highest, hello.sequence, now - heard.last, interval)
+            && !is_far_ahead(highest, hello.sequence, now - heard.heard_at, interval)
         {
             let arrival = heard.arrivals.handle(hello.sequence, now);
             match arrival {
                 HelloArrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
-                // It does not receive us, or is of the past: another node may.
+                // It does not receive our hellos, or is replayed: the claimant stays.
                 HelloArrival::New { .. } => {}
                 HelloArrival::Old => self.refusals.stale += 1,
             }
             return arrival;
         }
-        // It would be given up before it had said a second hello.
+        // By the shorter interval it would be down before its second hello.
         let slower = same && interval > interval_before && self.echo_in(hello).is_some();
         if !slower && !self.has_confirmed(hello, interval, now) {
             match same || self.is_older(hello) {
@@ -139,13 +138,13 @@ impl Link {
         sent.find(|sequence| *sequence == echo.sequence)
     }
 
-    /// Whether this hello shows that the claimant, whose it is, hears us now, while the neighbour
-    /// is silent or does not. If there was none, or one that says less, its is the claim from now
-    /// on.
+    /// Whether this hello proves that the claimant, its sender, receives our hellos now, while the
+    /// neighbour is silent or does not. Without a claimant, or with one that it outdoes, its sender
+    /// becomes the claimant.
     fn has_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
         let answered = self.echo_in(hello);
         let silent = self.neighbour.as_ref().is_none_or(|heard| {
-            // Of one life, it is the same end that says both.
+            // Both are of one incarnation, so of the same node.
             heard.neighbour.is(hello) || heard.arrivals.expected() <= now || heard.echoed.is_none()
         });
         let challenge = (self.next_hello.as_nanos() / self.interval().as_nanos() as u64) as u32;
@@ -155,7 +154,7 @@ impl Link {
                 claimant.answered = answered.or(claimant.answered);
                 silent && answered.is_some_and(|echo| is_from(claimant.challenge, echo))
             }
-            // Late, duplicated, or of the past: it replaces no known neighbour.
+            // Late, duplicated, or replayed: it replaces no claimant.
             Some(claimant) if !claimant.is_outdone_by(hello, interval, answered) => false,
             _ => {
                 self.claimant = Some(Claimant {
@@ -171,19 +170,20 @@ impl Link {
         }
     }
 
-    /// What our next hello echoes, if it is the claimant's turn: while the neighbour speaks as
-    /// well, every other time, and where that hears us, only if the claimant does, too.
+    /// The claimant's hello that our next hello echoes, if it is the claimant's turn. While the
+    /// neighbour sends as well, that is every second hello; and if the neighbour receives ours,
+    /// only if the claimant does, too.
     pub(super) fn claimants_turn(&self) -> Option<(Incarnation, u32, Instant)> {
         let (number, said) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
         let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= said)?;
-        let rival = self.neighbour.as_ref().filter(|heard| heard.last >= said);
+        let rival = self.neighbour.as_ref().filter(|heard| heard.heard_at >= said);
         let its_turn = rival.is_none_or(|rival| {
             number % 2 == 0 && (claimant.answered.is_some() || rival.echoed.is_none())
         });
         its_turn.then_some((claimant.neighbour.incarnation, claimant.sequence, claimant.last))
     }
 
-    /// A new neighbour, or a new life of the old one, begins from nothing.
+    /// Starts with a new neighbour, or with a new incarnation of the present one.
     fn begin_with(&mut self, hello: &Hello, interval: Duration, now: Instant) {
         let arrivals = ArrivalEstimator::new(interval, hello.sequence, now);
         if let Some(heard) = &mut self.neighbour
@@ -195,12 +195,12 @@ impl Link {
         if self.carries() {
             self.go_down("the neighbour has restarted", now);
         }
-        // That the link went down was the old life's end, and says nothing of the medium.
+        // The link went down because that incarnation ended, which is no flap of the medium.
         self.flaps = 0;
         let heard = NeighbourRecord {
             neighbour: Neighbour::of(hello),
             arrivals,
-            last: now,
+            heard_at: now,
             hellos_received: 0,
             stance: hello.stance,
             loss_there: 0,

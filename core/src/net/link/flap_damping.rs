@@ -1,22 +1,22 @@
-//! Whether a link that was down, or late, is used again, and how far it is relied on.
+//! When a link that was down or suspect is used again, and for which traffic.
 
 use super::{Link, LinkState};
 use crate::Instant;
 use crate::net::wire::hello_state::HelloState;
 
 impl Link {
-    /// Whether a link that is suspect is heard again, and only for how often it was not is not
-    /// trusted.
+    /// Whether the hellos of a suspect link are received again, and it is not trusted yet because
+    /// of how often they were late.
     pub fn is_proving(&self) -> bool {
         self.state == LinkState::Suspect && self.proving
     }
 
-    /// Whether it has failed too often lately to be more than the last resort.
+    /// Whether it has failed so often lately that it carries only what has no other path.
     pub fn is_distrusted(&self) -> bool {
         self.state == LinkState::Suspect && self.damped
     }
 
-    /// A hello was heard: does it lift the state?
+    /// Raises the state after a hello, if it has proved enough.
     pub(super) fn rise(&mut self, now: Instant) {
         let Some(heard) = &self.neighbour else { return };
         match self.state {
@@ -35,7 +35,7 @@ impl Link {
                 }
             }
             LinkState::Connecting | LinkState::Down => {
-                if now - self.last_down > Self::FLAP_MEMORY {
+                if now - self.down_at > Self::FLAP_MEMORY {
                     self.flaps = 0;
                 }
                 if !self.has_proved() || heard.stance != HelloState::Ready {
@@ -52,14 +52,14 @@ impl Link {
         }
     }
 
-    /// It carries both ways.
+    /// Whether enough hellos were received in both directions.
     pub(super) fn has_proved(&self) -> bool {
         self.neighbour
             .as_ref()
             .is_some_and(|heard| heard.hellos_received >= self.config.up_after_hellos)
     }
 
-    /// For as long as is asked of one that has failed so often lately.
+    /// Whether that is so for as long as its recent failures demand.
     fn is_trusted(&self) -> bool {
         let needed = self.config.up_after_hellos << self.flaps;
         self.neighbour.as_ref().is_some_and(|heard| heard.hellos_received >= needed)

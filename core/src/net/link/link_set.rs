@@ -1,13 +1,13 @@
 //! The links over one transport, as one machine.
 //!
-//! Where each leads along a cable of its own, they have nothing to do with each other, and each
-//! says its own hello. On a bus, which all nodes hear, that would be a hello from each node to each
-//! other; there the bundle says one [greeting](crate::net::wire::bus_hello) for all of them:
+//! Links along cables of their own are independent, and each sends its own hellos. On a bus, where
+//! every node receives every frame, that would be a hello from each node to each other. There the
+//! set sends one [greeting](crate::net::wire::bus_hello) for all its links:
 //!
 //! ```text
-//! link to b ─┐ word to b (changed: goes first)
-//! link to c ─┼─ word to c ──────────────────► greeting ──► all
-//! link to d ─┘ word to d waits its turn
+//! link to b ─┐ entry for b (changed: goes first)
+//! link to c ─┼─ entry for c ─────────────────► greeting ──► all
+//! link to d ─┘ entry for d waits for its turn
 //! ```
 
 use super::{Link, LinkOutput};
@@ -28,37 +28,37 @@ pub struct LinkSet {
     bytes_per_second: Option<u64>,
     /// The largest frame; 0 while that is not known.
     mtu: usize,
-    /// Whom each link's word went to last; `None` where there is no bus.
+    /// The last entry of each link's neighbour; `None` where there is no bus.
     bus: Option<BTreeMap<LinkId, Told>>,
     greetings: VecDeque<GatherBuffer>,
     stalled: Option<Duration>,
 }
 
-/// What was said to a neighbour last.
+/// The last entry that was sent to a neighbour.
 #[derive(Clone, Copy, Debug)]
 struct Told {
     stance: HelloState,
-    /// In which greeting, on this machine's count of its words.
+    /// Its number among all entries.
     at: u64,
 }
 
-/// What a bundle wants done.
+/// What a link set wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkSetOutput {
     /// What one of its links wants done.
     Of(LinkId, LinkOutput),
     /// Give this frame to all nodes of the bus.
     Greet(GatherBuffer),
-    /// This node was not run for so long, as a timer that fired so late shows. Links suffer from it.
+    /// This node was not run for so long: a timer fired so late. Links suffer from it.
     Stalled(Duration),
 }
 
 impl LinkSet {
-    /// So many neighbours have a word in one greeting: with a name of ten letters, eight classic
+    /// So many neighbours have an entry in one greeting: with a name of ten letters, eight classic
     /// frames of CAN. More makes every greeting longer; with fewer, a neighbour learns later that
-    /// it is not heard.
+    /// its hellos are not received.
     pub const WORDS: usize = 2;
-    /// All greetings of a bus together may take one part in so many of it.
+    /// The greetings of all nodes together may take one part in so many of the bus.
     const SHARE: u64 = 10;
     /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
     /// missing.
@@ -83,12 +83,12 @@ impl LinkSet {
         }
     }
 
-    /// Looks at a link.
+    /// A link.
     pub fn get(&self, number: LinkId) -> Option<&Link> {
         self.crowd.get(number)
     }
 
-    /// Speaks to a link; its outputs are polled next.
+    /// A link that is to be given an input; its outputs are polled next.
     pub fn get_mut(&mut self, number: LinkId) -> Option<&mut Link> {
         self.crowd.get_mut(number)
     }
@@ -98,7 +98,7 @@ impl LinkSet {
         self.crowd.iter()
     }
 
-    /// The medium is a bus that all its nodes hear: one greeting is said for all links.
+    /// Every node of the medium receives every frame: one greeting is sent for all links.
     pub fn handle_bus(&mut self) {
         if self.bus.is_none() {
             self.bus = Some(BTreeMap::new());
@@ -114,8 +114,8 @@ impl LinkSet {
         self.pace();
     }
 
-    /// The largest frame has so many bytes. On a slow medium hellos are at least so far apart as it
-    /// takes, so that one which waits for it is not late by an interval.
+    /// The largest frame has so many bytes. On a slow medium the hello interval is at least its
+    /// duration, so that a hello which waits for it is not late by an interval.
     pub fn handle_mtu(&mut self, mtu: usize) {
         self.mtu = mtu;
         self.each(|link| link.handle_mtu(mtu));
@@ -129,11 +129,11 @@ impl LinkSet {
         }
     }
 
-    /// Hellos as often as is wanted, and as the medium can bear.
+    /// Sets the hello interval as configured, or as long as the medium needs.
     fn pace(&mut self) {
         match (self.bytes_per_second, &self.bus) {
             (Some(rate), None) => {
-                // The rate is that of both ways together.
+                // The rate is that of both directions together.
                 let bytes = 2 * (self.mtu as u64 + 2 * Link::FRAMING);
                 let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
                 self.each(|link| {
@@ -163,7 +163,7 @@ impl LinkSet {
         }
     }
 
-    /// Says the greeting that is due, if one is.
+    /// Sends the greeting that is due, if one is.
     fn greet(&mut self, now: Instant) {
         let mut due = None;
         if self.bus.is_some() {
@@ -179,7 +179,7 @@ impl LinkSet {
                 words.push((number, changed, before.map_or(0, |before| before.at), word));
             }
         }
-        // What is news first, then who has waited longest.
+        // Changed entries first, then those that have waited longest.
         words.sort_by_key(|(number, changed, at, _)| (!changed, *at, *number));
         let turn = words.len().div_ceil(Self::WORDS).clamp(1, usize::from(u8::MAX)) as u8;
         words.truncate(Self::WORDS);

@@ -1,23 +1,23 @@
 //! One use of one transport towards one neighbour: is it alive, and how good is it?
 //!
 //! ```text
-//!              N hellos, heard both ways
-//! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / is here again; or it has
-//!                                               ▲  │       failed lately / 2N, 4N … hellos were heard
-//!                      N hellos, heard both ways│  │ still none, no carrier, or the neighbour has
-//!                                               │  ▼ given it up
+//!              N hellos, received both ways
+//! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / is there again; or the
+//!                                               ▲  │       link has failed lately / 2N, 4N … came
+//!                   N hellos, received both ways│  │ still none, no carrier, or the neighbour has
+//!                                               │  ▼ declared it down
 //!                                               Down
 //! ```
 //!
-//! Each end says in its hellos whether it would use the link, and uses it only while the other
-//! would: what one end sends, the other takes.
+//! Each end states in its hellos whether it is ready to use the link, and uses it only while the
+//! other end is ready: each end accepts what the other sends.
 //!
-//! What a hello says is believed at once where it goes on from the last one. Where it contradicts
-//! that, such as a new life of the neighbour's, it is believed when it has been confirmed both ways
-//! (see `acquaintance`): a frame that was changed on its way, made up, or late by a life takes
-//! nothing down.
+//! A hello that continues the neighbour's series is accepted at once. A hello that contradicts it,
+//! such as one of another incarnation, is accepted after confirmation in both directions (see
+//! `acquaintance`). A frame that was altered, forged, or sent by an earlier incarnation therefore
+//! takes no link down.
 //!
-//! A link does not queue, repeat or order anything: that is the session's business, end to end.
+//! A link does not queue, retransmit or order anything: sessions do, end to end.
 
 mod acquaintance;
 mod arrival;
@@ -55,59 +55,60 @@ pub struct Link {
     config: LinkConfig,
     state: LinkState,
     neighbour: Option<NeighbourRecord>,
-    /// Who says what contradicts that, and has not shown yet to hear us.
+    /// A sender whose hellos contradict that, and which has not proved yet that it receives ours.
     claimant: Option<Claimant>,
     next_hello: Instant,
-    /// By when a neighbour should have proved to be there; `None` once that has been told.
+    /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
-    /// When the last hellos went out, for the round trip: number and time.
+    /// The latest hellos sent, for the round trip: number and time.
     sent: VecDeque<(u32, Instant)>,
     /// How often it went down lately, and when last.
     flaps: u32,
-    last_down: Instant,
-    /// How often it was suspect lately, when last, and how many hellos have come since.
+    down_at: Instant,
+    /// How often it was suspect lately, when last, and how many hellos were received since.
     suspicions: u32,
-    last_suspicion: Instant,
+    suspected_at: Instant,
     calm: u32,
-    /// It is suspect for what was, and not for what is.
+    /// It is suspect although hellos are received again.
     proving: bool,
-    /// It has failed since it was trusted last: it carries what has no other way, until it has
+    /// It has failed since it was trusted last. It carries only what has no other path until it has
     /// proved itself as often as it has failed lately.
     damped: bool,
     given_up: RemoteDownNotice,
-    /// It is one of a bus: others say its hellos, of which this one is due.
+    /// It is a link of a bus, whose hellos the link set sends; and the hello that is due.
     on_bus: bool,
     greeting: Option<u32>,
-    /// The medium's largest frame; 0 while that is not known.
+    /// The medium's largest frame; 0 while it is not known.
     mtu: usize,
     parts: RoutingReassembly,
     gauge: QualityEstimator,
-    /// Who was refused last, and who was told of last: what was heard once may be an accident.
+    /// The last refusal, and the last that was reported: a single one may be an accident.
     doubted: Option<PeerRefusal>,
     refused: Option<PeerRefusal>,
     refusals: Refusals,
     outputs: VecDeque<LinkOutput>,
 }
 
-/// What is known of the node that sends.
+/// What is known of the neighbour.
 #[derive(Debug)]
 struct NeighbourRecord {
     neighbour: Neighbour,
     arrivals: ArrivalEstimator,
-    last: Instant,
-    /// Hellos since the last silence, while it hears us, less two for each that was missing.
+    /// When its last hello was received.
+    heard_at: Instant,
+    /// Hellos since the last silence, while it receives ours, less two for each that was missing.
     hellos_received: u32,
-    /// What it thinks of the link.
+    /// The state of the link at its end.
     stance: HelloState,
-    /// How much of what we send is lost on the way there, as it says.
+    /// The loss in its direction, as it reports.
     loss_there: u16,
     /// Only one in so many of its hellos has an echo for us.
     turn: u32,
-    /// When its echo last told something new, and which of our hellos that was.
+    /// The latest of our hellos that it has echoed, and when that echo was received.
     echoed: Option<(u32, Instant)>,
-    /// Silence before this does not count: we ourselves stood still.
+    /// Silence before this does not count: this node was not run.
     excused_until: Instant,
-    /// How often that was so since its last hello.
+    /// How often that was extended since its last hello.
     excuses: u32,
 }
 
@@ -118,21 +119,21 @@ impl Link {
     const INTERVAL_MAX: Duration = Duration::from_secs(15);
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
     pub(super) const FRAMING: u64 = 8;
-    /// Woken so late, what has come meanwhile is still unread. Timers alone are up to 1 ms late.
+    /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
+    /// ms late.
     const LATE: Duration = Duration::from_millis(2);
-    /// Four times running is no accident.
+    /// Four times in a row are no accident.
     const EXCUSES_MAX: u32 = 4;
     /// Remembered hellos: enough for round trips of so many intervals.
     const SENT_MAX: usize = 64;
-    /// No neighbour is missing before so many hellos were sent in vain beyond the time that was
-    /// set.
+    /// A neighbour is missing only when this many more hello intervals have passed than were set.
     const ABSENT_HELLOS: u32 = 5;
     /// A link that stayed up for so long has proved itself; earlier flaps are forgotten.
     const FLAP_MEMORY: Duration = Duration::from_secs(10);
     /// 16 times the usual proof at most, so that a repaired link comes back within seconds.
     const FLAPS_MAX: u32 = 4;
 
-    /// A link that says its first hello at once.
+    /// A link that sends its first hello at once.
     pub fn new(config: LinkConfig, now: Instant) -> Self {
         Link {
             expected_by: Some(now + config.peer_timeout),
@@ -143,9 +144,9 @@ impl Link {
             next_hello: now,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
-            last_down: Instant::ORIGIN,
+            down_at: Instant::ORIGIN,
             suspicions: 0,
-            last_suspicion: Instant::ORIGIN,
+            suspected_at: Instant::ORIGIN,
             calm: 0,
             proving: false,
             damped: false,
@@ -167,13 +168,12 @@ impl Link {
         self.state
     }
 
-    /// Who is, or was last, at the other end.
+    /// The node that is, or was last, at the other end.
     pub fn neighbour(&self) -> Option<&Neighbour> {
         self.neighbour.as_ref().map(|heard| &heard.neighbour)
     }
 
-    /// Which node is at the other end instead of the neighbour, once that was told: more than that
-    /// the neighbour is not heard.
+    /// The node that is at the other end instead of the neighbour, once that was reported.
     pub fn refusal(&self) -> Option<&PeerRefusal> {
         self.refused.as_ref()
     }
@@ -188,7 +188,7 @@ impl Link {
         self.refusals
     }
 
-    /// Sends something of the router's. Dropped and counted when the link is not up.
+    /// Sends a message of the router. Dropped and counted when the link is not up.
     pub fn handle_routing(&mut self, bytes: Bytes) {
         for frame in reassembly::frames_of(bytes, self.mtu) {
             self.carry(frame);
@@ -208,14 +208,14 @@ impl Link {
         }
     }
 
-    /// Whether what comes is taken. A neighbour may send packets before its hello that it uses the
-    /// link is here. Nothing but hellos brings a link up: what else comes has no number, and may be
-    /// of the past.
+    /// Whether a received frame is accepted. A neighbour may send packets before its hello that it
+    /// uses the link has been received. Only hellos bring a link up: other frames have no number,
+    /// and may have been recorded.
     fn takes(&self, frame: &Frame) -> bool {
         match frame {
             Frame::Hello(_) | Frame::Greeting(_) => true,
             Frame::Data(_) => self.carries() || self.has_proved(),
-            // Routers know no link that is not up; the neighbour's repeats itself.
+            // Routers know no link that is not up; the neighbour's router retransmits.
             Frame::Routing(_) | Frame::RoutingPart(_) => self.carries(),
         }
     }
@@ -229,7 +229,7 @@ impl Link {
         matches!(self.state, LinkState::Up | LinkState::Suspect)
     }
 
-    /// A frame came from the transport.
+    /// The transport has received a frame.
     pub fn handle_frame(&mut self, frame: Bytes, now: Instant) {
         match Frame::decode(frame) {
             Ok(frame) if !self.takes(&frame) => self.refusals.unexpected += 1,
@@ -261,7 +261,7 @@ impl Link {
     }
 
     /// The interface has lost its carrier: the cable is pulled, or the other end is switched off.
-    /// What is heard later proves the contrary. The reason is for people.
+    /// Later hellos prove the contrary. The reason is for display.
     pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
         if self.carries() {
             self.go_down(reason, now);
@@ -278,24 +278,24 @@ impl Link {
         self.slow_down(Duration::from_nanos(nanos));
     }
 
-    /// How often hellos are said.
+    /// How often hellos are sent.
     pub fn hello_interval(&self) -> Duration {
         self.config.hello_interval
     }
 
     /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
-    /// delays normally distributed. A score for people; it decides nothing.
+    /// delays normally distributed. It is for display, and decides nothing.
     pub fn phi(&self, now: Instant) -> f32 {
         self.neighbour.as_ref().map_or(0.0, |heard| heard.arrivals.phi(now))
     }
 
-    /// When the neighbour's last hello came, if it is known.
+    /// When the neighbour's last hello was received, if it is known.
     pub fn last_hello(&self) -> Option<Instant> {
-        self.neighbour.as_ref().map(|heard| heard.last)
+        self.neighbour.as_ref().map(|heard| heard.heard_at)
     }
 
-    /// Silence counts only from a while after `now`. A node that stands still over and over again
-    /// still finds in the end that no hello comes.
+    /// Silence counts only from a while after `now`. The number of excuses in a row is bounded, so
+    /// that a node which stalls again and again still detects a dead link.
     fn excuse(&mut self, a_while: Duration, now: Instant) {
         if let Some(heard) = &mut self.neighbour
             && heard.excuses < Self::EXCUSES_MAX
@@ -329,7 +329,7 @@ impl Link {
 
     fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
         let Some(heard) = &mut self.neighbour else { return };
-        heard.last = now;
+        heard.heard_at = now;
         heard.excuses = 0;
         heard.stance = hello.stance;
         heard.loss_there = hello.loss_permille;
@@ -370,7 +370,7 @@ impl Link {
         let heard = self.neighbour.as_ref()?;
         let interval = heard.arrivals.interval();
         let silent = heard.arrivals.expected() + percent(interval, after_percent);
-        let deaf = heard.echoed.map_or(heard.last, |(_, at)| at)
+        let deaf = heard.echoed.map_or(heard.heard_at, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
             + percent(
                 interval.max(self.config.hello_interval),
@@ -384,11 +384,11 @@ impl Link {
     }
 
     fn go_down(&mut self, reason: &'static str, now: Instant) {
-        if now - self.last_down > Self::FLAP_MEMORY {
+        if now - self.down_at > Self::FLAP_MEMORY {
             self.flaps = 0;
         }
         self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
-        self.last_down = now;
+        self.down_at = now;
         self.damped = true;
         if let Some(heard) = &mut self.neighbour {
             heard.forget_proof();
@@ -412,9 +412,9 @@ impl Link {
     }
 
     fn say_hello(&mut self, now: Instant) {
-        // Numbered and sent by the absolute schedule, never "an interval after the last one": a
-        // late hello must not shift the later ones. Counted from the clock's origin, the number
-        // also goes on rising when this machine is rebuilt in a running process.
+        // Hellos are numbered and sent by an absolute schedule, so that a late one does not shift
+        // the later ones. Numbers are counted from the clock's origin, so that they also rise when
+        // this machine is rebuilt in a running process.
         let nanos = self.interval().as_nanos() as u64;
         let number = now.as_nanos() / nanos;
         self.next_hello = Instant::from_nanos((number + 1).saturating_mul(nanos));
@@ -473,10 +473,10 @@ impl Link {
 
     fn suspect(&mut self, now: Instant) {
         self.proving = false;
-        let lately = now - self.last_suspicion <= Self::FLAP_MEMORY;
+        let lately = now - self.suspected_at <= Self::FLAP_MEMORY;
         let before = if lately { self.suspicions } else { 0 };
         self.suspicions = (before + 1).min(Self::FLAPS_MAX + 1);
-        (self.last_suspicion, self.calm) = (now, 0);
+        (self.suspected_at, self.calm) = (now, 0);
         self.change(LinkState::Suspect, "a hello is late");
     }
 }
@@ -484,7 +484,7 @@ impl Link {
 impl NeighbourRecord {
     /// In which life, which hello, and when.
     fn last_heard(&self) -> (Incarnation, u32, Instant) {
-        (self.neighbour.incarnation, self.arrivals.highest(), self.last)
+        (self.neighbour.incarnation, self.arrivals.highest(), self.heard_at)
     }
 
     fn forget_proof(&mut self) {

@@ -12,18 +12,18 @@ use std::time::Duration;
 pub struct LinkConfig {
     /// Our own name.
     pub node: NodeName,
-    /// Our own life.
+    /// Our own incarnation.
     pub incarnation: Incarnation,
     /// Which node must be at the other end; `None` takes the first that sends.
     pub expected: Option<NodeName>,
-    /// How long after the start, and five hellos, whoever is at the other end may take to prove
-    /// that it is there, before it is told as missing.
+    /// How long after the start, and five hello intervals, a neighbour may take to prove that it is
+    /// there before it is reported as missing.
     pub peer_timeout: Duration,
-    /// How often we say hello, unless the medium is too slow for it. Shorter finds a dead link
+    /// How often a hello is sent, unless the medium is too slow for it. Shorter finds a dead link
     /// sooner and costs more.
     pub hello_interval: Duration,
     /// So many percent of an interval after its time, a missing hello makes the link suspect:
-    /// traffic avoids it where it can. Lower fails over sooner, and more often for nothing.
+    /// traffic avoids it where it can. Lower fails over sooner, and more often without need.
     pub suspect_after_percent: u32,
     /// So many percent of an interval after its time, a missing hello takes the link down. On a
     /// link that loses hellos anyway, more must be missing, so that loss alone takes it down once
@@ -67,11 +67,11 @@ impl LinkConfig {
 pub enum LinkState {
     /// No node has proved yet to be at the other end.
     Connecting,
-    /// The neighbour is heard and hears.
+    /// Hellos are received in both directions.
     Up,
     /// A hello is late. Traffic goes elsewhere where it can; nothing is torn down.
     Suspect,
-    /// The neighbour is not heard, or does not hear; it must prove itself again.
+    /// Hellos are not received in one direction or both; the neighbour must prove itself again.
     Down,
 }
 
@@ -86,16 +86,16 @@ impl fmt::Display for LinkState {
     }
 }
 
-/// Who is at the other end of a link.
+/// The node at the other end of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Neighbour {
     /// Its name.
     pub node: NodeName,
-    /// Which of its lives.
+    /// Its incarnation.
     pub incarnation: Incarnation,
 }
 
-/// Why a link does not take the one who speaks on it.
+/// Why a link refuses the node at its other end.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PeerRefusal {
     /// Two nodes have one name. Give one of them another.
@@ -115,9 +115,9 @@ pub enum PeerRefusal {
     /// The cable is plugged in elsewhere, or the configured address is another node's.
     #[error("{found} is at the other end, {expected} is expected")]
     WrongNeighbour {
-        /// Who should be there.
+        /// The node that should be there.
         expected: NodeName,
-        /// Who is.
+        /// The node that is.
         found: NodeName,
     },
 }
@@ -131,13 +131,12 @@ pub enum LinkOutput {
     Changed {
         /// Which.
         state: LinkState,
-        /// Who is, or was, at the other end.
+        /// The node that is, or was, at the other end.
         neighbour: Option<Neighbour>,
-        /// Why, for people.
+        /// Why, for display.
         reason: &'static str,
     },
-    /// No node has proved to be at the other end since the start. When one does, `Changed` says
-    /// so.
+    /// No node has proved to be at the other end since the start. When one does, `Changed` follows.
     Missing {
         /// A node sends there, and does not receive us.
         heard: bool,
@@ -146,7 +145,7 @@ pub enum LinkOutput {
     Quality(Quality),
     /// The node at the other end is refused.
     Refused(PeerRefusal),
-    /// For the router: what the neighbour's router says.
+    /// For the router: a message of the neighbour's router.
     Routing(Bytes),
     /// For the router: a packet.
     Packet(Bytes),

@@ -1,10 +1,11 @@
-//! Which neighbour is next on the way to a node, and which one if that fails.
+//! The next hop on the path to each node, and an alternate if that fails.
 //!
-//! Every router tells all others which links it has (see [`advertisement`]); each computes the
-//! shortest paths by itself. Beside the next hop it keeps an alternate that leads on without coming
-//! back (a loop-free alternate, RFC 5286, inequality 1), so that a failing link costs one look-up.
+//! Every router advertises its links to all others (see [`advertisement`]); each computes the
+//! shortest paths by itself. Beside the next hop it keeps a loop-free alternate (RFC 5286,
+//! inequality 1), so that a failing link costs one look-up.
 //!
-//! An edge counts only if both its ends announce it: a dead node's last words lead nowhere.
+//! An edge counts only if both its ends advertise it, so the last advertisement of a dead node
+//! leads nowhere.
 //!
 //! [`advertisement`]: super::wire::advertisement
 
@@ -39,37 +40,37 @@ pub struct Router {
     config: RouterConfig,
     id: NodeId,
     links: BTreeMap<LinkId, Adjacency>,
-    /// Nodes that are isolated, as many as there are verdicts.
+    /// Isolated nodes, as many as there are decisions.
     isolated: BTreeSet<NodeId>,
-    /// Links to them. They carry, and are not used.
+    /// Links to them, which are not used.
     barred: BTreeMap<LinkId, LinkStatus>,
     known: BTreeMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: BTreeMap<NodeId, Route>,
-    /// The ways of copies, computed when the first goes to a node after a change: as many as
-    /// routes.
+    /// The disjoint paths of copies, computed for the first copy to a node after a change: as many
+    /// as routes.
     ways: BTreeMap<NodeId, Vec<DisjointPath>>,
-    /// The paths must be computed again then.
+    /// When the paths are computed again; `None` while they are current.
     compute_at: Option<Instant>,
     computed_at: Instant,
     refresh_at: Instant,
-    /// The last pair told of, so that a collision is told once and not with every flood.
+    /// The last reported pair, so that a collision is reported once and not with every flood.
     told: Option<(NodeName, NodeName)>,
-    /// What was withdrawn in our name, the last last.
+    /// Withdrawals in our name, in their order.
     withdrew: VecDeque<AdvertisementId>,
     /// How often another node sent in our name within the last seconds, and since when.
     forged: (Instant, u32),
-    /// The other node of our name that was told of last, and when we last said that we are here.
+    /// The other node of our name that was reported last, and when we last defended it.
     usurper: Option<Incarnation>,
     defended_at: Instant,
-    /// A greater life of our name that others know of, its last word, and since when we have known:
-    /// perhaps an earlier one of ours, before the clock was set back.
+    /// A greater incarnation of our name that other nodes know, its last advertisement, and since
+    /// when it is known: perhaps an earlier one of ours, before the clock was set back.
     unconfirmed_incarnation: Option<(AdvertisementId, Instant)>,
-    /// Names of which a later life is kept out; at most as many as nodes are remembered.
+    /// Names of which a later incarnation is isolated; at most as many as nodes are remembered.
     disputes: BTreeMap<NodeId, Dispute>,
-    /// Links to those lives. They carry, and are not used.
+    /// Links to those incarnations, which are not used.
     contested: BTreeMap<LinkId, LinkStatus>,
-    /// What was told of as a fault and is not over.
+    /// Alarms that were reported and are not over.
     troubles: ActiveAlarms<RouterAlarm>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
     /// again.
@@ -86,17 +87,17 @@ pub struct Router {
 struct DatabaseEntry {
     advertisement: Advertisement,
     expires: Instant,
-    /// A path has led to this life since, and does no more.
+    /// A path has led to this incarnation since; and it leads there no more.
     reached: bool,
     ended: bool,
-    /// What counts until then, after a withdrawal: what is true follows it.
+    /// The advertisement that counts until then, after a withdrawal.
     believed: Option<(Advertisement, Instant)>,
-    /// What the origin has withdrawn, the last first.
+    /// The origin's withdrawals, the last first.
     withdrawn: VecDeque<AdvertisementId>,
 }
 
 impl DatabaseEntry {
-    /// What the ways are computed from.
+    /// The advertisement from which paths are computed.
     fn effective(&self) -> Option<&Advertisement> {
         let newest = Some(&self.advertisement).filter(|newest| !newest.withdrawn);
         self.believed.as_ref().map(|(believed, _)| believed).or(newest)
@@ -146,8 +147,8 @@ impl Router {
         }
     }
 
-    /// A router in the place of one that failed. It finds its links and its place in the network
-    /// again; what the old one could reach and this one cannot find is told as lost.
+    /// A router in the place of one that failed. It learns its links and the network again; nodes
+    /// that the old one could reach and this one does not find are reported as lost.
     pub fn restarted(
         config: RouterConfig,
         reached: impl IntoIterator<Item = (NodeName, Incarnation)>,
@@ -161,7 +162,7 @@ impl Router {
         router
     }
 
-    /// What was told of and is not over.
+    /// Alarms that were reported and are not over.
     pub fn troubles(&self) -> impl Iterator<Item = RouterAlarm> {
         self.troubles.iter().copied()
     }
@@ -182,8 +183,8 @@ impl Router {
         heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
     }
 
-    /// Whether a way leads to a node as of now, all that is known taken into account; `None` while
-    /// the only ones lead over links that may have failed as well, which is known in a moment.
+    /// Whether a path leads to a node now, by everything that is known; `None` while all paths lead
+    /// over suspect links.
     pub fn verdict(&mut self, node: NodeId, now: Instant) -> Option<bool> {
         self.now = now;
         if self.compute_at.is_some() {
@@ -266,8 +267,8 @@ impl Router {
         }
     }
 
-    /// A node is isolated: nothing is taken from it or sent there, no packet of it is passed on,
-    /// and no way leads over it. Or it is let in again.
+    /// A node is isolated: nothing is accepted from it or sent to it, its packets are not
+    /// forwarded, and no path leads over it. Or it is admitted again.
     pub fn handle_isolation(&mut self, node: &NodeName, isolated: bool, now: Instant) {
         self.now = now;
         let id = NodeId::of(node);
@@ -295,13 +296,13 @@ impl Router {
         for (link, Adjacency { neighbour, cost, mtu, health, .. }) in barred {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
             self.barred.insert(link, status);
-            // The last that it is told: it learns at once that no node is behind its links.
+            // The last message to it: it learns at once that no node is behind its links.
             let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
         }
     }
 
-    /// A neighbour's router said something.
+    /// A message of a neighbour's router was received.
     pub fn handle_routing(&mut self, link: LinkId, bytes: Bytes, now: Instant) {
         self.now = now;
         if self.barred.contains_key(&link) {
@@ -331,13 +332,13 @@ impl Router {
     }
 
     fn outdate(&mut self) {
-        // A change comes as a burst of floods: the first is acted on at once, the rest together.
+        // A change is a burst of floods: the first is acted on at once, the others together.
         const TOGETHER: Duration = Duration::from_millis(5);
         let due = *self.compute_at.get_or_insert(self.now.max(self.computed_at + TOGETHER));
         self.wake_at = self.wake_at.min(due);
     }
 
-    /// The network as far as it is used.
+    /// The part of the network that is used.
     fn topology(&self) -> Topology<'_> {
         let known = self.known.iter().filter(|(id, _)| !self.isolated.contains(id));
         let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));

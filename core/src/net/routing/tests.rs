@@ -23,7 +23,7 @@ fn id(name: &str) -> NodeId {
     NodeId::of(&named(name))
 }
 
-/// Whoever tests speaks for the neighbours.
+/// The test sends in place of the neighbours.
 fn router() -> Router {
     Router::new(RouterConfig::new(named("own"), Incarnation(1)), at(1000))
 }
@@ -238,18 +238,18 @@ fn a_packet_goes_to_nobody_who_has_had_it_and_over_no_node_twice() {
         Packet { passed, source: id("other"), ..packet_to("far", 3) }.encode()
     };
 
-    // Left is nearer, but believes the same of somebody who believes it of this node.
-    router.handle_packet(SECOND, passed(&["left", "somebody"]), at(1020));
+    // Left is nearer, but its own next hop sends the packet back to this node.
+    router.handle_packet(SECOND, passed(&["left", "third"]), at(1020));
     assert_eq!(over(router.poll_output()), None, "both ways have had it");
 
-    router.handle_packet(FIRST, passed(&["somebody"]), at(1020));
+    router.handle_packet(FIRST, passed(&["third"]), at(1020));
     let Some(RouterOutput::Packet { link: SECOND, packet }) = router.poll_output() else {
         panic!("it goes on");
     };
     let packet = Packet::decode(packet.into_bytes()).unwrap();
-    assert_eq!(packet.passed, [id("somebody"), id("own")]);
+    assert_eq!(packet.passed, [id("third"), id("own")]);
 
-    router.handle_packet(SECOND, passed(&["own", "somebody"]), at(1020));
+    router.handle_packet(SECOND, passed(&["own", "third"]), at(1020));
     assert_eq!(over(router.poll_output()), None, "it was here before");
 }
 
@@ -362,7 +362,7 @@ fn a_restarted_node_is_told_with_its_new_life() {
     reborn.stamp.incarnation = Incarnation(2);
 
     // Its neighbours have heard the new life instead of the old one, and have proved the links
-    // anew.
+    // again.
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
     tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
     let (node, incarnation) = (named("far"), Incarnation(1));
@@ -477,7 +477,7 @@ fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_a
     // Whatever comes by its link is refused, and what it has sent by others' links too.
     let refused = router.refusals().isolated;
     router.handle_packet(FIRST, packet("left", "far").encode(), at(1040));
-    router.handle_packet(FIRST, packet("somebody", "own").encode(), at(1040));
+    router.handle_packet(FIRST, packet("third", "own").encode(), at(1040));
     router.handle_packet(SECOND, packet("left", "own").encode(), at(1040));
     tell(&mut router, FIRST, advertisement("left", 9, &[("own", 1), ("far", 1)]), 1040);
     assert_eq!(router.refusals().isolated - refused, 4);

@@ -2,26 +2,27 @@
 //!
 //! ```text
 //!      one node                                       the other
-//!         │ open: tag 7, nothing heard ─────────────────► │
+//!         │ open: tag 7, nothing received ──────────────► │
 //!         │ ◄────────────── open: tag 9, I know your 7    │
 //!   open  │ data, for tag 9 ─────────────────────────────►│ open
 //!         │ ◄────────────── acknowledge, for tag 7        │
 //! ```
 //!
 //! * Both may open at once; the handshake is the same from both ends.
-//! * A peer's session is known by its incarnation and a number that rises within it. A greater
-//!   number ends the old session; a smaller one is refused. Which incarnation is the present one,
-//!   the router says. Tags keep apart what belongs to which.
-//! * Within a session each message of the ordered streams is delivered exactly once and in order.
-//!   What is small enters between the parts of what is large and of another strand, that is for
-//!   somebody else. When a session ends, every message that was not acknowledged is handed back
-//!   with the reason: it was delivered at most once, perhaps not at all.
-//! * What claims to come from the peer is held against what the router knows of its life, and a
-//!   newer session of the same life is believed when the present one's other end has forgotten it.
-//! * A change of path, told by the router, repeats at once what is not acknowledged.
+//! * A peer's session is identified by the peer's incarnation and a number that rises within it. A
+//!   greater number ends the old session; a smaller one is refused. The router reports which
+//!   incarnation is the present one. Tags tell the segments of different sessions apart.
+//! * Within a session each message of the ordered streams is delivered exactly once and in order. A
+//!   message that fits into one chunk may be sent between the chunks of a larger one with another
+//!   ordering key. When a session ends, every message that was not acknowledged is returned with
+//!   the reason: it was delivered at most once.
+//! * A handshake of the peer is compared with the incarnation that the router knows. A newer
+//!   session of the same incarnation is accepted if the peer has forgotten the present one.
+//! * When the router reports another path, everything that is not acknowledged is retransmitted at
+//!   once.
 //!
-//! What it does not do: wait for the application. What has arrived in order is output at once;
-//! the caller that takes it must decide what to do when its receiver is busy.
+//! A session does not wait for the application. Messages that are complete and in order are output
+//! at once; the caller decides what to do when the receiver is busy.
 
 mod best_effort;
 mod config;
@@ -72,31 +73,32 @@ pub const VERSION: u8 = 2;
 pub struct Session {
     config: SessionConfig,
     state: State,
-    /// What we are in the present session.
+    /// Our end of the present session.
     number: u32,
     tag: u32,
-    /// The newest session of the peer's that we know of.
+    /// The newest known session of the peer.
     newest: (Incarnation, u32),
-    /// The peer's life that the router knows.
+    /// The peer's incarnation that the router knows.
     known: Option<Incarnation>,
     /// The largest segment that the path carries; `None` while there is no path.
     path: Option<usize>,
     streams: [StreamState; 3],
-    /// What takes one way, and what takes all: each has its own round trip and its own silence.
+    /// Round trips and retransmission timers of what travels by one path, and of what travels by
+    /// all.
     rtt: [RttEstimator; 2],
     retransmit_at: [Option<Instant>; 2],
-    /// How many parts may be on their way at once.
+    /// How many chunks may be in flight at once.
     congestion: usize,
-    /// Losses of transmissions before this have been answered by a smaller window.
+    /// The window was already reduced for losses of transmissions before this.
     reduced_until: u64,
     /// How many transmissions there were.
     orders: [u64; 2],
-    /// Since when the peer owes us a sign of life.
+    /// Since when the peer owes an answer, or has no path.
     waiting_since: Option<Instant>,
     pieces: Reassembly<(Stream, u64)>,
     best_effort: BestEffort,
     replicas: DuplicateDiscard,
-    /// Why something of ours last came back, since the peer last spoke.
+    /// Why a router last returned a segment, since the peer's last one.
     returned: Option<UndeliveredReason>,
     now: Instant,
     counters: SessionCounters,
@@ -108,13 +110,13 @@ pub struct Session {
 enum State {
     /// There is no session, and no path to open one.
     Idle,
-    /// We say who we are until the peer shows that it knows.
+    /// The handshake is repeated until the peer confirms it.
     Opening { peer: Option<RemoteEnd>, again_at: Instant, pause: Duration },
     /// Both know each other.
     Open { peer: RemoteEnd },
-    /// Everything is to be acknowledged, then the peer is told that this is the end.
+    /// Everything is to be acknowledged; then a close is sent.
     Closing { peer: RemoteEnd, again_at: Option<Instant>, tries: u32 },
-    /// We ended in order and open no more.
+    /// Closed in order; no further session is opened.
     Closed,
 }
 
@@ -130,30 +132,30 @@ struct RemoteEnd {
 struct StreamState {
     outbound: Outbound,
     inbound: Inbound,
-    /// Its senders have been told to stop: with everything, and with bulk.
+    /// Its senders were told to stop: with everything, and with bulk.
     full: [bool; 2],
 }
 
 /// In the order of their places.
 const STREAMS: [Stream; 3] = [Stream::Control, Stream::Data, Stream::Redundant];
 
-/// Which round trip and silence a stream has.
+/// The index of a stream's round trip and retransmission timer.
 fn lane(stream: Stream) -> usize {
     usize::from(stream == Stream::Redundant)
 }
 
 impl Session {
-    /// Parts on their way at first.
+    /// Chunks in flight at first.
     const CONGESTION_INITIAL: usize = 32;
     /// The same on a narrow path.
     const CONGESTION_NARROW: usize = 4;
     /// The most there: as many as may wait for a serial line.
     const CONGESTION_NARROW_MAX: usize = 8;
-    /// Parts that are on their way however long the queues are.
+    /// Chunks in flight however long the queues are.
     const CONGESTION_LEAST: usize = 2;
-    /// Time in queues above which less is sent. Control and hellos stand in the same queues.
+    /// Queueing delay above which less is sent. Control and hellos wait in the same queues.
     const QUEUEING_MAX: Duration = Duration::from_millis(200);
-    /// Parts that may always be on their way elsewhere.
+    /// Chunks that may always be in flight elsewhere.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
     const ASSEMBLY_PATIENCE: Duration = Duration::from_secs(5);
@@ -240,8 +242,8 @@ impl Session {
             state.full[load as usize] = true;
             self.outputs.push_back(SessionOutput::Full { stream, load });
         }
-        // What is on its way here when senders are told to stop, or waits for bindings, has room
-        // all the same.
+        // Messages on their way here when senders are told to stop, or that wait for bindings, are
+        // accepted all the same.
         if messages > 2 * buffer_messages || bytes > 2 * self.config.buffer_bytes {
             let node = self.config.peer.to_string();
             let why = DeliveryError::WayFull { node, bulk: load == SizeClass::Bulk };
@@ -322,7 +324,7 @@ impl Session {
         }
     }
 
-    /// The router knows no path any more. The session waits for one as long as it has patience.
+    /// The router knows no path any more. The session waits for one for `idle_timeout`.
     pub fn handle_no_path(&mut self, now: Instant) {
         self.now = now;
         self.path = None;
@@ -330,7 +332,7 @@ impl Session {
         self.waiting_since.get_or_insert(now);
     }
 
-    /// The router says that this is the peer's present life: sessions with any other are over,
+    /// The router reports the peer's present incarnation. Sessions with any other are over,
     /// whichever number is greater.
     pub fn handle_incarnation(&mut self, incarnation: Incarnation, now: Instant) {
         self.now = now;
@@ -495,7 +497,7 @@ impl Session {
         self.outputs.push_back(SessionOutput::Transmit { class, segment, everywhere: true });
     }
 
-    /// The peer has owed us a sign of life for too long.
+    /// The peer has owed an answer, or had no path, for too long.
     fn give_up(&mut self) {
         self.waiting_since = None;
         match self.state {

@@ -197,8 +197,8 @@ impl Session {
             if stream != Stream::Redundant {
                 // A window that is not used tells nothing of a larger one (RFC 7661).
                 let used = self.flying(0) + progress.parts >= self.congestion;
-                // Nor does an answer, on a narrow path, of which nobody knows to which sending it
-                // is.
+                // Nor, on a narrow path, does an acknowledgement that may be of either of two
+                // transmissions.
                 let known = queueing.is_some() || !self.is_narrow();
                 if used && known && !crowded {
                     let most = match self.is_narrow() {

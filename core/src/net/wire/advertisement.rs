@@ -12,13 +12,13 @@
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
 //! ```
 //!
-//! A count of 128 withdraws the advertisement of that stamp. Only so can an origin get rid of what
-//! somebody else has said in its name under the highest sequence, or of a life that it never had
-//! (RFC 2328, 12.1.6 and 14.1, where an age does the same).
+//! A count of 128 withdraws the advertisement of that stamp. Only so can an origin remove an
+//! advertisement that another node has sent in its name under the highest sequence, or with an
+//! incarnation that it never had (RFC 2328, 12.1.6 and 14.1, where an age does the same).
 //!
 //! Flooding is reliable hop by hop, as in IS-IS: an advertisement is repeated until the neighbour
-//! says that it has it (or a newer one). A `have` with a range lists everything between two nodes'
-//! numbers, so that what is missing in it is known to be missing.
+//! confirms it (or a newer one). A `have` with a range lists everything between two nodes' numbers,
+//! so that the neighbour lacks whatever is not in it.
 
 use super::node_id::NodeId;
 use super::{Reader, WireError, Write};

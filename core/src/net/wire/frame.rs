@@ -305,7 +305,7 @@ mod tests {
                     Packet { class, hops: 1, destination, source, passed: vec![], payload };
                 check(Frame::Data(packet.encode().into()), expected);
             }
-            // As large as is no longer copied, and after somebody has passed it on.
+            // As large as is no longer copied, and after another node has forwarded it.
             for (length, passed) in (3_900..4_200).flat_map(|n| [(n, vec![]), (n, vec![NodeId(3)])])
             {
                 let payload = Payload::Segment(Bytes::from(vec![7; length]).into());

@@ -33,7 +33,7 @@ fn one_hello_may_have_been_on_its_way_and_two_show_that_it_is_not_so() {
 
     assert_eq!((cable.ends[1].state(), cable.ends[1].is_given_up()), (LinkState::Up, false));
     assert_eq!(cable.ends[0].state(), LinkState::Up, "the neighbour noticed nothing");
-    // For a while now, nobody is believed who says so.
+    // Such reports do not count for a while.
     cable.ends[1].handle_given_up(at(126));
     assert_eq!(cable.ends[1].state(), LinkState::Up);
     cable.run_until(10_200);

@@ -1,4 +1,4 @@
-//! Lives that come and go on a cable, and hellos that nobody has said.
+//! Incarnations that start and end on a cable, and forged hellos.
 
 use super::*;
 
@@ -20,7 +20,7 @@ fn changed(frame: &Bytes, change: impl Fn(&mut Hello)) -> Bytes {
     Frame::Hello(hello).encode()
 }
 
-/// The right end's process dies, and begins anew in this life; answers when both are up again.
+/// The right end's process dies and restarts in this incarnation; returns when both are up again.
 fn restarted(cable: &mut Cable, life: u64, dead_for: u64) -> u64 {
     cable.cut[1] = true;
     cable.run_until(cable.now + dead_for);

@@ -1,4 +1,4 @@
-//! What was said once and is said again by somebody who has recorded it: it is evidence of nothing.
+//! Recorded frames that are replayed prove nothing.
 
 use super::lives::hellos_of;
 use super::*;
@@ -28,7 +28,7 @@ fn downs(cable: &Cable) -> usize {
 fn wary_on_the_right() -> Cable {
     let mut cable = running();
     cable.ends[1].flaps = 3;
-    cable.ends[1].last_down = at(cable.now);
+    cable.ends[1].down_at = at(cable.now);
     cable.ends[1].handle_loss(at(cable.now));
     cable.run_until(cable.now + 15);
     cable.told.clear();

@@ -215,7 +215,7 @@ fn a_forged_session_does_not_end_the_present_one_and_a_true_one_does() {
     assert_eq!(pair.take(1), [message(text("a"))]);
     assert_eq!(pair.ends[0].refusals().unexpected, 3);
 
-    // The other machine is built anew within its life.
+    // The other machine is rebuilt within its incarnation.
     let config = SessionConfig { number: 1000, ..config("right", 1, "left") };
     pair.ends[1] = Session::new(config, at(pair.now));
     pair.ends[1].handle_path(1389, at(pair.now));
