@@ -1,10 +1,10 @@
 //! What really happened: written by the components of a robot themselves, in the order in which it
 //! happened, without asking the middleware.
 
-use crate::plan::{Pull, Robot};
+use crate::plan::{Blow, Pull, Robot};
 use blastema::Instant;
 use blastema::platform::now;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// One line of the ledger.
@@ -73,6 +73,9 @@ pub(crate) enum Cause {
     RestartChild,
     /// It asks another component, and waits for the answer.
     Consult,
+    /// A person added it, or removed it.
+    Added,
+    Removed,
 }
 
 /// The outcome of one request.
@@ -104,8 +107,16 @@ struct Inner {
     /// Of each component: its latest incarnation.
     current: BTreeMap<usize, u64>,
     pulls: BTreeMap<(usize, &'static str), VecDeque<Pull>>,
-    /// Components of which the next condition panics.
-    conditions: BTreeMap<usize, u32>,
+    /// What the next conditions of components do.
+    conditions: BTreeMap<usize, VecDeque<Blow>>,
+    /// Components whose device is away.
+    unplugged: BTreeSet<usize>,
+    /// Late components that a person wanted.
+    wanted: BTreeSet<usize>,
+    /// Of these, what was not added, and why.
+    refused: Vec<(usize, String)>,
+    /// The watcher watches.
+    watched: bool,
     published: BTreeMap<usize, u64>,
     numbers: u64,
     /// Tasks and timers that have not struck yet.
@@ -196,18 +207,45 @@ impl Ledger {
         }
     }
 
-    pub(crate) fn strike_condition(&self, part: usize) {
-        *self.inner().conditions.entry(part).or_default() += 1;
+    pub(crate) fn strike_condition(&self, part: usize, blow: Blow) {
+        self.inner().conditions.entry(part).or_default().push_back(blow);
     }
 
-    pub(crate) fn condition_is_struck(&self, part: usize) -> bool {
-        match self.inner().conditions.get_mut(&part) {
-            Some(left @ 1..) => {
-                *left -= 1;
-                true
-            }
-            _ => false,
-        }
+    pub(crate) fn next_blow(&self, part: usize) -> Option<Blow> {
+        self.inner().conditions.get_mut(&part)?.pop_front()
+    }
+
+    pub(crate) fn plug_in(&self, part: usize, is_there: bool) {
+        let mut inner = self.inner();
+        match is_there {
+            true => inner.unplugged.remove(&part),
+            false => inner.unplugged.insert(part),
+        };
+    }
+
+    pub(crate) fn is_unplugged(&self, part: usize) -> bool {
+        self.inner().unplugged.contains(&part)
+    }
+
+    /// Whether this component comes late, and has not been asked for yet.
+    pub(crate) fn is_to_be_added(&self, part: usize) -> bool {
+        self.robot.parts[part].late && self.inner().wanted.insert(part)
+    }
+
+    pub(crate) fn watches(&self) {
+        self.inner().watched = true;
+    }
+
+    pub(crate) fn is_watched(&self) -> bool {
+        self.inner().watched
+    }
+
+    pub(crate) fn refuse(&self, part: usize, why: String) {
+        self.inner().refused.push((part, why));
+    }
+
+    pub(crate) fn refused(&self) -> Vec<(usize, String)> {
+        self.inner().refused.clone()
     }
 
     pub(crate) fn mark(&self, part: usize, topic: usize, n: u64) {
@@ -237,6 +275,7 @@ impl Ledger {
         let mut inner = self.inner();
         inner.pulls.clear();
         inner.conditions.clear();
+        inner.unplugged.clear();
     }
 
     /// Notes a request; answers its number.

@@ -1,11 +1,13 @@
 //! Robots by chance: trees, rates, panics, hangs, floods and conditions, in virtual time and on
 //! real threads, judged by a small model of what must hold.
 
+mod commands;
 mod ledger;
 mod model;
 mod part;
 mod plan;
 mod run;
+mod story;
 
 use plan::{Clock, Robot};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,7 +19,8 @@ use std::thread;
 /// What is wrong with the run of this plan.
 fn breaches(robot: &Arc<Robot>) -> Vec<String> {
     match catch_unwind(AssertUnwindSafe(|| run::carry_out(robot))) {
-        Ok(evidence) => model::breaches(&evidence),
+        Ok(Ok(evidence)) => model::breaches(&evidence),
+        Ok(Err(refusal)) => commands::breaches_of_start(&refusal),
         Err(payload) => {
             let text = payload.downcast_ref::<String>().cloned();
             vec![format!("the run itself panicked: {}", text.unwrap_or_default())]

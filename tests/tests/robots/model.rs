@@ -3,9 +3,11 @@
 //! It knows what really happened, from the ledger, and compares it with what the node shows. It
 //! does not predict what the middleware does; it says which answers cannot be right.
 
+use crate::commands::{activity, commands};
 use crate::ledger::{Answer, Cause, Entry, What};
 use crate::plan::{Branch, Clock, Group};
 use crate::run::{Evidence, is_open, leaves};
+use crate::story::{line, story};
 use blastema::core::recovery::ChildState;
 use blastema::detection::FaultEntry;
 use blastema::recovery::{Restart, Strategy};
@@ -30,12 +32,11 @@ pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
     pictures(evidence, out);
     rounds(evidence, out);
     bystanders(evidence, out);
+    commands(evidence, out);
     if !evidence.ended {
         out.push("shutdown: it does not end".into());
     }
-    if evidence.lines.0 != evidence.lines.1 {
-        out.push("shutdown: components do something after it".into());
-    }
+    activity(&evidence.late_entries, evidence.robot.clock, out);
     if !breaches.is_empty() {
         breaches.push(story(evidence));
     }
@@ -43,15 +44,25 @@ pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
 }
 
 impl Evidence {
-    fn name(&self, part: usize) -> &str {
+    pub(crate) fn was(&self, part: usize, wanted: Cause) -> bool {
+        self.causes(part).any(|(_, cause)| cause == wanted)
+    }
+
+    /// It was removed, or not added yet.
+    fn is_away(&self, part: usize) -> bool {
+        let not_yet = self.robot.parts[part].late && !self.was(part, Cause::Added);
+        not_yet || self.was(part, Cause::Removed)
+    }
+
+    pub(crate) fn name(&self, part: usize) -> &str {
         &self.robot.parts[part].name
     }
 
-    fn of_part(&self, part: usize) -> impl Iterator<Item = &Entry> {
+    pub(crate) fn of_part(&self, part: usize) -> impl Iterator<Item = &Entry> {
         self.entries.iter().filter(move |entry| entry.part == part)
     }
 
-    fn causes(&self, part: usize) -> impl Iterator<Item = (&Entry, Cause)> {
+    pub(crate) fn causes(&self, part: usize) -> impl Iterator<Item = (&Entry, Cause)> {
         self.of_part(part).filter_map(|entry| match entry.what {
             What::Struck(cause) => Some((entry, cause)),
             _ => None,
@@ -65,12 +76,12 @@ impl Evidence {
     }
 
     /// Milliseconds since the first line of the ledger; before it, less than none.
-    fn ms(&self, at: blastema::Instant) -> i64 {
+    pub(crate) fn ms(&self, at: blastema::Instant) -> i64 {
         let ms = |at: blastema::Instant| i64::try_from(at.as_nanos() / 1_000_000).unwrap_or(0);
         ms(at) - self.entries.first().map_or(0, |entry| ms(entry.at))
     }
 
-    fn at_rest(&self) -> bool {
+    pub(crate) fn at_rest(&self) -> bool {
         matches!(self.state, NodeState::InSafeState { .. })
     }
 
@@ -205,7 +216,7 @@ fn missing(
     // read.
     let stayed = evidence.is_running(listener)
         && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
-        && !evidence.causes(listener).any(|(_, cause)| cause == Cause::Stop)
+        && !evidence.was(listener, Cause::Stop)
         && plan.restart == Restart::Permanent;
     let active = |entry: &Entry| entry.what == What::Hook("on_activated");
     let Some(from) = evidence.of_part(listener).find(|entry| active(entry)) else { return };
@@ -269,6 +280,19 @@ fn deaths(evidence: &Evidence, out: &mut Vec<String>) {
                 _ => {}
             }
         }
+        // A panic in `Drop` after an orderly end is a fault; after a panic it is only logged.
+        let in_order = |entry: &Entry| {
+            entry.what == What::Struck(Cause::DropPanic)
+                && entry.at <= evidence.seen_at
+                && evidence.of_part(part).any(|other| match &other.what {
+                    What::Down { incarnation, ending, .. } => {
+                        *incarnation == entry.incarnation
+                            && matches!(&ending[..], "Stopped" | "Returned")
+                    }
+                    _ => false,
+                })
+        };
+        let drops = evidence.of_part(part).filter(|entry| in_order(entry)).count() as u64;
         let count = |kind: FaultKind| -> u64 {
             let of_kind = evidence.faults(name).filter(|entry| entry.fault.kind == kind);
             of_kind.map(|entry| u64::from(entry.fault.count)).sum()
@@ -278,6 +302,11 @@ fn deaths(evidence: &Evidence, out: &mut Vec<String>) {
         let told = panics + checks.saturating_sub(others);
         let died = died.len() as u64;
         let in_conditions = u64::from(conditions > 0 && died == 0);
+        if checks < drops && !evidence.is_away(part) {
+            out.push(format!(
+                "deaths: {drops} drops of {name} panicked, told were {checks} checks"
+            ));
+        }
         if told < died + in_conditions || panics > died + conditions + kills {
             out.push(format!(
                 "deaths: {name} panicked in {died} incarnations and {conditions} times in \
@@ -300,12 +329,14 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
     }
     for part in 0..evidence.robot.parts.len() {
         let name = evidence.name(part);
+        let from = evidence.watched_from.iter().find(|(watched, ..)| watched == name);
+        let Some((_, _, from)) = from else { continue };
         let (mut last, mut known) = (0, 0);
         for entry in evidence.of_part(part).filter(|entry| entry.at <= evidence.seen_at) {
             let What::Down { incarnation, ending, .. } = &entry.what else { continue };
             known = known.max(*incarnation);
-            // It ended before it was watched.
-            if ending == "NotAlive" {
+            // It ended before it was watched, or was removed.
+            if ending == "NotAlive" || ending == "Unknown" {
                 continue;
             }
             if *incarnation <= last {
@@ -315,7 +346,7 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
         }
         let Some((state, now)) = evidence.standing(part) else { continue };
         let over = if state == ChildState::Running { now.saturating_sub(1) } else { now };
-        if known < over {
+        if known < over && over >= *from {
             out.push(format!(
                 "notices: the end of {name}#{over} is not told; #{known} was the last"
             ));
@@ -340,7 +371,7 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
                 .filter(|(entry, _)| entry.at <= fault.found_at)
                 .map(|(_, cause)| cause)
         };
-        // A computer that is slow for a while overloads what has done nothing.
+        // What the plan lets components do may be more than their threads can.
         if fault.kind == FaultKind::Overload && evidence.robot.clock != Clock::Virtual {
             continue;
         }
@@ -443,6 +474,14 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
         let name = evidence.name(part);
         let row =
             evidence.table.iter().find(|row| row.place.to_string() == format!("robot:{name}"));
+        if evidence.is_away(part) {
+            let standing = evidence.standing(part);
+            let is_seen = row.is_some() || standing.is_some();
+            if is_seen || !matches!(answer, Answer::NotTaken(_)) {
+                out.push(format!("pictures: {name} is away: {standing:?}, {answer:?}, {row:?}"));
+            }
+            continue;
+        }
         let Some(row) = row else {
             out.push(format!("pictures: {name} is not in the table"));
             continue;
@@ -464,7 +503,7 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
             }
         } else {
             let given_up = || evidence.record.entries.iter().any(|entry| entry.given_up.is_some());
-            let stopped = evidence.causes(part).any(|(_, cause)| cause == Cause::Stop);
+            let stopped = evidence.was(part, Cause::Stop);
             let why = evidence.at_rest()
                 || given_up()
                 || stopped
@@ -534,62 +573,4 @@ fn independent(group: &Group, alone: &mut Vec<usize>) {
             Branch::Group(below) => independent(below, alone),
         }
     }
-}
-
-fn line(evidence: &Evidence, entry: &FaultEntry) -> String {
-    let fault = &entry.fault;
-    let after = evidence.ms(fault.found_at);
-    let decided = entry.decided.as_ref().map(|(_, action)| action.as_str());
-    let given_up = entry.given_up.as_ref().map(|(_, why)| why.as_str());
-    let symptom = fault.symptom_of.map(|root| format!(" symptom of {}", root.0));
-    format!(
-        "{after} ms #{} {} of {}{} ×{}: {}; {decided:?} {given_up:?} {}{}",
-        fault.id.0,
-        fault.kind,
-        fault.place,
-        fault.incarnation,
-        fault.count,
-        fault.detail,
-        entry.status(),
-        symptom.unwrap_or_default(),
-    )
-}
-
-/// What happened, for a person: the ledger without its rounds and events, and the faults.
-fn story(evidence: &Evidence) -> String {
-    let told = |entry: &&Entry| {
-        !matches!(
-            entry.what,
-            What::Round | What::Read { .. } | What::Published { .. } | What::Load(_)
-        )
-    };
-    let mut lines: Vec<(i64, String)> = evidence
-        .entries
-        .iter()
-        .filter(told)
-        .map(|entry| {
-            let Entry { at, part, incarnation, what } = entry;
-            let after = evidence.ms(*at);
-            (after, format!("{after:>8} ms {}#{incarnation} {what:?}", evidence.name(*part)))
-        })
-        .collect();
-    for event in &evidence.events {
-        let after = evidence.ms(event.at);
-        let fault = &event.fault;
-        let (kind, place, incarnation) = (&fault.kind, &fault.place, fault.incarnation);
-        let text = format!(
-            "{after:>8} ms   fault {} {kind} of {place}{incarnation}: {:?}: {}",
-            fault.id.0, event.turn, fault.detail
-        );
-        lines.push((after, text));
-    }
-    lines.sort_by_key(|(after, _)| *after);
-    let lines: Vec<String> = lines.into_iter().map(|(_, line)| line).collect();
-    let (dead, state) = (&evidence.dead, &evidence.state);
-    let quiet = evidence.ms(evidence.quiet_at);
-    let missed = evidence.missed_events;
-    format!(
-        "the story, quiet from {quiet} ms on, {state:?}, {missed} steps of faults missed:\n{}\n{dead:?}",
-        lines.join("\n")
-    )
 }

@@ -2,7 +2,7 @@
 //! it does.
 
 use crate::ledger::{Answer, Cause, Ledger, What};
-use crate::plan::{Branch, Clock, Deed, Group, PartPlan, Pull, Robot, TOPICS};
+use crate::plan::{Blow, Branch, Clock, Deed, Group, PartPlan, Pull, Robot, TOPICS};
 use blastema::platform::now;
 use blastema::prelude::*;
 use blastema::{Down, Failure, NodeBuilder, RequestError};
@@ -91,13 +91,14 @@ impl Robot {
         spec
     }
 
-    fn spec(&self, index: usize, ledger: &Ledger) -> (ChildSpec<Part>, Restart) {
+    pub(crate) fn spec(&self, index: usize, ledger: &Ledger) -> (ChildSpec<Part>, Restart) {
         let plan = &self.parts[index];
         let (made, world) = (plan.clone(), ledger.clone());
         let factory =
             move || Part { index, incarnation: 0, plan: made.clone(), ledger: world.clone() };
-        let (listens, world) = (plan.listens.clone(), ledger.clone());
+        let (listens, broken, world) = (plan.listens.clone(), plan.broken_ports, ledger.clone());
         let ports = move |ports: &mut Ports<Part>| {
+            assert!(!broken, "panic in ports of the plan");
             for (topic, each) in listens {
                 let world = world.clone();
                 let condition = move |reading: &Reading| {
@@ -105,10 +106,17 @@ impl Robot {
                         world.mark(index, topic, reading.n);
                         return false;
                     }
-                    if world.condition_is_struck(index) {
-                        let number = world.number();
-                        world.write_current(index, What::Struck(Cause::Condition(number)));
-                        panic!("panic number {number} of the plan");
+                    match world.next_blow(index) {
+                        None => {}
+                        Some(Blow::Block(ms)) => {
+                            world.write_current(index, What::Struck(Cause::Block(ms)));
+                            block(Duration::from_millis(ms));
+                        }
+                        Some(Blow::Panic) => {
+                            let number = world.number();
+                            world.write_current(index, What::Struck(Cause::Condition(number)));
+                            panic!("panic number {number} of the plan");
+                        }
                     }
                     reading.n.is_multiple_of(each)
                 };
@@ -193,6 +201,10 @@ impl Part {
         }
         if hook != "on_execute" {
             self.write(What::Hook(hook));
+        }
+        if hook == "on_initialize" && self.ledger.is_unplugged(self.index) {
+            self.strike(Cause::Unavailable);
+            return Err(Failure::unavailable("unplugged, says the plan"));
         }
         match self.ledger.next_pull(self.index, hook) {
             None => Ok(()),
@@ -389,9 +401,10 @@ pub(crate) struct Watcher(pub(crate) Ledger);
 
 impl Component for Watcher {
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        for part in &self.0.robot.parts {
+        for part in self.0.robot.parts.iter().filter(|part| !part.late) {
             cx.watch(&part.name)?;
         }
+        self.0.watches();
         Ok(())
     }
 }

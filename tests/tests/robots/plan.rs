@@ -66,10 +66,16 @@ pub(crate) struct PartPlan {
     pub(crate) own_thread: bool,
     /// How long each of its handlers keeps the thread, on real threads.
     pub(crate) work_ms: u64,
+    /// It is not there before a step adds it.
+    pub(crate) late: bool,
+    /// Its ports panic where they are declared.
+    pub(crate) broken_ports: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Step {
+    /// Before the node is started; such steps come first.
+    pub(crate) early: bool,
     pub(crate) at_ms: u64,
     pub(crate) part: usize,
     pub(crate) action: Action,
@@ -83,8 +89,15 @@ pub(crate) enum Action {
     Ask(Deed, u64),
     /// The next call of this hook does this.
     Hook(&'static str, Pull),
-    /// The next event that reaches its condition lets that panic.
-    Condition,
+    /// The next event that reaches its condition lets that do this.
+    Condition(Blow),
+    /// Its device is away until it is plugged in again.
+    Unplug,
+    PlugIn,
+    /// A late component is added below the root.
+    Add,
+    /// A component that stands below the root is removed.
+    Remove,
     Kill,
     Hang,
     Silence,
@@ -96,6 +109,14 @@ pub(crate) enum Action {
     Flood(u64),
     /// A person restarts it.
     RestartChild,
+}
+
+/// What a condition does once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blow {
+    Panic,
+    /// Keeps the thread for so many milliseconds.
+    Block(u64),
 }
 
 /// What a component does while it serves a request, or afterwards.
@@ -146,6 +167,8 @@ const HOOKS: [&str; 10] = [
     "on_shutdown",
     "on_finalize",
 ];
+/// What may go wrong while the node starts.
+const FIRST_HOOKS: [&str; 3] = ["on_initialize", "on_startup", "on_activated"];
 
 fn one_of<T: Clone>(random: &mut Random, things: &[T]) -> T {
     things[below(random, things.len())].clone()
@@ -161,7 +184,12 @@ impl Robot {
         let random = &mut random;
         let count = 2 + below(random, 7);
         let patient = random.chance(0.5);
-        let parts: Vec<PartPlan> = (0..count).map(|index| part(random, index, clock)).collect();
+        let mut parts: Vec<PartPlan> = (0..count).map(|index| part(random, index, clock)).collect();
+        let late = if random.chance(0.3) { 1 + below(random, 2) } else { 0 };
+        for index in count..count + late {
+            let restart = Restart::Permanent;
+            parts.push(PartPlan { late: true, restart, ..part(random, index, clock) });
+        }
         let mut free: Vec<usize> = (0..count).collect();
         let mut groups = 0;
         let mut root = group(random, "root", patient, &mut free, &mut groups, 0);
@@ -169,7 +197,11 @@ impl Robot {
         if random.chance(0.7) {
             root.strategy = Strategy::OneForOne;
         }
-        let steps = steps(random, &parts, clock);
+        let mut steps = steps(random, &parts, clock);
+        if random.chance(0.3) {
+            let early = 1 + below(random, 4);
+            steps.splice(0..0, (0..early).map(|_| early_step(random, count, clock)));
+        }
         Robot { seed, clock, root, parts, steps }
     }
 
@@ -274,6 +306,8 @@ fn part(random: &mut Random, index: usize, clock: Clock) -> PartPlan {
         publishes: random.chance(0.6).then(|| below(random, TOPICS)),
         listens: listens(random),
         depends_on: (index > 0 && random.chance(0.3)).then(|| below(random, index)),
+        late: false,
+        broken_ports: random.chance(0.005),
         max_wait_ms: if real { 400 } else { one_of(random, &[500, 2_000, 10_000]) },
         own_thread: random.chance(0.15),
         work_ms: if real { one_of(random, &[0, 0, 1, 3]) } else { 0 },
@@ -300,22 +334,45 @@ fn steps(random: &mut Random, parts: &[PartPlan], clock: Clock) -> Vec<Step> {
     let mut steps = Vec::new();
     for _ in 0..1 + count {
         let part = below(random, parts.len());
-        steps.push(Step { at_ms, part, action: action(random, parts, clock) });
+        let action = match parts[part].late && random.chance(0.5) {
+            true => Action::Add,
+            false => action(random, parts, clock),
+        };
+        steps.push(Step { early: false, at_ms, part, action });
         at_ms += one_of(random, pauses);
     }
     steps
 }
 
+/// What goes wrong before the start is complete.
+fn early_step(random: &mut Random, count: usize, clock: Clock) -> Step {
+    let action = match random.below(8) {
+        0 => Action::Condition(blow(random, clock)),
+        1 | 2 => Action::Unplug,
+        3 => Action::Hook("drop", Pull::Panic),
+        _ => Action::Hook(one_of(random, &FIRST_HOOKS), pull(random, clock != Clock::Virtual)),
+    };
+    Step { early: true, at_ms: 0, part: below(random, count), action }
+}
+
+fn blow(random: &mut Random, clock: Clock) -> Blow {
+    // Virtual time stands while a thread is kept.
+    match clock != Clock::Virtual && random.chance(0.5) {
+        true => Blow::Block(one_of(random, &[5, 30, 250, 400])),
+        false => Blow::Panic,
+    }
+}
+
 fn action(random: &mut Random, parts: &[PartPlan], clock: Clock) -> Action {
     let real = clock != Clock::Virtual;
-    match random.below(20) {
+    match random.below(24) {
         0..=3 => Action::Tell(deed(random, parts, real)),
         4..=9 => {
             let deadline = one_of(random, &[20, 200, 1_000, 5_000]);
             Action::Ask(deed(random, parts, real), deadline)
         }
         10..=12 => Action::Hook(one_of(random, &HOOKS), pull(random, real)),
-        13 => Action::Condition,
+        13 => Action::Condition(blow(random, clock)),
         14 => Action::Kill,
         15 => Action::Hang,
         16 => match random.below(3) {
@@ -325,6 +382,10 @@ fn action(random: &mut Random, parts: &[PartPlan], clock: Clock) -> Action {
         },
         17 => Action::Heal,
         18 => Action::Flood(one_of(random, &[2, 10, 100, 1_500])),
+        19 => Action::Hook("drop", Pull::Panic),
+        20 => Action::Unplug,
+        21 => Action::PlugIn,
+        22 => Action::Remove,
         _ => Action::RestartChild,
     }
 }
@@ -363,8 +424,12 @@ impl fmt::Display for Robot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "seed {} on {:?}", self.seed, self.clock)?;
         self.branch(f, &self.root, 1)?;
-        for Step { at_ms, part, action } in &self.steps {
-            writeln!(f, "{at_ms:>8} ms {}: {action:?}", self.parts[*part].name)?;
+        for late in self.parts.iter().filter(|part| part.late) {
+            writeln!(f, "  later {late}")?;
+        }
+        for Step { early, at_ms, part, action } in &self.steps {
+            let early = if *early { "before the start, " } else { "" };
+            writeln!(f, "{at_ms:>8} ms {early}{}: {action:?}", self.parts[*part].name)?;
         }
         Ok(())
     }
@@ -395,6 +460,7 @@ impl fmt::Display for PartPlan {
             (self.push, "push"),
             (self.pull, "pull"),
             (self.own_thread, "own thread"),
+            (self.broken_ports, "broken ports"),
         ];
         for (_, flag) in flags.iter().filter(|(set, _)| *set) {
             write!(f, ", {flag}")?;

@@ -10,7 +10,7 @@ use blastema::platform::now;
 use blastema::prelude::*;
 use blastema::{
     FaultEvent, FaultEvents, FaultRecord, FaultStatus, Injection, Instant, Lifecycle, MonitorRow,
-    SupervisionTree,
+    StartError, SupervisionTree,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,10 +34,25 @@ pub(crate) struct Evidence {
     pub(crate) quiet_at: Instant,
     /// When the pictures were taken.
     pub(crate) seen_at: Instant,
+    /// What each component was when the watcher began to watch.
+    pub(crate) watched_from: Vec<(String, ChildState, u64)>,
+    /// What a person wanted of a component, and why it was not done.
+    pub(crate) refused: Vec<(usize, String)>,
+    /// Steps of which nothing was heard again.
+    pub(crate) unanswered: Vec<Step>,
     /// The node was shut down in time.
     pub(crate) ended: bool,
-    /// How many lines the ledger had when it had been shut down, and some time later.
-    pub(crate) lines: (usize, usize),
+    /// What the ledger got after that.
+    pub(crate) late_entries: Vec<Entry>,
+}
+
+/// A node that did not start.
+pub(crate) struct Refusal {
+    pub(crate) robot: Arc<Robot>,
+    pub(crate) entries: Vec<Entry>,
+    pub(crate) error: StartError,
+    /// What the ledger got after that.
+    pub(crate) late_entries: Vec<Entry>,
 }
 
 /// In virtual time: as long as the longest ladder, with its pauses, and the longest wait.
@@ -45,7 +60,14 @@ const QUIET: Duration = Duration::from_secs(60);
 /// On real threads: as long as a busy machine may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-pub(crate) fn carry_out(robot: &Arc<Robot>) -> Evidence {
+/// A millisecond each, for the watcher to come up.
+const PATIENT_LOOKS: usize = 500;
+/// How often pictures are taken again.
+const PICTURES: usize = 20;
+/// In which an ended node might do something.
+const REST: Duration = Duration::from_millis(50);
+
+pub(crate) fn carry_out(robot: &Arc<Robot>) -> Result<Evidence, Refusal> {
     let ledger = Ledger::new(robot.clone());
     match robot.clock {
         Clock::Virtual => blastema_testkit::run(live(&ledger)),
@@ -53,7 +75,7 @@ pub(crate) fn carry_out(robot: &Arc<Robot>) -> Evidence {
     }
 }
 
-async fn live(ledger: &Ledger) -> Evidence {
+async fn live(ledger: &Ledger) -> Result<Evidence, Refusal> {
     let robot = ledger.robot.clone();
     let watcher = ledger.clone();
     let watcher = ChildSpec::new(WATCHER, move || Watcher(watcher.clone())).on_own_thread();
@@ -62,23 +84,46 @@ async fn live(ledger: &Ledger) -> Evidence {
     if robot.clock == Clock::Virtual {
         builder = builder.on_this_thread();
     }
-    let node = builder.start().await.expect("nothing is wrong yet");
-    node.add_child(watcher).await.expect("the root takes one more");
+    let (early, steps): (Vec<&Step>, Vec<&Step>) = robot.steps.iter().partition(|step| step.early);
+    early.into_iter().for_each(|step| take_early(ledger, step));
+    let node = match builder.start().await {
+        Ok(node) => node,
+        Err(error) => {
+            let entries = ledger.entries();
+            pass(&robot, REST).await;
+            let late_entries = ledger.entries().split_off(entries.len());
+            return Err(Refusal { robot, entries, error, late_entries });
+        }
+    };
+    let added = node.add_child(watcher).await;
+    assert!(added.is_ok() || at_rest(&node), "the root takes one more: {:?}", added.err());
+    // Behind a sibling that waits for its device the watcher waits too: then it judges nothing.
+    for _ in 0..PATIENT_LOOKS {
+        if ledger.is_watched() || at_rest(&node) {
+            break;
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    let tree = if ledger.is_watched() { node.tree().await } else { None };
+    let watched_from = tree.as_ref().map(leaves).unwrap_or_default();
 
     let mut asked = Vec::new();
     let mut at_ms = 0;
-    for step in &robot.steps {
+    for step in steps {
         pass(&robot, Duration::from_millis(step.at_ms - at_ms)).await;
         at_ms = step.at_ms;
-        asked.extend(take(&node, ledger, step));
+        asked.extend(take(&node, ledger, step).map(|task| (step.clone(), task)));
     }
     let quiet_at = now();
     ledger.cut();
     for part in &robot.parts {
         let _ = node.inject(&part.name, Injection::Nothing);
     }
-    for request in asked {
-        let _ = request.await;
+    let mut unanswered = Vec::new();
+    for (step, task) in asked {
+        if tokio::time::timeout(PATIENCE, task).await.is_err() {
+            unanswered.push(step);
+        }
     }
     match robot.clock {
         Clock::Virtual => pass(&robot, QUIET).await,
@@ -86,23 +131,28 @@ async fn live(ledger: &Ledger) -> Evidence {
             let _ = tokio::time::timeout(PATIENCE, quiet(&node, ledger)).await;
         }
     }
-    let seen_at = now();
-    let (table, record, tree, state) =
-        (node.table().await, node.faults().await, node.tree().await, node.state());
-    let mut answers = Vec::new();
-    for part in &robot.parts {
-        answers.push(answer_of(&node, ledger, &part.name).await);
+    let mut pictures = Pictures::take(&node, ledger).await;
+    for _ in 0..PICTURES {
+        if pictures.progress == ledger.progress() {
+            break;
+        }
+        // Something went on meanwhile, so that they need not agree.
+        pictures = Pictures::take(&node, ledger).await;
     }
+    let Pictures { seen_at, table, record, tree, state, answers, .. } = pictures;
     let dead = node.dead_letters().counts();
     let ended = tokio::time::timeout(PATIENCE, node.shutdown()).await.is_ok();
-    let lines = ledger.entries().len();
-    pass(&robot, Duration::from_millis(50)).await;
+    let until = ledger.entries().len();
+    pass(&robot, REST).await;
     let (events, missed_events) = told(&mut events).await;
     let entries = ledger.entries();
-    let lines = (lines, entries.len());
-    Evidence {
+    let late_entries = entries[until..].to_vec();
+    Ok(Evidence {
         robot,
         asked: ledger.asked(),
+        refused: ledger.refused(),
+        watched_from,
+        unanswered,
         entries,
         record,
         events,
@@ -115,7 +165,32 @@ async fn live(ledger: &Ledger) -> Evidence {
         quiet_at,
         seen_at,
         ended,
-        lines,
+        late_entries,
+    })
+}
+
+/// What the node shows at one time.
+struct Pictures {
+    seen_at: Instant,
+    table: Vec<MonitorRow>,
+    record: FaultRecord,
+    tree: Option<SupervisionTree>,
+    state: NodeState,
+    answers: Vec<Answer>,
+    /// How far the components were before.
+    progress: (usize, usize),
+}
+
+impl Pictures {
+    async fn take(node: &Node, ledger: &Ledger) -> Pictures {
+        let (progress, seen_at) = (ledger.progress(), now());
+        let (table, record, tree, state) =
+            (node.table().await, node.faults().await, node.tree().await, node.state());
+        let mut answers = Vec::new();
+        for part in &ledger.robot.parts {
+            answers.push(answer_of(node, ledger, &part.name).await);
+        }
+        Pictures { seen_at, table, record, tree, state, answers, progress }
     }
 }
 
@@ -170,7 +245,7 @@ async fn all_have(node: &Node, ledger: &Ledger, mark: u64) -> bool {
 
 /// What the component answers when its queue has room for the question.
 async fn answer_of(node: &Node, ledger: &Ledger, name: &str) -> Answer {
-    let sender = node.sender::<Work>(name).expect("a component of the plan");
+    let Ok(sender) = node.sender::<Work>(name) else { return Answer::NotTaken("unknown".into()) };
     let start = now();
     loop {
         let work = Work { number: ledger.number(), deed: Deed::Nothing };
@@ -185,9 +260,13 @@ async fn answer_of(node: &Node, ledger: &Ledger, name: &str) -> Answer {
     }
 }
 
+fn at_rest(node: &Node) -> bool {
+    matches!(node.state(), NodeState::InSafeState { .. })
+}
+
 /// Whether nothing is being recovered from.
 async fn is_quiet(node: &Node) -> bool {
-    if matches!(node.state(), NodeState::InSafeState { .. }) {
+    if at_rest(node) {
         return true;
     }
     let (record, Some(tree)) = (node.faults().await, node.tree().await) else { return false };
@@ -221,13 +300,26 @@ pub(crate) fn leaves(tree: &SupervisionTree) -> Vec<(String, ChildState, u64)> {
     leaves
 }
 
+/// What can go wrong before there is a node.
+fn take_early(ledger: &Ledger, Step { part, action, .. }: &Step) {
+    match action {
+        Action::Hook(hook, pull) => ledger.pull(*part, hook, pull.clone()),
+        Action::Condition(blow) => ledger.strike_condition(*part, *blow),
+        Action::Unplug => ledger.plug_in(*part, false),
+        action => unreachable!("{action:?} needs a node"),
+    }
+}
+
 fn take(node: &Node, ledger: &Ledger, step: &Step) -> Option<JoinHandle<()>> {
     let Step { part, action, .. } = step;
     let part = *part;
     let name = &ledger.robot.parts[part].name;
+    // A component that is not there, or not any more, is not struck.
     let put_in = |cause, injection| {
-        ledger.write_current(part, What::Struck(cause));
-        node.inject(name, injection).expect("a component of the plan");
+        if node.sender::<Work>(name).is_ok() {
+            ledger.write_current(part, What::Struck(cause));
+            let _ = node.inject(name, injection);
+        }
     };
     match action {
         Action::Tell(deed) => {
@@ -246,8 +338,28 @@ fn take(node: &Node, ledger: &Ledger, step: &Step) -> Option<JoinHandle<()>> {
                 ledger.answer(number, Answer::of(answer));
             }));
         }
-        Action::Hook(hook, pull) => ledger.pull(part, hook, pull.clone()),
-        Action::Condition => ledger.strike_condition(part),
+        Action::Hook(..) | Action::Condition(_) | Action::Unplug => take_early(ledger, step),
+        Action::PlugIn => ledger.plug_in(part, true),
+        Action::Add if ledger.is_to_be_added(part) => {
+            let (node, ledger) = (node.clone(), ledger.clone());
+            return Some(tokio::task::spawn_local(async move {
+                let (spec, _) = ledger.robot.spec(part, &ledger);
+                match node.add_child(spec).await {
+                    Ok(_) => ledger.write_current(part, What::Struck(Cause::Added)),
+                    Err(error) => ledger.refuse(part, error.to_string()),
+                }
+            }));
+        }
+        Action::Add => {}
+        Action::Remove => {
+            let (node, ledger, name) = (node.clone(), ledger.clone(), name.clone());
+            return Some(tokio::task::spawn_local(async move {
+                // Only the root's own can be removed.
+                if node.remove_child(&name).await.is_ok() {
+                    ledger.write_current(part, What::Struck(Cause::Removed));
+                }
+            }));
+        }
         Action::Kill => put_in(Cause::Kill, Injection::Panic),
         Action::Hang => put_in(Cause::Hang, Injection::Hang),
         Action::Silence => put_in(Cause::Silence, Injection::Silence),
@@ -255,7 +367,7 @@ fn take(node: &Node, ledger: &Ledger, step: &Step) -> Option<JoinHandle<()>> {
             put_in(Cause::FailInit, Injection::FailedInitializations(*times))
         }
         Action::Slow(ms) => put_in(Cause::Slow, Injection::Delay(Duration::from_millis(*ms))),
-        Action::Heal => node.inject(name, Injection::Nothing).expect("a component of the plan"),
+        Action::Heal => drop(node.inject(name, Injection::Nothing)),
         Action::Flood(count) => {
             ledger.write_current(part, What::Struck(Cause::Flood));
             let sender = node.sender::<Load>(name).ok()?;

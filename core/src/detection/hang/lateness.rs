@@ -111,7 +111,7 @@ impl Lateness {
             let limit = u64::from(judged.max_missed_percent);
             let rounds = missed_here * 100 > due_here * limit;
             let expired_here = reading.expired.saturating_sub(expired);
-            // What expires while the scanner is not scheduled is held against nobody.
+            // What expires while the scanner is not scheduled is no fault of the component.
             let seen = blind.saturating_sub(self.window.blind) < now - since;
             let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero() && seen;
             self.bad = if rounds || messages { self.bad + 1 } else { 0 };

@@ -10,10 +10,10 @@
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
 //! victims. What a victim suffers is told after its root was.
 //!
-//! Nobody is condemned for time that the scanner itself was not scheduled: it keeps a clock that
-//! goes on only while it looks, and measures everything by that. A computer on which it is late at
-//! every look is judged later, and no less. Nor for time in which a thread was ready to run and the
-//! operating system did not run it.
+//! Time in which the scanner itself was not scheduled is charged to no component: it keeps a clock
+//! that goes on only while it looks, and measures everything by that. A computer on which it is late
+//! at every look is judged later, and no less. Nor is time charged in which a thread was ready to
+//! run and the operating system did not run it.
 
 mod lateness;
 mod load;

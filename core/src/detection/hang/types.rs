@@ -15,7 +15,7 @@ pub struct HangDetectorConfig {
     /// elsewhere. Longer spares more restarts; the victims stand still meanwhile.
     pub grace: Duration,
     /// How far apart two looks may be. More means that the scanner itself was not scheduled, and
-    /// what is more is charged to nobody. Two of the usual intervals: shorter delays judgement on a
+    /// what is more is not counted. Two of the usual intervals: shorter delays judgement on a
     /// machine that is merely busy.
     pub gap: Duration,
     /// A gap that others are told of, so that they wait as much longer. Ten of the usual intervals.

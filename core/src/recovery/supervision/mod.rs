@@ -146,7 +146,7 @@ impl Supervisor {
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
-            // As its siblings, it serves nobody before the next life.
+            // As its siblings, it takes no messages before the next life.
             self.outputs.push_back(SupervisorOutput::Retire { child: name });
         }
         self.advance(now);

@@ -21,7 +21,7 @@ impl Road {
         world.every = 10;
         world.eyes.stamps[2].interval = ms(20);
         world.eyes.stamps[2].speaks = true;
-        // Nobody expects signs of life of the planner.
+        // The planner is not expected to give signs of life.
         world.eyes.stamps[0].speaks = true;
         world.scanner.handle_enter(0, HangLimits { max_silence: None, ..judged("culprit") });
         Road { world, kept, rounds, planner_speaks: false, beats: 3 }
