@@ -67,7 +67,7 @@ const PICTURES: usize = 20;
 /// In which an ended node might do something.
 const REST: Duration = Duration::from_millis(50);
 
-pub(crate) fn carry_out(robot: &Arc<Robot>) -> Result<Evidence, Refusal> {
+pub(crate) fn carry_out(robot: &Arc<Robot>) -> Result<Evidence, Box<Refusal>> {
     let ledger = Ledger::new(robot.clone());
     match robot.clock {
         Clock::Virtual => blastema_testkit::run(live(&ledger)),
@@ -75,7 +75,7 @@ pub(crate) fn carry_out(robot: &Arc<Robot>) -> Result<Evidence, Refusal> {
     }
 }
 
-async fn live(ledger: &Ledger) -> Result<Evidence, Refusal> {
+async fn live(ledger: &Ledger) -> Result<Evidence, Box<Refusal>> {
     let robot = ledger.robot.clone();
     let watcher = ledger.clone();
     let watcher = ChildSpec::new(WATCHER, move || Watcher(watcher.clone())).on_own_thread();
@@ -92,7 +92,7 @@ async fn live(ledger: &Ledger) -> Result<Evidence, Refusal> {
             let entries = ledger.entries();
             pass(&robot, REST).await;
             let late_entries = ledger.entries().split_off(entries.len());
-            return Err(Refusal { robot, entries, error, late_entries });
+            return Err(Box::new(Refusal { robot, entries, error, late_entries }));
         }
     };
     let added = node.add_child(watcher).await;
