@@ -11,8 +11,8 @@
 //! incarnation, another interval, a number that was passed or is far ahead) makes its sender a
 //! *claimant*. The claimant becomes the neighbour with a further hello that continues its series
 //! and echoes a hello that we sent after its first, if the neighbour has been silent since although
-//! a hello was due. A hello with a changed bit is not continued, a forged one has no echo, and one of
-//! an earlier incarnation echoes hellos that we sent while that incarnation ran.
+//! a hello was due. A hello with a changed bit is not continued, a forged one has no echo, and one
+//! of an earlier incarnation echoes hellos that we sent while that incarnation ran.
 //!
 //! Recorded hellos cannot echo hellos that we sent later. A hello with a later echo therefore
 //! replaces a claimant with an earlier one: replayed hellos neither keep a node from becoming the

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!              N hellos, received both ways
-//! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / is there again; or the
+//! Connecting ───────────────────────────► Up ⇄ Suspect     a hello is late / there again; or the
 //!                                               ▲  │       link has failed lately / 2N, 4N … came
 //!                   N hellos, received both ways│  │ still none, no carrier, or the neighbour has
 //!                                               │  ▼ declared it down
