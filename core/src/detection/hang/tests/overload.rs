@@ -172,8 +172,7 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
     world.look();
     world.eyes.stamps[2].alive += 1;
     world.pass(100, true);
-    let mut patient = judged("culprit");
-    patient.max_block = ms(10_000);
+    let patient = judged_by("culprit", HangLimits { max_block: ms(10_000), ..limits() });
     world.scanner.handle_enter(0, patient, at(world.now));
     world.pulse.running = Some(0);
     world.eyes.stamps[0].turn = 1;
@@ -187,8 +186,8 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
 #[test]
 fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
     let mut road = Road::new(10, 2);
-    let mut asked = judged("culprit");
-    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
+    let limits = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
+    let asked = judged_by("culprit", limits);
     road.world.scanner.handle_enter(0, asked, at(0));
     road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
 
@@ -208,9 +207,8 @@ fn messages_that_wait_are_seen_also_while_a_turn_of_many_holds_the_beat_up() {
 #[test]
 fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not_silent() {
     let mut world = World::new();
-    let mut asked = judged("victim");
-    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
-    asked.max_wait = Duration::MAX;
+    let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
+    let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked, at(0));
     world.look();
     world.eyes.stamps[2].turn = 1;
