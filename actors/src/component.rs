@@ -6,6 +6,7 @@ pub(crate) mod control;
 pub(crate) mod declaration;
 pub(crate) mod envelope;
 pub(crate) mod environment;
+pub(crate) mod exits;
 pub(crate) mod extension;
 pub(crate) mod life;
 pub(crate) mod ports;

@@ -465,6 +465,12 @@ impl Registry {
         inner.objects.iter().map(|(name, entry)| (name.clone(), identities(entry))).collect()
     }
 
+    /// The cell of the component of this name.
+    pub(crate) fn cell(&self, object: &ObjectName) -> Option<Arc<dyn Any + Send + Sync>> {
+        let mortal = self.lock().objects.get(object)?.mortal.clone();
+        mortal.cell()
+    }
+
     /// The type of the component of this name.
     pub(crate) fn component_type(&self, object: &ObjectName) -> Option<&'static str> {
         let inner = self.lock();

@@ -10,7 +10,7 @@ use crate::platform::processor_time::ThreadNumber;
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicU64};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::time::MissedTickBehavior;
@@ -32,6 +32,9 @@ pub(crate) struct ArbiterHeartbeat {
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
     gate: AtomicU8,
+    /// The component on the thread has ends of incarnations to tell, and tells them when its turn
+    /// is over.
+    owes_exits: AtomicBool,
     /// The time of the last beat, in nanoseconds; 0 where none beats.
     time: AtomicU64,
     /// The panic that unwinds on its thread.
@@ -75,6 +78,7 @@ impl Default for ArbiterHeartbeat {
             beat: AtomicU64::new(0),
             running: AtomicU32::new(0),
             gate: AtomicU8::new(0),
+            owes_exits: AtomicBool::new(false),
             time: AtomicU64::new(0),
             unwinding: Arc::default(),
             thread: OnceLock::new(),
@@ -183,6 +187,16 @@ impl ArbiterHeartbeat {
     #[inline]
     pub(crate) fn run(&self, slot: Option<u32>) {
         self.running.store(slot.map_or(0, |slot| slot + 1), Relaxed);
+    }
+
+    /// The component that runs now has ends of incarnations to tell, or has told them.
+    pub(crate) fn owe_exits(&self, owed: bool) {
+        self.owes_exits.store(owed, Relaxed);
+    }
+
+    /// Whether ends of incarnations wait until the turn of the component that runs now is over.
+    pub(crate) fn owes_exits(&self) -> bool {
+        self.owes_exits.load(Relaxed)
     }
 
     /// Whether the arbiter has been given up, or is about to be.

@@ -10,11 +10,12 @@ use crate::arbiter::pool::ArbiterSlot;
 use crate::component::control::HostCommand;
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
+use crate::component::exits::{Told, UntoldExits};
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label;
-use crate::liveness::limits::ComponentLimits;
+use crate::liveness::limits::{ComponentLimits, SharedLimits};
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
@@ -27,7 +28,7 @@ use crate::platform;
 use crate::platform::panics::{self, UnwindingPanic};
 use actix::Recipient;
 use blastema_contract::child::RestartGrant;
-use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, Exited, FaultDeclared};
+use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
@@ -57,8 +58,8 @@ pub(crate) struct ComponentCell<C: Component> {
 /// The part of an [`ComponentCell`] that does not depend on the component's type.
 pub(crate) struct CellCore {
     pub(crate) name: ObjectName,
-    pub(crate) limits: ComponentLimits,
-    pub(crate) environment: ComponentEnvironment,
+    pub(crate) limits: SharedLimits,
+    pub(crate) environment: Arc<ComponentEnvironment>,
     pub(crate) mourners: Watchers,
     pub(crate) injected: InjectionState,
     gate: AtomicU8,
@@ -66,19 +67,18 @@ pub(crate) struct CellCore {
     /// The life that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
-    quarantine: Mutex<Quarantine>,
+    /// There only where a message has killed.
+    quarantine: Mutex<Option<Box<Quarantine>>>,
     order: Mutex<Option<RestartGrant>>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
-    /// Ends of incarnations that the monitor has not been told of. They stand here and not with the
-    /// executor, so that they are told also where what follows an end blocks.
-    untold: Mutex<Vec<Exited>>,
+    pub(crate) exits: UntoldExits,
 }
 
 /// Where a component stands, and where it lives.
 struct CellStatus {
     state: Lifecycle,
     /// A hook waits for what is not there yet: since when, and why.
-    unavailable: Option<(Instant, String)>,
+    unavailable: Option<Box<(Instant, String)>>,
     seat: Option<CurrentPlacement>,
 }
 
@@ -115,11 +115,11 @@ impl CellCore {
     pub(crate) fn new(
         name: ObjectName,
         limits: ComponentLimits,
-        environment: ComponentEnvironment,
+        environment: Arc<ComponentEnvironment>,
     ) -> Self {
         CellCore {
             name,
-            limits,
+            limits: limits.into(),
             environment,
             mourners: Watchers::default(),
             injected: InjectionState::default(),
@@ -134,7 +134,7 @@ impl CellCore {
             quarantine: Mutex::default(),
             order: Mutex::default(),
             listeners: Mutex::default(),
-            untold: Mutex::default(),
+            exits: UntoldExits::default(),
         }
     }
 
@@ -186,13 +186,13 @@ impl CellCore {
     pub(crate) fn set_unavailable(&self, reason: &str) {
         let mut standing = lock(&self.state);
         let since = standing.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
-        standing.unavailable = Some((since, reason.to_owned()));
+        standing.unavailable = Some(Box::new((since, reason.to_owned())));
     }
 
     /// What the component waits for, and for how long it has.
     fn unavailable(&self) -> Option<Unavailable> {
         let standing = lock(&self.state);
-        let (since, reason) = standing.unavailable.clone()?;
+        let (since, reason) = *standing.unavailable.clone()?;
         Some(Unavailable { reason, lasts: platform::now() - since })
     }
 
@@ -212,17 +212,8 @@ impl CellCore {
         *lock(&self.order) = order;
     }
 
-    /// A life has ended; the monitor is told so by [`tell_exits`](Self::tell_exits).
-    pub(crate) fn keep_exit(&self, incarnation: Incarnation, exit: ExitReason) {
-        let object = self.name.clone();
-        let mut untold = lock(&self.untold);
-        if untold.iter().all(|exited| exited.incarnation != incarnation) {
-            untold.push(Exited { object, incarnation, exit, restarted_as: None });
-        }
-    }
-
-    /// The same, of a life whose panic still unwinds on its thread: what the handler had may block
-    /// there when it is dropped. Its guard reports it where it catches it before.
+    /// Notes the end of a life whose panic still unwinds on its thread: what the handler had may
+    /// block there when it is dropped. Its guard reports it where it catches it before.
     pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, seated: &CurrentPlacement) {
         let pulse = &seated.seat.pulse;
         if pulse.running() != Some(seated.slot.index) || pulse.is_here() {
@@ -230,31 +221,13 @@ impl CellCore {
         }
         if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
             let during = label::name(seated.slot.stamp.read().during);
-            self.keep_exit(incarnation, ExitReason::Panicked { text, at, during });
+            self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
     }
 
-    /// Its guard has begun another one in its place.
-    pub(crate) fn set_restarted(&self, incarnation: Incarnation, next: Incarnation) {
-        let mut untold = lock(&self.untold);
-        let exited = untold.iter_mut().find(|exited| exited.incarnation == incarnation);
-        if let Some(exited) = exited {
-            exited.restarted_as = Some(next);
-        }
-    }
-
-    /// That life had been given up before it ended: its end is no news.
-    pub(crate) fn forget_exit(&self, incarnation: Incarnation) {
-        lock(&self.untold).retain(|exited| exited.incarnation != incarnation);
-    }
-
-    /// Tells the monitor of the lives up to this one that have ended.
+    /// Tells the monitor, and the supervisor, of the lives up to this one that have ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
-        let ended = |exited: &mut Exited| exited.incarnation <= until;
-        let told: Vec<Exited> = lock(&self.untold).extract_if(.., ended).collect();
-        if let Some(exits) = &self.environment.reports.exits {
-            told.into_iter().for_each(|exited| exits.do_send(exited));
-        }
+        self.exits.tell(Told::Until(until), &self.name, &self.environment.reports);
     }
 
     #[inline]
@@ -284,6 +257,7 @@ impl CellCore {
         }
         if let Some(id) = id {
             let mut quarantine = lock(&self.quarantine);
+            let quarantine = quarantine.get_or_insert_default();
             quarantine.handle_kill(id, incarnation);
             if quarantine.is_active() {
                 self.gate.fetch_or(QUARANTINE, Relaxed);
@@ -305,7 +279,7 @@ impl CellCore {
         if gate & ISOLATED != 0 {
             return Some(DeliveryError::Isolated);
         }
-        let kills = lock(&self.quarantine).refuses(id?)?;
+        let kills = lock(&self.quarantine).as_ref()?.refuses(id?)?;
         Some(DeliveryError::Quarantined { kills })
     }
 
@@ -370,7 +344,7 @@ impl<C: Component> ComponentCell<C> {
             record,
             factory,
             control: Mutex::default(),
-            subscriptions: Mutex::new(Arc::new([])),
+            subscriptions: Mutex::default(),
         }
     }
 
@@ -455,6 +429,11 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         };
         let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
         QueueReading { queued, oldest }
+    }
+
+    fn tell_exits(&self) {
+        let record = &self.record;
+        record.exits.tell(Told::Settled, &record.name, &record.environment.reports);
     }
 }
 

@@ -12,8 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use tracing::error;
 
-/// What all components of a node share. Clones share it too.
-#[derive(Clone)]
+/// What all components of a node share.
 pub(crate) struct ComponentEnvironment {
     pub(crate) reports: FaultReports,
     pub(crate) arbiters: ArbiterPool,

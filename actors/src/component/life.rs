@@ -56,7 +56,8 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) stamp: &'static ActivityRecord,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
-    wishes: RefCell<DeferredCommands<C>>,
+    /// There only where something was asked for.
+    wishes: RefCell<Option<Box<DeferredCommands<C>>>>,
     wished: Cell<bool>,
     next_timer: Cell<u64>,
 }
@@ -76,7 +77,7 @@ impl<C: Component> IncarnationState<C> {
 
     pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands<C>)) {
         self.wished.set(true);
-        make(&mut self.wishes.borrow_mut());
+        make(self.wishes.borrow_mut().get_or_insert_default());
     }
 
     pub(crate) fn next_timer(&self) -> TimerId {
@@ -92,6 +93,6 @@ impl<C: Component> IncarnationState<C> {
 
     pub(crate) fn take_wishes(&self) -> DeferredCommands<C> {
         self.wished.set(false);
-        self.wishes.take()
+        self.wishes.take().map(|wishes| *wishes).unwrap_or_default()
     }
 }

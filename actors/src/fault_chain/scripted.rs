@@ -63,7 +63,7 @@ impl Script {
 struct Scripted {
     name: ObjectName,
     script: Script,
-    report: Option<Recipient<ChildReport>>,
+    report: Option<Arc<Recipient<ChildReport>>>,
     life: Incarnation,
 }
 
@@ -92,7 +92,11 @@ impl Child for Scripted {
         &self.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
+    fn start(
+        &mut self,
+        incarnation: Incarnation,
+        report: Arc<Recipient<ChildReport>>,
+    ) -> Incarnation {
         self.report = Some(report);
         self.life = incarnation;
         match self.call("start") {
@@ -188,7 +192,7 @@ impl Bench {
     pub(crate) async fn serving(&self, rules: SupervisorRules, names: &[&str]) -> SupervisorChild {
         let children = names.iter().map(|name| (self.script.child(name), ChildRules::default()));
         let mut root = self.supervisor("root", rules, children.collect());
-        root.start(Incarnation::FIRST, self.above.recipient());
+        root.start(Incarnation::FIRST, self.above.recipient().into());
         assert_eq!(self.above.expect().await.event, ChildEvent::Started);
         self.script.done();
         root

@@ -25,6 +25,7 @@ use blastema_core::recovery::{
 };
 use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
 
@@ -57,7 +58,9 @@ pub(crate) struct SupervisorActor {
     /// Who waits for the outcome of a request; bounded by the machine.
     waiting: BTreeMap<CallId, oneshot::Sender<RecoveryResult>>,
     tickets: u64,
-    parent: Option<Recipient<ChildReport>>,
+    parent: Option<Arc<Recipient<ChildReport>>>,
+    /// Where its children report: all to the same, since each copy of a recipient costs memory.
+    reports: Option<Arc<Recipient<ChildReport>>>,
     monitor: Recipient<FaultDeclared>,
     states: Recipient<StateReported>,
     isolation: Recipient<IsolationReported>,
@@ -98,6 +101,7 @@ impl SupervisorActor {
             waiting: BTreeMap::new(),
             tickets: 0,
             parent: None,
+            reports: None,
             monitor,
             states,
             isolation,
@@ -201,7 +205,8 @@ impl MachineActor for SupervisorActor {
     fn carry_out(&mut self, action: SupervisorOutput, context: &mut Context<Self>) {
         match action {
             SupervisorOutput::Start { child, incarnation } => {
-                let report = context.address().recipient();
+                let report = || Arc::new(context.address().recipient());
+                let report = self.reports.get_or_insert_with(report).clone();
                 if let Some(started) = self.child(&child) {
                     let begun = started.start(incarnation, report);
                     self.machine.handle_begun(&child, begun);
@@ -515,7 +520,7 @@ impl Handler<AddChild> for SupervisorActor {
 pub(crate) struct SupervisorChild {
     name: ObjectName,
     address: Addr<SupervisorActor>,
-    report: Option<(Incarnation, Recipient<ChildReport>)>,
+    report: Option<(Incarnation, Arc<Recipient<ChildReport>>)>,
 }
 
 impl SupervisorChild {
@@ -545,7 +550,11 @@ impl Child for SupervisorChild {
         &self.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
+    fn start(
+        &mut self,
+        incarnation: Incarnation,
+        report: Arc<Recipient<ChildReport>>,
+    ) -> Incarnation {
         self.report = Some((incarnation, report.clone()));
         self.address.do_send(StartSupervisor { incarnation, report });
         incarnation

@@ -14,6 +14,7 @@ use actix::dev::channel;
 use actix::{Addr, Recipient};
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, ObjectName};
+use std::any::Any;
 use std::sync::Arc;
 
 /// Control messages that may wait before a sender notices; there is one outstanding of each kind.
@@ -22,7 +23,7 @@ const CONTROL: usize = 16;
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
     anchor: Arc<ComponentCell<C>>,
-    report: Option<Recipient<ChildReport>>,
+    report: Option<Arc<Recipient<ChildReport>>>,
     /// Where the last life was. The next one stays there if it can, so that what is spread over the
     /// arbiters stays so, and events keep their order.
     seat: Option<ArbiterSlot>,
@@ -64,7 +65,11 @@ impl<C: Component> Child for ComponentChild<C> {
         &self.anchor.record.name
     }
 
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation {
+    fn start(
+        &mut self,
+        incarnation: Incarnation,
+        report: Arc<Recipient<ChildReport>>,
+    ) -> Incarnation {
         self.abandon();
         self.report = Some(report.clone());
         let record = &self.anchor.record;
@@ -150,7 +155,7 @@ impl<C: Component> Child for ComponentChild<C> {
         self.anchor.set_control(None);
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
-        record.mourners.tell(&Down { object, node: None, incarnation, ending });
+        record.mourners.tell(|| Down { object, node: None, incarnation, ending });
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
@@ -213,6 +218,10 @@ impl<C: Component> ComponentCell<C> {
 }
 
 impl<C: Component> Watchable for ComponentCell<C> {
+    fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
+        Some(self)
+    }
+
     fn component_type(&self) -> Option<&'static str> {
         Some(std::any::type_name::<C>())
     }
@@ -244,7 +253,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
 struct PendingStart<C: Component> {
     anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
-    report: Recipient<ChildReport>,
+    report: Arc<Recipient<ChildReport>>,
 }
 
 impl<C: Component> PendingStart<C> {

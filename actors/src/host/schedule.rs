@@ -77,7 +77,18 @@ impl Future for Spawned {
 }
 
 pub(crate) struct ScheduledWork<C: Component> {
-    tasks: FuturesUnordered<Spawned>,
+    interval: Option<Duration>,
+    active: bool,
+    /// Something was started and has not been polled yet.
+    fresh: bool,
+    /// There only while it holds something: most components wait for messages and nothing else.
+    work: Option<Box<Work<C>>>,
+}
+
+/// What is planned, due and under way.
+struct Work<C: Component> {
+    /// There only where the component has started a task.
+    tasks: Option<FuturesUnordered<Spawned>>,
     timers: BTreeMap<u64, Timer<C>>,
     schedule: BTreeMap<Entry, DueWork>,
     /// Numbers the entries.
@@ -88,31 +99,30 @@ pub(crate) struct ScheduledWork<C: Component> {
     due: VecDeque<DueWork>,
     /// Limits that were reached and have not been asked for yet.
     reached: Vec<DueWork>,
-    interval: Option<Duration>,
-    active: bool,
     /// The entry of the next round.
     round: Option<Entry>,
     /// When the last round was to be, since the component is active.
     last_round: Option<Instant>,
-    /// Something was started and has not been polled yet.
-    fresh: bool,
 }
 
 impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        ScheduledWork {
-            tasks: FuturesUnordered::new(),
+        ScheduledWork { interval: None, active: false, fresh: false, work: None }
+    }
+}
+
+impl<C: Component> Default for Work<C> {
+    fn default() -> Self {
+        Work {
+            tasks: None,
             timers: BTreeMap::new(),
             schedule: BTreeMap::new(),
             next_entry: 0,
             alarm: None,
             due: VecDeque::new(),
             reached: Vec::new(),
-            interval: None,
-            active: false,
             round: None,
             last_round: None,
-            fresh: false,
         }
     }
 }
@@ -137,7 +147,7 @@ impl<C: Component> ScheduledWork<C> {
 
     #[inline]
     pub(crate) fn is_empty(&self) -> bool {
-        self.tasks.is_empty() && self.schedule.is_empty()
+        self.work.as_ref().is_none_or(|work| !work.has_tasks() && work.schedule.is_empty())
     }
 
     /// Something was started and has not been polled yet.
@@ -151,8 +161,10 @@ impl<C: Component> ScheduledWork<C> {
             return;
         }
         self.active = active;
-        self.last_round = None;
-        self.due.retain(|chore| *chore != DueWork::Execute);
+        if let Some(work) = &mut self.work {
+            work.last_round = None;
+            work.due.retain(|chore| *chore != DueWork::Execute);
+        }
         self.plan_round();
     }
 
@@ -168,22 +180,37 @@ impl<C: Component> ScheduledWork<C> {
     }
 
     fn plan_round(&mut self) {
-        if let Some(entry) = self.round.take() {
-            self.schedule.remove(&entry);
+        if let Some(work) = &mut self.work
+            && let Some(entry) = work.round.take()
+        {
+            work.schedule.remove(&entry);
         }
         if let (true, Some(interval)) = (self.active, self.interval) {
             let now = platform::now();
-            let at = self.last_round.map_or(now, |last| (last + interval).max(now));
-            self.round = Some(self.enter(at, DueWork::Execute));
+            let work = self.planned();
+            let at = work.last_round.map_or(now, |last| (last + interval).max(now));
+            work.round = Some(work.enter(at, DueWork::Execute));
         }
+        self.tidy();
     }
 
-    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
+    /// To have something entered.
+    fn planned(&mut self) -> &mut Work<C> {
         self.fresh = true;
-        self.next_entry += 1;
-        let entry = (at, self.next_entry);
-        self.schedule.insert(entry, chore);
-        entry
+        self.work.get_or_insert_default()
+    }
+
+    /// Gives back what is not needed while nothing is planned.
+    fn tidy(&mut self) {
+        let Some(work) = &mut self.work else { return };
+        if !work.schedule.is_empty() {
+            return;
+        }
+        work.alarm = None;
+        let is_idle = work.due.is_empty() && work.reached.is_empty() && work.timers.is_empty();
+        if is_idle && !work.has_tasks() && self.interval.is_none() {
+            self.work = None;
+        }
     }
 
     /// Takes on what the component has started, and ends what it has cancelled.
@@ -195,26 +222,107 @@ impl<C: Component> ScheduledWork<C> {
         budget: &Rc<TurnBudget>,
     ) {
         for task in tasks {
-            let held = self.tasks.len();
+            let tasks = self.planned().tasks.get_or_insert_default();
+            let held = tasks.len();
             assert!(held < TASKS, "the component holds {TASKS} tasks and starts yet another");
-            self.fresh = true;
-            self.tasks.push(Spawned { task, budget: budget.clone() });
+            tasks.push(Spawned { task, budget: budget.clone() });
         }
-        cancelled.iter().for_each(|id| self.cancel(*id));
-        let now = platform::now();
-        for (id, rhythm, action) in timers {
-            if cancelled.contains(&id) {
-                continue;
-            }
-            let held = self.timers.len();
-            assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
-            let (delay, every) = match rhythm {
-                TimerMode::Once(delay) => (delay, None),
-                TimerMode::Every(interval) => (interval, Some(interval)),
-            };
-            let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
-            self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
+        if let Some(work) = &mut self.work {
+            cancelled.iter().for_each(|id| work.cancel(*id));
         }
+        if !timers.is_empty() {
+            let now = platform::now();
+            let timers = timers.into_iter().filter(|(id, ..)| !cancelled.contains(id));
+            timers.for_each(|timer| self.planned().set(timer, now));
+        }
+        self.tidy();
+    }
+
+    /// Sets one of the limits. One that is set already stays as it is.
+    pub(crate) fn limit(&mut self, limit: DueWork, within: Duration) {
+        let work = self.planned();
+        if work.schedule.values().all(|set| *set != limit) {
+            work.enter(platform::now() + within, limit);
+        }
+    }
+
+    pub(crate) fn cancel_limit(&mut self, limit: DueWork) {
+        if let Some(work) = &mut self.work {
+            work.schedule.retain(|_, set| *set != limit);
+            work.reached.retain(|reached| *reached != limit);
+        }
+        self.tidy();
+    }
+
+    /// Says whether this limit has been reached, once.
+    pub(crate) fn take_limit(&mut self, limit: DueWork) -> bool {
+        let Some(work) = &mut self.work else { return false };
+        let before = work.reached.len();
+        work.reached.retain(|reached| *reached != limit);
+        work.reached.len() < before
+    }
+
+    /// Polls what was started. A panic in it is the component's.
+    pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
+        self.fresh = false;
+        let Some(work) = &mut self.work else { return };
+        work.poll_schedule(self.interval, cx);
+        work.poll_tasks(cx);
+    }
+
+    /// What is due first.
+    #[inline]
+    pub(crate) fn next_due(&mut self) -> Option<DueWork> {
+        self.work.as_mut()?.due.pop_front()
+    }
+
+    /// The timer's action, to be run.
+    pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
+        self.work.as_mut()?.timers.get_mut(&id.0)?.action.take()
+    }
+
+    /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
+    pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
+        let Some(work) = &mut self.work else { return };
+        if let Some(timer) = work.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
+            timer.action = Some(action);
+            return;
+        }
+        work.timers.remove(&id.0);
+        self.tidy();
+    }
+
+    /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
+    pub(crate) fn clear(&mut self) -> (Vec<ComponentFuture>, Vec<TimerAction<C>>) {
+        let Some(work) = std::mem::take(self).work else { return Default::default() };
+        let Work { tasks, timers, .. } = *work;
+        let tasks = tasks.into_iter().flatten().map(|spawned| spawned.task);
+        let actions = timers.into_values().filter_map(|timer| timer.action);
+        (tasks.collect(), actions.collect())
+    }
+}
+
+impl<C: Component> Work<C> {
+    fn has_tasks(&self) -> bool {
+        self.tasks.as_ref().is_some_and(|tasks| !tasks.is_empty())
+    }
+
+    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
+        self.next_entry += 1;
+        let entry = (at, self.next_entry);
+        self.schedule.insert(entry, chore);
+        entry
+    }
+
+    fn set(&mut self, (id, rhythm, action): (TimerId, TimerMode, TimerAction<C>), now: Instant) {
+        let held = self.timers.len();
+        assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
+        let (delay, every) = match rhythm {
+            TimerMode::Once(delay) => (delay, None),
+            TimerMode::Every(interval) => (interval, Some(interval)),
+        };
+        let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
+        self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
     }
 
     fn cancel(&mut self, id: TimerId) {
@@ -225,31 +333,10 @@ impl<C: Component> ScheduledWork<C> {
         self.due.retain(|chore| *chore != DueWork::Timer(id));
     }
 
-    /// Sets one of the limits. One that is set already stays as it is.
-    pub(crate) fn limit(&mut self, limit: DueWork, within: Duration) {
-        if self.schedule.values().all(|set| *set != limit) {
-            self.enter(platform::now() + within, limit);
-        }
-    }
-
-    pub(crate) fn cancel_limit(&mut self, limit: DueWork) {
-        self.schedule.retain(|_, set| *set != limit);
-        self.reached.retain(|reached| *reached != limit);
-    }
-
-    /// Says whether this limit has been reached, once.
-    pub(crate) fn take_limit(&mut self, limit: DueWork) -> bool {
-        let before = self.reached.len();
-        self.reached.retain(|reached| *reached != limit);
-        self.reached.len() < before
-    }
-
-    /// Polls what was started. A panic in it is the component's.
-    pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
-        self.fresh = false;
-        self.poll_schedule(cx);
+    fn poll_tasks(&mut self, cx: &mut Context<'_>) {
+        let Some(tasks) = &mut self.tasks else { return };
         for _ in 0..BUDGET {
-            if !matches!(Pin::new(&mut self.tasks).poll_next(cx), Poll::Ready(Some(()))) {
+            if !matches!(Pin::new(&mut *tasks).poll_next(cx), Poll::Ready(Some(()))) {
                 return;
             }
         }
@@ -257,7 +344,7 @@ impl<C: Component> ScheduledWork<C> {
     }
 
     /// Makes due what is, until everything lies ahead.
-    fn poll_schedule(&mut self, cx: &mut Context<'_>) {
+    fn poll_schedule(&mut self, interval: Option<Duration>, cx: &mut Context<'_>) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
             let until = platform::timer_at(earliest);
             let (set_for, alarm) = self
@@ -274,17 +361,22 @@ impl<C: Component> ScheduledWork<C> {
             while let Some(first) = self.schedule.first_entry().filter(|first| first.key().0 <= now)
             {
                 let ((at, _), chore) = first.remove_entry();
-                self.fall_due(chore, at, now);
+                self.fall_due(chore, (at, now), interval);
             }
         }
         self.alarm = None;
     }
 
-    fn fall_due(&mut self, chore: DueWork, at: Instant, now: Instant) {
+    fn fall_due(
+        &mut self,
+        chore: DueWork,
+        (at, now): (Instant, Instant),
+        interval: Option<Duration>,
+    ) {
         match chore {
             DueWork::Execute => {
                 self.last_round = Some(at);
-                let next = self.interval.map(|interval| next_tick(at, interval, now));
+                let next = interval.map(|interval| next_tick(at, interval, now));
                 self.round = next.map(|next| self.enter(next, DueWork::Execute));
             }
             DueWork::Timer(id) => {
@@ -302,34 +394,6 @@ impl<C: Component> ScheduledWork<C> {
         if !self.due.contains(&chore) {
             self.due.push_back(chore);
         }
-    }
-
-    /// What is due first.
-    #[inline]
-    pub(crate) fn next_due(&mut self) -> Option<DueWork> {
-        self.due.pop_front()
-    }
-
-    /// The timer's action, to be run.
-    pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
-        self.timers.get_mut(&id.0)?.action.take()
-    }
-
-    /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
-    pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
-        if let Some(timer) = self.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
-            timer.action = Some(action);
-            return;
-        }
-        self.timers.remove(&id.0);
-    }
-
-    /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
-    pub(crate) fn clear(&mut self) -> (Vec<ComponentFuture>, Vec<TimerAction<C>>) {
-        let ScheduledWork { tasks, timers, .. } = std::mem::take(self);
-        let tasks = tasks.into_iter().map(|spawned| spawned.task);
-        let actions = timers.into_values().filter_map(|timer| timer.action);
-        (tasks.collect(), actions.collect())
     }
 }
 

@@ -167,7 +167,7 @@ impl<C: Component> ChildSpec<C> {
     /// Gives the component its name and its ports. It lives when its supervisor starts it.
     pub(crate) fn into_child(
         self,
-        environment: &ComponentEnvironment,
+        environment: &Arc<ComponentEnvironment>,
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
         limits.interval = self.interval()?;

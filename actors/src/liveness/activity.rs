@@ -5,6 +5,8 @@
 
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
+use blastema_core::Incarnation;
+use blastema_core::detection::hang::ActivityMark;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -107,6 +109,16 @@ impl ActivityRecord {
 
     pub(crate) fn allow(&self, span: Duration) {
         self.allowance.store(u64::try_from(span.as_millis()).unwrap_or(u64::MAX), Relaxed);
+    }
+
+    /// What changes whenever a component that rests takes something up.
+    #[inline]
+    pub(crate) fn mark(&self) -> ActivityMark {
+        ActivityMark {
+            turn: self.turn.load(Acquire),
+            incarnation: Incarnation(self.incarnation.load(Relaxed)),
+            expired: self.expired.load(Relaxed),
+        }
     }
 
     pub(crate) fn read(&self) -> ActivitySample {

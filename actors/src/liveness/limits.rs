@@ -1,12 +1,14 @@
 //! The limits of one component's life, and which of them make sense.
 
 use crate::messaging::sender::DEFAULT_DEADLINE;
+use blastema_core::detection::hang::{HangLimits, MaxSilence};
 use blastema_core::detection::{Liveness, Pull, Push};
-use std::ops::RangeInclusive;
+use std::ops::{Deref, RangeInclusive};
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 /// The limits of one component's life.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ComponentLimits {
     pub(crate) interval: Option<Duration>,
     pub(crate) watch: Liveness,
@@ -43,6 +45,41 @@ impl Default for ComponentLimits {
     }
 }
 
+/// The limits of a component, as all who go by them share them.
+#[derive(Clone)]
+pub(crate) struct SharedLimits(Arc<(ComponentLimits, Arc<HangLimits>)>);
+
+impl SharedLimits {
+    /// By what the watch judges the component.
+    pub(crate) fn judged(&self) -> Arc<HangLimits> {
+        self.0.1.clone()
+    }
+}
+
+impl Deref for SharedLimits {
+    type Target = ComponentLimits;
+
+    fn deref(&self) -> &ComponentLimits {
+        &self.0.0
+    }
+}
+
+impl From<ComponentLimits> for SharedLimits {
+    fn from(limits: ComponentLimits) -> Self {
+        static DEFAULT: LazyLock<SharedLimits> =
+            LazyLock::new(|| SharedLimits::of(ComponentLimits::default()));
+        // Most components have these.
+        if limits == DEFAULT.0.0 { DEFAULT.clone() } else { SharedLimits::of(limits) }
+    }
+}
+
+impl SharedLimits {
+    fn of(limits: ComponentLimits) -> Self {
+        let judged = Arc::new(limits.judged());
+        SharedLimits(Arc::new((limits, judged)))
+    }
+}
+
 /// The sampler looks once in a beat: with less, a component at work at two looks would be hanging.
 const BLOCK_MIN: Duration = Duration::from_millis(10);
 /// The clocks of threads and media are no finer than this.
@@ -70,6 +107,35 @@ impl LimitError {
 }
 
 impl ComponentLimits {
+    fn judged(&self) -> HangLimits {
+        let max_silence = match self.watch {
+            // Half an interval of lateness is not another lost sign.
+            Liveness::Push(push) => Some(MaxSilence {
+                first: push.start_up,
+                between: push
+                    .interval
+                    .saturating_mul(push.tolerance)
+                    .saturating_add(push.interval / 2),
+            }),
+            _ => None,
+        };
+        // It is looked at every interval, and may be found dead that much later.
+        let max_unanswered = match self.watch {
+            Liveness::Pull(Pull { interval, within, tolerance, .. }) => {
+                Some(within.saturating_mul(tolerance).saturating_add(interval))
+            }
+            _ => None,
+        };
+        HangLimits {
+            max_block: self.max_block,
+            max_wait: self.max_wait,
+            max_silence,
+            max_unanswered,
+            max_delay: self.max_delay,
+            max_missed_percent: self.max_missed_percent,
+        }
+    }
+
     /// Finds what would never, or always, be so. [`Duration::MAX`] is for ever, where that makes
     /// sense.
     pub(crate) fn check(&self) -> Result<(), LimitError> {

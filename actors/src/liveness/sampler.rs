@@ -5,7 +5,6 @@
 
 use super::activity::{ActivityRecord, ActivitySample};
 use super::label;
-use super::limits::ComponentLimits;
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
@@ -13,14 +12,14 @@ use crate::platform::processor_time::ThreadNumber;
 use actix::Recipient;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::{
-    ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig, HangLimits,
-    LivenessEvent, Looked, MaxSilence, QueueReading, SlotId,
+    ActivityMark, ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig,
+    HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId,
 };
-use blastema_core::detection::{CurrentHandler, Liveness, MonitorRow, Pull, QueueSample};
+use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -42,6 +41,8 @@ pub(crate) trait AliveSource: Send + Sync {
     fn incarnation(&self) -> Incarnation;
     /// How many messages wait, and how long the oldest of them has.
     fn queue(&self) -> QueueReading;
+    /// Tells of its incarnations that have ended, where its host has not come to that yet.
+    fn tell_exits(&self);
 }
 
 /// What a component is doing, also if it is stuck.
@@ -61,38 +62,26 @@ pub(crate) struct SampledComponent {
     pub(crate) inside: Weak<dyn AliveSource>,
     pub(crate) pulse: Arc<ArbiterHeartbeat>,
     pub(crate) stamp: &'static ActivityRecord,
-    pub(crate) limits: ComponentLimits,
+    pub(crate) limits: Arc<HangLimits>,
 }
 
 impl SampledComponent {
-    fn judged(&self) -> HangLimits {
-        let max_silence = match self.limits.watch {
-            // Half an interval of lateness is not another lost sign.
-            Liveness::Push(push) => Some(MaxSilence {
-                first: push.start_up,
-                between: push
-                    .interval
-                    .saturating_mul(push.tolerance)
-                    .saturating_add(push.interval / 2),
-            }),
-            _ => None,
-        };
-        // It is looked at every interval, and may be found dead that much later.
-        let max_unanswered = match self.limits.watch {
-            Liveness::Pull(Pull { interval, within, tolerance, .. }) => {
-                Some(within.saturating_mul(tolerance).saturating_add(interval))
-            }
-            _ => None,
-        };
-        HangLimits {
-            object: self.object.clone(),
-            arbiter: self.pulse.id(),
-            max_block: self.limits.max_block,
-            max_wait: self.limits.max_wait,
-            max_silence,
-            max_unanswered,
-            max_delay: self.limits.max_delay,
-            max_missed_percent: self.limits.max_missed_percent,
+    fn judged(&self) -> JudgedComponent {
+        let (object, limits) = (self.object.clone(), self.limits.clone());
+        JudgedComponent { object, arbiter: self.pulse.id(), limits }
+    }
+
+    fn read(&self) -> ComponentSample {
+        let reading = self.stamp.read();
+        ComponentSample {
+            turn: reading.turn,
+            alive: reading.alive,
+            incarnation: Incarnation(reading.incarnation),
+            speaks: reading.speaks,
+            allowance: reading.allowance,
+            rounds: reading.rounds,
+            interval: reading.interval,
+            expired: reading.expired,
         }
     }
 }
@@ -103,9 +92,9 @@ pub(crate) struct SampledComponents(Arc<Entries>);
 
 #[derive(Default)]
 struct Entries {
-    by_slot: Mutex<BTreeMap<u32, SampledComponent>>,
-    /// Raised by every change.
-    version: AtomicU64,
+    by_slot: Mutex<BTreeMap<u32, Arc<SampledComponent>>>,
+    /// The slots whose entries the watch has not learnt of yet.
+    changed: Mutex<BTreeSet<u32>>,
     /// What was in service at the last look: slot, turn, and since when.
     busy: Mutex<Vec<(u32, u64, Instant)>>,
     /// When components that give signs of life by themselves were last seen to have given one, by
@@ -133,13 +122,18 @@ impl ArbiterResidents {
 }
 
 impl SampledComponents {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, SampledComponent>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, Arc<SampledComponent>>> {
         self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
-        self.lock().insert(slot, watched);
-        self.0.version.fetch_add(1, Relaxed);
+        self.lock().insert(slot, Arc::new(watched));
+        self.note_change(slot);
+    }
+
+    /// After the entry was changed, so that who learns of it finds it so.
+    fn note_change(&self, slot: u32) {
+        self.0.changed.lock().unwrap_or_else(PoisonError::into_inner).insert(slot);
     }
 
     /// What every component is doing now.
@@ -148,7 +142,7 @@ impl SampledComponents {
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let glance = |(slot, watched): (&u32, &SampledComponent)| {
+        let glance = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
             let reading = watched.stamp.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
@@ -218,7 +212,7 @@ impl SampledComponents {
 
     pub(crate) fn leave(&self, slot: u32) {
         if self.lock().remove(&slot).is_some() {
-            self.0.version.fetch_add(1, Relaxed);
+            self.note_change(slot);
         }
     }
 }
@@ -236,7 +230,7 @@ impl std::fmt::Debug for Running {
 impl Running {
     /// The components that are on a thread now, each with what it does and the number of its turn.
     pub fn components(&self) -> Vec<(ObjectName, &'static str, u64)> {
-        let on_thread = |(slot, watched): (&u32, &SampledComponent)| {
+        let on_thread = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
             let reading = watched.stamp.read();
             let running = watched.pulse.running() == Some(*slot);
             running.then(|| (watched.object.clone(), during(&reading), reading.turn))
@@ -306,32 +300,25 @@ pub(crate) fn start_task(
 /// What the watch knows between two looks.
 struct Eyes {
     list: SampledComponents,
-    version: u64,
     scanner: HangDetector,
     looks: u64,
     stamps: Stamps,
-    pulses: BTreeMap<u64, Arc<ArbiterHeartbeat>>,
+    /// Each with how many components live on it.
+    pulses: BTreeMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
     arbiters: ArbiterPool,
     monitor: Recipient<LivenessReported>,
 }
 
-struct KnownComponent {
-    object: ObjectName,
-    arbiter: u64,
-    stamp: &'static ActivityRecord,
-    inside: Weak<dyn AliveSource>,
-}
-
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
 #[derive(Default)]
-struct Stamps(Vec<Option<KnownComponent>>);
+struct Stamps(Vec<Option<Arc<SampledComponent>>>);
 
 impl Stamps {
-    fn get(&self, slot: u32) -> Option<&KnownComponent> {
+    fn get(&self, slot: u32) -> Option<&Arc<SampledComponent>> {
         self.0.get(slot as usize)?.as_ref()
     }
 
-    fn enter(&mut self, slot: u32, known: KnownComponent) {
+    fn enter(&mut self, slot: u32, known: Arc<SampledComponent>) {
         let at = slot as usize;
         if self.0.len() <= at {
             self.0.resize_with(at + 1, || None);
@@ -339,18 +326,18 @@ impl Stamps {
         self.0[at] = Some(known);
     }
 
-    fn retain(&mut self, mut keeps: impl FnMut(u32, &KnownComponent) -> bool) {
-        for (slot, place) in (0..).zip(&mut self.0) {
-            if place.as_ref().is_some_and(|known| !keeps(slot, known)) {
-                *place = None;
-            }
-        }
+    fn leave(&mut self, slot: u32) -> Option<Arc<SampledComponent>> {
+        self.0.get_mut(slot as usize)?.take()
     }
 }
 
 impl Looked for Stamps {
     fn stamp(&self, slot: SlotId) -> ComponentSample {
         read(self.get(slot))
+    }
+
+    fn mark(&self, slot: SlotId) -> ActivityMark {
+        self.get(slot).map(|known| known.stamp.mark()).unwrap_or_default()
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -368,7 +355,6 @@ impl Eyes {
     ) -> Self {
         Eyes {
             list,
-            version: u64::MAX,
             scanner: HangDetector::new(config),
             looks: 0,
             stamps: Stamps::default(),
@@ -379,21 +365,22 @@ impl Eyes {
     }
 
     fn look(&mut self, now: Instant) {
-        let version = self.list.0.version.load(Relaxed);
-        if version != self.version {
-            self.version = version;
-            self.learn();
-        }
+        self.learn();
         self.scanner.handle_look(now);
-        for (id, pulse) in &self.pulses {
+        for (id, (pulse, _)) in &self.pulses {
             let running = pulse.running();
             let known = running.and_then(|slot| self.stamps.get(slot));
             let beat = pulse.beats();
             let stands = self.scanner.stands(*id, beat);
+            if pulse.owes_exits()
+                && let Some(inside) = known.and_then(|known| known.inside.upgrade())
+            {
+                inside.tell_exits();
+            }
             let reading = ArbiterSample {
                 beat,
                 running,
-                stamp: known.map(|known| read(Some(known))),
+                stamp: known.map(|known| known.read()),
                 fenced: pulse.is_fenced(),
                 used: pulse.thread().filter(|_| stands).and_then(ThreadNumber::used_while_ready),
             };
@@ -421,35 +408,38 @@ impl Eyes {
 
     /// Brings what is known up to date with the list.
     fn learn(&mut self) {
-        let list = self.list.clone();
-        let entries = list.lock();
-        let scanner = &mut self.scanner;
-        self.stamps.retain(|slot, known| {
-            let entry = entries.get(&slot);
-            let same = entry.is_some_and(|entry| {
-                entry.object == known.object && entry.pulse.id() == known.arbiter
-            });
-            if !same {
-                scanner.handle_leave(slot);
-            }
-            same
-        });
-        for (slot, entry) in entries.iter() {
-            if self.stamps.get(*slot).is_some() {
+        let changed = &self.list.0.changed;
+        let changed = std::mem::take(&mut *changed.lock().unwrap_or_else(PoisonError::into_inner));
+        if changed.is_empty() {
+            return;
+        }
+        for slot in changed {
+            let entry = self.list.lock().get(&slot).cloned();
+            let known = self.stamps.get(slot);
+            if let (Some(entry), Some(known)) = (&entry, known)
+                && entry.object == known.object
+                && entry.pulse.id() == known.pulse.id()
+            {
+                self.stamps.enter(slot, entry.clone());
                 continue;
             }
-            scanner.handle_enter(*slot, entry.judged());
-            let (object, arbiter) = (entry.object.clone(), entry.pulse.id());
-            let (stamp, inside) = (entry.stamp, entry.inside.clone());
-            self.stamps.enter(*slot, KnownComponent { object, arbiter, stamp, inside });
-            self.pulses.insert(arbiter, entry.pulse.clone());
+            if let Some(known) = self.stamps.leave(slot) {
+                self.scanner.handle_leave(slot);
+                if let Some((_, population)) = self.pulses.get_mut(&known.pulse.id()) {
+                    *population = population.saturating_sub(1);
+                }
+            }
+            let Some(entry) = entry else { continue };
+            self.scanner.handle_enter(slot, entry.judged());
+            let pulse = || (entry.pulse.clone(), 0);
+            self.pulses.entry(entry.pulse.id()).or_insert_with(pulse).1 += 1;
+            self.stamps.enter(slot, entry);
         }
-        let arbiters: BTreeSet<u64> =
-            self.stamps.0.iter().flatten().map(|known| known.arbiter).collect();
-        self.pulses.retain(|id, pulse| {
-            // A fenced arbiter is followed until it is lost or goes on, also without components.
+        let scanner = &mut self.scanner;
+        self.pulses.retain(|id, (pulse, population)| {
+            // A fenced arbiter is followed until it comes back or is lost, also without components.
             let awaited = pulse.is_fenced() && !pulse.is_lost();
-            let kept = awaited || arbiters.contains(id);
+            let kept = awaited || *population > 0;
             if !kept {
                 scanner.handle_gone(*id);
             }
@@ -460,11 +450,8 @@ impl Eyes {
     fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
         let during_of = |slot| {
             let known = self.stamps.get(slot);
-            let unwinds = |known: &KnownComponent| {
-                let pulse = self.pulses.get(&known.arbiter);
-                pulse.is_some_and(|pulse| {
-                    pulse.running() == Some(slot) && pulse.unwinding().is_some()
-                })
+            let unwinds = |known: &Arc<SampledComponent>| {
+                known.pulse.running() == Some(slot) && known.pulse.unwinding().is_some()
             };
             match known {
                 Some(known) if unwinds(known) => UNWINDING,
@@ -507,7 +494,7 @@ impl Eyes {
             }
             LivenessEvent::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then its components stay.
-                if !self.arbiters.mark_lost(self.pulses.get(&arbiter)?) {
+                if !self.arbiters.mark_lost(&self.pulses.get(&arbiter)?.0) {
                     return None;
                 }
                 LivenessReported::Lost { culprit, victims: victims.into() }
@@ -522,16 +509,6 @@ fn during(reading: &ActivitySample) -> &'static str {
     if reading.condition { label::CONDITION } else { label::name(reading.during) }
 }
 
-fn read(known: Option<&KnownComponent>) -> ComponentSample {
-    let reading = known.map(|known| known.stamp.read()).unwrap_or_default();
-    ComponentSample {
-        turn: reading.turn,
-        alive: reading.alive,
-        incarnation: Incarnation(reading.incarnation),
-        speaks: reading.speaks,
-        allowance: reading.allowance,
-        rounds: reading.rounds,
-        interval: reading.interval,
-        expired: reading.expired,
-    }
+fn read(known: Option<&Arc<SampledComponent>>) -> ComponentSample {
+    known.map(|known| known.read()).unwrap_or_default()
 }

@@ -5,6 +5,7 @@ use crate::messaging::injection::Injection;
 use blastema_contract::reports::ExitReason;
 use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -93,12 +94,17 @@ impl Watchers {
         mourners.push(mourner);
     }
 
-    pub(crate) fn tell(&self, down: &Down) {
+    /// Tells all of them what `down` says, which is asked only where there is one.
+    pub(crate) fn tell(&self, down: impl FnOnce() -> Down) {
         let mourners = {
             let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             mourners.retain(|mourner| !mourner.life.has_ended());
             mourners.clone()
         };
+        if mourners.is_empty() {
+            return;
+        }
+        let down = down();
         // Outside of the lock: a mourner may be watched by whom it mourns.
         mourners.iter().for_each(|mourner| (mourner.tell)(down.clone()));
     }
@@ -152,7 +158,7 @@ impl Deaths {
         *is_alive = false;
         let (incarnation, mourners) = (*incarnation, mourners.clone());
         drop(objects);
-        mourners.tell(&Down { object: object.clone(), node: None, incarnation, ending });
+        mourners.tell(|| Down { object: object.clone(), node: None, incarnation, ending });
     }
 
     /// As [`Watchable::watch`]. A name that never was an object's gives the mourner back.
@@ -177,6 +183,10 @@ impl Deaths {
 pub(crate) trait Watchable: Send + Sync {
     /// Tells at once if it is not alive, and whenever a life of it ends.
     fn watch(&self, mourner: Watcher);
+    /// Its cell, where it is a component.
+    fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
+        None
+    }
     /// Its type, where it is a component.
     fn component_type(&self) -> Option<&'static str> {
         None

@@ -58,17 +58,26 @@ pub(crate) struct BoundedQueue<T> {
 
 struct Inner<T> {
     queue: VecDeque<T>,
-    /// Notices for the owner, each under what it is about. They are taken before the queue and need
-    /// no room in it; they end with the owner. At most one for each thing that the owner watches.
-    notices: VecDeque<(Box<str>, T)>,
+    /// Boxed, since few components watch others.
+    notices: Option<Box<Notices<T>>>,
     /// Who may take; `None` between two lives.
     owner: Option<Incarnation>,
     /// The last life that has owned it.
     newest: Incarnation,
     stopped: bool,
     parked: Option<Waker>,
-    /// Senders that wait for room, in the order in which they came.
-    room: VecDeque<(u64, Waker)>,
+    /// Boxed, since few queues are ever full.
+    room: Option<Box<SpaceWaiters>>,
+}
+
+/// Notices for the owner, each under what it is about. They are taken before the queue and need no
+/// room in it; they end with the owner. At most one for each thing that the owner watches.
+type Notices<T> = VecDeque<(Box<str>, T)>;
+
+/// Senders that wait for room, in the order in which they came.
+#[derive(Default)]
+struct SpaceWaiters {
+    waiting: VecDeque<(u64, Waker)>,
     next_ticket: u64,
 }
 
@@ -76,13 +85,12 @@ impl<T> BoundedQueue<T> {
     pub(crate) fn new(capacity: usize, policy: WhenFull) -> Self {
         let inner = Inner {
             queue: VecDeque::new(),
-            notices: VecDeque::new(),
+            notices: None,
             owner: None,
             newest: Incarnation::default(),
             stopped: false,
             parked: None,
-            room: VecDeque::new(),
-            next_ticket: 0,
+            room: None,
         };
         BoundedQueue {
             inner: Mutex::new(inner),
@@ -155,11 +163,12 @@ impl<T> BoundedQueue<T> {
         if lane.owner != Some(owner) {
             return Some(notice);
         }
-        let waiting = lane.notices.iter_mut().find(|(known, _)| **known == *about);
+        let notices = lane.notices.get_or_insert_default();
+        let waiting = notices.iter_mut().find(|(known, _)| **known == *about);
         let replaced = match waiting {
             Some((_, earlier)) => Some(std::mem::replace(earlier, notice)),
             None => {
-                lane.notices.push_back((about.into(), notice));
+                notices.push_back((about.into(), notice));
                 None
             }
         };
@@ -190,7 +199,7 @@ impl<T> BoundedQueue<T> {
             lane.parked = Some(waker.clone());
             return Popped::Empty;
         }
-        if let Some((_, notice)) = lane.notices.pop_front() {
+        if let Some((_, notice)) = lane.notices.as_mut().and_then(|notices| notices.pop_front()) {
             self.length.store(lane.depth(), Relaxed);
             return Popped::Got(notice);
         }
@@ -199,7 +208,7 @@ impl<T> BoundedQueue<T> {
             return Popped::Empty;
         };
         self.length.store(lane.depth(), Relaxed);
-        let next = lane.room.pop_front();
+        let next = lane.room.as_mut().and_then(|room| room.waiting.pop_front());
         drop(lane);
         if let Some((_, waker)) = next {
             waker.wake();
@@ -248,7 +257,7 @@ impl<T> BoundedQueue<T> {
         &self,
         lane: &mut Inner<T>,
         owner: Option<Incarnation>,
-    ) -> VecDeque<(Box<str>, T)> {
+    ) -> Option<Box<Notices<T>>> {
         lane.owner = owner;
         lane.newest = lane.newest.max(owner.unwrap_or_default());
         let notices = std::mem::take(&mut lane.notices);
@@ -316,12 +325,13 @@ impl<T> BoundedQueue<T> {
         lane.stopped = true;
         let notices = self.change_owner(&mut lane, None);
         let parked = lane.parked.take();
-        let room = std::mem::take(&mut lane.room);
+        let room = lane.room.as_mut().map(|room| std::mem::take(&mut room.waiting));
         let left = std::mem::take(&mut lane.queue);
         self.length.store(0, Relaxed);
         drop(lane);
         drop(notices);
-        parked.into_iter().chain(room.into_iter().map(|(_, waker)| waker)).for_each(Waker::wake);
+        let room = room.into_iter().flatten().map(|(_, waker)| waker);
+        parked.into_iter().chain(room).for_each(Waker::wake);
         left
     }
 }
@@ -329,7 +339,7 @@ impl<T> BoundedQueue<T> {
 impl<T> Inner<T> {
     /// How many wait to be taken.
     fn depth(&self) -> usize {
-        self.notices.len() + self.queue.len()
+        self.notices.as_ref().map_or(0, |notices| notices.len()) + self.queue.len()
     }
 }
 
@@ -343,7 +353,8 @@ impl<T> SpaceWaiter<'_, T> {
     fn poll(&mut self, waker: &Waker) -> Poll<()> {
         let mut lane = self.lane.lock();
         if let Some(ticket) = self.ticket {
-            let mine = lane.room.iter_mut().find(|(of, _)| *of == ticket);
+            let room = lane.room.get_or_insert_default();
+            let mine = room.waiting.iter_mut().find(|(of, _)| *of == ticket);
             let Some((_, kept)) = mine else {
                 self.ticket = None; // Capacity was freed, and this waiter was woken.
                 return Poll::Ready(());
@@ -354,9 +365,10 @@ impl<T> SpaceWaiter<'_, T> {
         if lane.stopped || lane.queue.len() < self.lane.capacity {
             return Poll::Ready(());
         }
-        let ticket = lane.next_ticket;
-        lane.next_ticket += 1;
-        lane.room.push_back((ticket, waker.clone()));
+        let room = lane.room.get_or_insert_default();
+        let ticket = room.next_ticket;
+        room.next_ticket += 1;
+        room.waiting.push_back((ticket, waker.clone()));
         self.ticket = Some(ticket);
         Poll::Pending
     }
@@ -366,10 +378,11 @@ impl<T> Drop for SpaceWaiter<'_, T> {
     fn drop(&mut self) {
         let Some(ticket) = self.ticket else { return };
         let mut lane = self.lane.lock();
-        let before = lane.room.len();
-        lane.room.retain(|(of, _)| *of != ticket);
+        let Some(room) = &mut lane.room else { return };
+        let before = room.waiting.len();
+        room.waiting.retain(|(of, _)| *of != ticket);
         // It was called and never came: the room it was called for goes to the next.
-        let next = if lane.room.len() == before { lane.room.pop_front() } else { None };
+        let next = if room.waiting.len() == before { room.waiting.pop_front() } else { None };
         drop(lane);
         if let Some((_, waker)) = next {
             waker.wake();

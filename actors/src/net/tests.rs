@@ -147,7 +147,7 @@ struct Robot {
 }
 
 struct Module {
-    host: ComponentEnvironment,
+    host: Arc<ComponentEnvironment>,
     net: NetHandle,
     log: Log,
     child: Option<Box<dyn Child>>,
@@ -165,10 +165,10 @@ impl Robot {
         let (declared, mended) = (Probe::start(), Probe::start());
         let reports =
             FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
-        let host = with_features(
+        let host = Arc::new(with_features(
             ComponentEnvironment::new(ArbiterPool::here(), reports),
             ActuatorTable::default(),
-        );
+        ));
         let exits = Probe::start();
         let (links, nodes) = (Probe::start(), Probe::start());
         let faults = Probe::replying(|_: &Recover| Confirmed);
@@ -243,7 +243,7 @@ impl Module {
         let (mut child, _) =
             spec.queue(20_000, crate::WhenFull::Refuse).into_child(&self.host).unwrap();
         let reports = Probe::<ChildReport>::start();
-        child.start(Incarnation(1), reports.recipient());
+        child.start(Incarnation(1), reports.recipient().into());
         assert_eq!(reports.expect().await.event, ChildEvent::Started);
         self.child = Some(child);
     }

@@ -54,8 +54,6 @@ use blastema_core::recovery::{Plan, Restart};
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
 };
-use std::any::Any;
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
@@ -94,10 +92,10 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.keep_leases();
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at);
-    let actors = assembly.enrol_all(planting.harvest).await?;
+    assembly.enrol_all(planting.harvest).await?;
     assembly.look_out(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
-    let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, actors, manager);
+    let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, manager);
     #[cfg(feature = "unix")]
     node.open(inspection).await?;
     if builder.handles_signals {
@@ -115,7 +113,7 @@ struct NodeAssembly {
     placement: ActorPlacement,
     plan: Arc<Plan>,
     parts: FaultChainParts,
-    environment: ComponentEnvironment,
+    environment: Arc<ComponentEnvironment>,
     networks: Option<Networks>,
     /// All that is to be watched.
     enrolments: Vec<Register>,
@@ -128,9 +126,6 @@ struct TreePreparation {
     harvest: PreparedTree,
     dependencies: Dependencies,
 }
-
-/// The components of a node, each as an `ActorRef` of its type.
-type Actors = BTreeMap<ObjectName, Box<dyn Any + Send>>;
 
 impl NodeAssembly {
     /// The fault chain, and the threads that components will live on.
@@ -281,7 +276,7 @@ impl NodeAssembly {
     }
 
     /// From here on everything is watched.
-    async fn enrol_all(&mut self, harvest: PreparedTree) -> Result<Actors, StartError> {
+    async fn enrol_all(&mut self, harvest: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
         let chain = self.parts.chain.inquiries.iter().cloned();
         let inquiries = chain.chain(harvest.supervisors);
@@ -292,7 +287,6 @@ impl NodeAssembly {
         check_names(others.iter().chain(components)).map_err(SpecError::from)?;
         // Nor will those be called so that are added later.
         self.environment.registry.reserve(others);
-        let mut actors = Actors::new();
         for facts in harvest.components {
             let name = &facts.name;
             let enrolled = enrolment(&self.node, name, &facts.depends_on);
@@ -300,10 +294,8 @@ impl NodeAssembly {
             let mut enrol = enrolled.map_err(|error| StartError::name_of(of())(error))?;
             enrol.enrolment.may_end = facts.restart != Restart::Permanent;
             enrolments.push(enrol);
-            actors.insert(facts.name, facts.actor);
         }
-        self.parts.chain.enrol_all(enrolments).await?;
-        Ok(actors)
+        self.parts.chain.enrol_all(enrolments).await
     }
 
     /// Looks at arbiters and components from now on, also while they are stuck.
@@ -337,7 +329,6 @@ impl NodeAssembly {
         mut self,
         root: Root,
         dependencies: Dependencies,
-        actors: Actors,
         systemd: Option<Systemd>,
     ) -> StartingNode {
         self.undone.kept = true;
@@ -354,7 +345,6 @@ impl NodeAssembly {
             restart: keeper.clone().recipient(),
             directory,
             state,
-            actors: Mutex::new(actors),
             dependencies: Mutex::new(dependencies),
             plan: self.plan,
             systemd,
@@ -414,7 +404,7 @@ fn environment(
     node: &NodeName,
     plan: &Plan,
     arbiters: ArbiterPool,
-) -> ComponentEnvironment {
+) -> Arc<ComponentEnvironment> {
     let reports = reports(&parts.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
@@ -422,7 +412,7 @@ fn environment(
     let fault_codes = Arc::new(plan.codes());
     let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
     let callbacks = parts.chain.callbacks.clone();
-    ComponentEnvironment { registry, fault_codes, callbacks, ..general }
+    Arc::new(ComponentEnvironment { registry, fault_codes, callbacks, ..general })
 }
 
 fn enrolment(

@@ -141,7 +141,7 @@ impl NodeController {
         let Some(root) = &mut self.root else { return };
         self.life = self.life.next();
         self.phase = Phase::Up;
-        root.start(self.life, context.address().recipient());
+        root.start(self.life, context.address().recipient().into());
     }
 
     fn begin_again(&mut self, context: &mut Context<Self>) {

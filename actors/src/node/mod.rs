@@ -73,8 +73,7 @@ use blastema_core::{
     Contract, DeliveryError, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable,
 };
 use controller::{RestartRoot, Shutdown};
-use std::any::{Any, type_name};
-use std::collections::BTreeMap;
+use std::any::type_name;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -110,7 +109,7 @@ pub struct Node(Arc<Shared>);
 struct Shared {
     name: NodeName,
     incarnation: Incarnation,
-    environment: ComponentEnvironment,
+    environment: Arc<ComponentEnvironment>,
     chain: FaultChain,
     networks: Option<Networks>,
     root: Root,
@@ -118,7 +117,6 @@ struct Shared {
     restart: Recipient<RestartRoot>,
     directory: SupervisorDirectory,
     state: watch::Receiver<NodeState>,
-    actors: Mutex<BTreeMap<ObjectName, Box<dyn Any + Send>>>,
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
     systemd: Option<Systemd>,
@@ -256,7 +254,7 @@ impl Node {
     /// # Errors
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let ComponentEnvironment { registry, .. } = &self.0.environment;
+        let registry = &self.0.environment.registry;
         let services = self.0.environment.services();
         ServiceRef::new(registry, services, name)
     }
@@ -309,9 +307,8 @@ impl Node {
     pub fn actor<C: Component>(&self, name: &str) -> Result<ActorRef<C>, DeliveryError> {
         let registry = &self.0.environment.registry;
         let object = ObjectName::new(name).map_err(|_| registry.misspelt(name))?;
-        let actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(actor) = actors.get(&object).and_then(|actor| actor.downcast_ref()) {
-            return Ok(ActorRef::clone(actor));
+        if let Some(Ok(cell)) = registry.cell(&object).map(Arc::downcast) {
+            return Ok(ActorRef(cell));
         }
         Err(match registry.component_type(&object) {
             Some(found) => DeliveryError::OtherType {
@@ -420,16 +417,14 @@ impl Node {
         self.0.dependencies().add(name.clone(), &planted.depends_on)?;
         self.0.chain.enrol(&self.0.name, &planted).await;
         let rules = planted.rules(&self.0.plan);
-        let actor = planted.actor.downcast_ref::<ActorRef<C>>().cloned();
-        let actor = actor.expect("a spec of C makes an actor of C");
+        let cell = self.0.environment.registry.cell(&name).and_then(|cell| cell.downcast().ok());
+        let actor = ActorRef(cell.expect("a spec of C registers a component of C"));
         let added = self.0.root.additions.send(AddChild { child: planted.child, rules }).await;
         if !matches!(added, Ok(Ok(()))) {
             self.0.dependencies().remove(&name);
             self.0.chain.dismiss(name.clone());
             return Err(SpecError::Refused { name });
         }
-        let mut actors = self.0.actors.lock().unwrap_or_else(PoisonError::into_inner);
-        actors.insert(name, Box::new(actor.clone()));
         Ok(actor)
     }
 
@@ -447,7 +442,6 @@ impl Node {
         }
         self.0.chain.dismiss(object.clone());
         self.0.dependencies().remove(&object);
-        self.0.actors.lock().unwrap_or_else(PoisonError::into_inner).remove(&object);
         Ok(())
     }
 

@@ -6,7 +6,6 @@ use crate::component::spec_error::SpecError;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::monitor::MonitorActor;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
-use crate::host::reference::ActorRef;
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
 use actix::{Addr, ArbiterHandle, Recipient};
@@ -14,8 +13,8 @@ use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::ObjectName;
 use blastema_core::recovery::{ChildRules, Plan, Restart, Strategy, SupervisorRules, WhenExceeded};
-use std::any::Any;
 use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// A supervisor and what stands below it.
@@ -132,15 +131,13 @@ pub(super) trait ErasedChildSpec: Send {
     /// Gives the component its name and ports.
     fn prepare(
         self: Box<Self>,
-        environment: &ComponentEnvironment,
+        environment: &Arc<ComponentEnvironment>,
     ) -> Result<PreparedComponent, SpecError>;
 }
 
 /// A component that waits to be started.
 pub(super) struct PreparedComponent {
     pub(super) child: Box<dyn Child>,
-    /// The `ActorRef` of its type.
-    pub(super) actor: Box<dyn Any + Send>,
     pub(super) depends_on: Vec<String>,
     restart: Restart,
     essential: bool,
@@ -166,16 +163,14 @@ pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn ErasedChildSpec>
 impl<C: Component> ErasedChildSpec for ChildSpec<C> {
     fn prepare(
         self: Box<Self>,
-        environment: &ComponentEnvironment,
+        environment: &Arc<ComponentEnvironment>,
     ) -> Result<PreparedComponent, SpecError> {
         let depends_on = self.dependencies().to_vec();
         let (ready_within, shutdown_within) = self.deadlines();
         let essential = self.is_essential();
-        let (child, actor) = self.into_child(environment)?;
-        let actor: Box<dyn Any + Send> = Box::new(ActorRef::<C>::clone(&actor));
+        let (child, _) = self.into_child(environment)?;
         Ok(PreparedComponent {
             child,
-            actor,
             depends_on,
             restart: Restart::Permanent,
             essential,
@@ -187,7 +182,7 @@ impl<C: Component> ErasedChildSpec for ChildSpec<C> {
 
 /// What planting needs of the node.
 pub(super) struct TreeEnvironment<'a> {
-    pub(super) environment: &'a ComponentEnvironment,
+    pub(super) environment: &'a Arc<ComponentEnvironment>,
     pub(super) guardian: &'a Guardian,
     pub(super) arbiter: Option<&'a ArbiterHandle>,
     pub(super) monitor: Addr<MonitorActor>,
@@ -205,7 +200,6 @@ pub(super) struct PreparedTree {
 /// What the node must know of a component after its supervisor has it.
 pub(super) struct ComponentFacts {
     pub(super) name: ObjectName,
-    pub(super) actor: Box<dyn Any + Send>,
     pub(super) depends_on: Vec<String>,
     pub(super) restart: Restart,
 }
@@ -248,9 +242,9 @@ impl SupervisorSpec {
                     let planted =
                         PreparedComponent { restart, ..seed.prepare(ground.environment)? };
                     let rules = planted.rules(ground.plan);
-                    let PreparedComponent { child, actor, depends_on, .. } = planted;
+                    let PreparedComponent { child, depends_on, .. } = planted;
                     let name = child.name().clone();
-                    let facts = ComponentFacts { name, actor, depends_on, restart };
+                    let facts = ComponentFacts { name, depends_on, restart };
                     harvest.components.push(facts);
                     children.push((child, rules));
                 }

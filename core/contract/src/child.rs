@@ -3,6 +3,7 @@
 use crate::reports::ExitReason;
 use actix::{Message, Recipient};
 use blastema_core::{Incarnation, ObjectName};
+use std::sync::Arc;
 
 pub use blastema_core::recovery::RestartGrant;
 
@@ -18,7 +19,11 @@ pub trait Child: Send {
     /// `incarnation`, or a later one where the child's guard has begun that one by itself and the
     /// report of it is still under way. Answer: [`ChildEvent::Started`],
     /// [`ChildEvent::StartFailed`], or [`ChildEvent::Unavailable`] first.
-    fn start(&mut self, incarnation: Incarnation, report: Recipient<ChildReport>) -> Incarnation;
+    fn start(
+        &mut self,
+        incarnation: Incarnation,
+        report: Arc<Recipient<ChildReport>>,
+    ) -> Incarnation;
 
     /// Asks the present life to end in order. Answer: [`ChildEvent::Stopped`]. A child that is not
     /// alive answers at once.

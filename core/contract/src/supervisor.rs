@@ -13,6 +13,7 @@ use crate::child::{Child, ChildReport};
 use actix::{Message, Recipient};
 use blastema_core::recovery::{ChildRules, ChildState, GiveUpReason, Strategy};
 use blastema_core::{Fault, Incarnation, ObjectName};
+use std::sync::Arc;
 
 /// A child is well again, or is let go because its specification says so.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -117,7 +118,7 @@ pub struct StartSupervisor {
     /// Which life of the supervisor this is.
     pub incarnation: Incarnation,
     /// Who is told what becomes of it.
-    pub report: Recipient<ChildReport>,
+    pub report: Arc<Recipient<ChildReport>>,
 }
 
 /// From the parent: stop all children in reverse order. `Stopped` is reported when all have ended.

@@ -42,7 +42,8 @@ pub struct ConfirmedQueueLimits {
     pub longest: Duration,
     /// After how many tries an item is given up.
     pub tries: u32,
-    /// How many deliveries a second: what comes faster is held back, not lost.
+    /// How many deliveries a second: what comes faster is held back, not lost. [`usize::MAX`] for
+    /// as many as the receiver confirms.
     pub per_second: usize,
 }
 
@@ -199,7 +200,9 @@ impl<T: Clone> ConfirmedQueue<T> {
         if self.recent.len() >= self.limits.per_second {
             self.recent.pop_front();
         }
-        self.recent.push_back(now);
+        if self.limits.per_second < usize::MAX {
+            self.recent.push_back(now);
+        }
     }
 
     fn give_up(&mut self, item: T, tries: u32) {

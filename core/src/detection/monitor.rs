@@ -49,12 +49,18 @@ pub struct MonitorLimits {
 
 impl Default for MonitorLimits {
     fn default() -> Self {
-        // Ten thousand components are measured; a robot has hundreds.
-        let rows = 16 * 1024;
+        // A hundred thousand components are measured; a robot has hundreds.
+        let rows = 128 * 1024;
         // At start every object is enrolled at once, and some of them have more to tell.
         MonitorLimits {
             rows,
-            handover: ConfirmedQueueLimits { capacity: 4 * rows, ..Default::default() },
+            // As many are handed over as the detector confirms: what ten thousand objects report at
+            // their start must not hold back the report of a fault for seconds.
+            handover: ConfirmedQueueLimits {
+                capacity: 4 * rows,
+                per_second: usize::MAX,
+                ..Default::default()
+            },
         }
     }
 }

@@ -1,13 +1,14 @@
 //! Benchmarks of the middleware beside what it is built on, as ratios within one run.
 //!
 //! `cargo run --release -p blastema-bench [messages] [restart] [fanout] [remote] [throughput]
-//! [monitored] [failover] [takeover] [overloaded]`; without arguments, all of them. `ROUNDS=n` sets
-//! how often the rows of a table are run in turn.
+//! [memory] [monitored] [failover] [takeover] [overloaded]`; without arguments, all of them.
+//! `ROUNDS=n` sets how often the rows of a table are run in turn.
 #![allow(clippy::print_stdout, reason = "tables are what this program is for")]
 
 mod failover;
 mod fanout;
 mod measure;
+mod memory;
 mod messages;
 mod monitored;
 mod overloaded;
@@ -19,12 +20,13 @@ mod throughput;
 
 use std::process::ExitCode;
 
-const PARTS: [&str; 9] = [
+const PARTS: [&str; 10] = [
     "messages",
     "restart",
     "fanout",
     "remote",
     "throughput",
+    "memory",
     "monitored",
     "failover",
     "takeover",
@@ -58,6 +60,9 @@ fn main() -> ExitCode {
     if wanted("throughput") {
         throughput::run(rounds);
     }
+    if wanted("memory") {
+        memory::run(rounds.min(3));
+    }
     if wanted("monitored") {
         monitored::run(rounds.min(3));
     }
@@ -79,6 +84,7 @@ fn child(arguments: &[String]) -> ExitCode {
         Some("remote") => remote::child(&arguments[1..]),
         Some("throughput") => throughput::child(&arguments[1..]),
         Some("takeover") => takeover::child(&arguments[1..]),
+        Some("memory") => memory::child(&arguments[1..]),
         Some("monitored") => monitored::child(&arguments[1..]),
         _ => return ExitCode::from(2),
     }

@@ -1,17 +1,13 @@
 //! What it costs to watch ten thousand components.
 
 use crate::measure::Table;
+use crate::process::{cpu_seconds, settle};
 use blastema::prelude::*;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 struct Idle;
 impl Component for Idle {}
-
-fn cpu_seconds() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
-}
 
 /// In a process of its own: prints the percentage of one core that so many components take.
 pub(crate) fn child(arguments: &[String]) {
@@ -22,7 +18,7 @@ pub(crate) fn child(arguments: &[String]) {
             builder = builder.child(ChildSpec::new(&format!("idle/{number}"), || Idle));
         }
         let node = builder.start().await.expect("a node of idle components starts");
-        tokio::time::sleep(Duration::from_secs(1)).await;
+        settle().await;
         let (cpu, start) = (cpu_seconds(), Instant::now());
         tokio::time::sleep(Duration::from_secs(3)).await;
         let percent = (cpu_seconds() - cpu) / start.elapsed().as_secs_f64() * 100.0;

@@ -1,9 +1,10 @@
-//! Benchmarks of several processes.
+//! What benchmarks of several processes, and of a whole process, have in common.
 
 use rustix::thread::{CpuSet, sched_setaffinity};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Keeps the threads that this one starts from now on, and itself, on one core.
 pub(crate) fn pin(core: usize) {
@@ -57,4 +58,22 @@ pub(crate) fn serve_until_told() {
 /// Arguments of a child.
 pub(crate) fn texts(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|part| (*part).to_owned()).collect()
+}
+
+/// The processor time that this process has taken.
+pub(crate) fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
+}
+
+/// Waits until the process rests: no report is on its way through the fault chain any more.
+pub(crate) async fn settle() {
+    loop {
+        let (cpu, start) = (cpu_seconds(), Instant::now());
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        let share = (cpu_seconds() - cpu) / start.elapsed().as_secs_f64();
+        if share < 0.05 {
+            return;
+        }
+    }
 }

@@ -26,7 +26,7 @@ fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
         let children = ["a", "b"].map(|name| (bench.script.child(name), ChildRules::default()));
         let mut root = bench.supervisor("root", SupervisorRules::default(), children.into());
 
-        root.start(Incarnation(4), bench.above.recipient());
+        root.start(Incarnation(4), bench.above.recipient().into());
 
         let report = bench.above.expect().await;
         assert_eq!(report.event, ChildEvent::Started);
@@ -128,7 +128,7 @@ fn a_supervisor_below_escalates_and_its_next_life_answers_what_was_asked_of_the_
             (bench.script.child("planner"), ChildRules::default()),
         ];
         let mut root = bench.supervisor("root", rules(Strategy::RestForOne), children);
-        root.start(Incarnation::FIRST, bench.above.recipient());
+        root.start(Incarnation::FIRST, bench.above.recipient().into());
         assert_eq!(bench.above.expect().await.event, ChildEvent::Started);
         assert_eq!(bench.script.done(), ["start wheel", "start planner"]);
 
@@ -221,7 +221,7 @@ fn a_restart_on_the_spot_is_counted_once_whoever_tells_it() {
         let on_the_spot = ChildRules { on_the_spot: true, ..ChildRules::default() };
         let children = vec![(bench.script.child("a"), on_the_spot)];
         let mut root = bench.supervisor("root", rules(Strategy::OneForOne), children);
-        root.start(Incarnation::FIRST, bench.above.recipient());
+        root.start(Incarnation::FIRST, bench.above.recipient().into());
         settle().await;
         assert_eq!(bench.script.done(), ["start a", "order a"]);
 

@@ -41,6 +41,9 @@ impl<C: Component> ComponentExecutor<C> {
         }));
         if let Err(payload) = served {
             self.died_in_service(payload);
+            // The hub's turn may be long: what follows in it is another's.
+            self.flush();
+            waker.wake_by_ref(); // The replacement begins in the pump's own poll.
         }
         if self.is_abandoned() {
             self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.

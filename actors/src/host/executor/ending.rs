@@ -28,6 +28,7 @@ impl<C: Component> ComponentExecutor<C> {
             return Some(payload);
         }
         self.died(payload, during);
+        self.flush();
         if let Some(waker) = &self.waker {
             waker.wake_by_ref();
         }
@@ -52,7 +53,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.life.token.end();
         self.lose_message();
         // Before what is the user's is dropped, which may block.
-        self.anchor.record.keep_exit(incarnation, exit.clone());
+        self.anchor.record.exits.keep(incarnation, exit.clone());
         self.bury(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
@@ -60,12 +61,12 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.anchor.lane.leave(incarnation),
         };
         if !mine {
-            self.anchor.record.forget_exit(incarnation);
+            self.anchor.record.exits.forget(incarnation);
             return self.leave(); // It had been abandoned before: its report is not awaited.
         }
         match restarted_as {
             Some(next) => {
-                self.anchor.record.set_restarted(incarnation, next);
+                self.anchor.record.exits.set_restarted(incarnation, next);
                 self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
                 self.course = IncarnationLifecycle::new(self.course.is_starting());
                 self.start_failed = false;
@@ -76,8 +77,6 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.over = true,
         }
         self.report_exit(incarnation, &exit, restarted_as);
-        // The replacement may block its thread in this very turn: the death is told before.
-        self.flush();
     }
 
     /// What is being served ends with the life: its sender is told, and it is a dead letter.
@@ -120,23 +119,32 @@ impl<C: Component> ComponentExecutor<C> {
         if restarted_as.is_none() {
             record.announce(|listener| listener.deactivated());
         }
-        let object = record.name.clone();
-        let ending = DownReason::from(exit);
-        record.mourners.tell(&Down { object, node: None, incarnation, ending });
+        record.mourners.tell(|| {
+            let (object, ending) = (record.name.clone(), DownReason::from(exit));
+            Down { object, node: None, incarnation, ending }
+        });
+        let mut supervisor = None;
         let event = match (exit, self.course.is_starting() && restarted_as.is_none()) {
-            (ExitReason::Stopped, _) => ChildEvent::Stopped,
+            (ExitReason::Stopped, _) => Some(ChildEvent::Stopped),
             (ExitReason::Panicked { text, at, .. }, true) => {
-                ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") }
+                Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
-            _ => ChildEvent::Died { exit: exit.clone(), restarted_as },
+            // A life of which the supervisor knows that it never began does not die in addition.
+            _ if self.start_failed => None,
+            _ => {
+                supervisor = Some(&self.supervisor);
+                None
+            }
         };
-        // A life of which the supervisor knows that it never began does not die in addition.
-        let known = self.start_failed && matches!(event, ChildEvent::Died { .. });
+        record.exits.settle(incarnation, supervisor);
+        // It is told when the turn is over: the replacement's first reply does not wait for that.
+        // Where the replacement keeps its thread, the watch tells it meanwhile.
+        self.pulse.owe_exits(true);
         let exited = DeferredReport::Exited(incarnation);
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
-        let child = (!known).then_some(DeferredReport::Child(event, incarnation));
+        let child = event.map(|event| DeferredReport::Child(event, incarnation));
         self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
 
@@ -168,7 +176,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         self.anchor.record.set_state(Lifecycle::Finalized);
-        self.anchor.record.keep_exit(incarnation, exit.clone());
+        self.anchor.record.exits.keep(incarnation, exit.clone());
         self.report_exit(incarnation, &exit, None);
     }
 
@@ -210,6 +218,7 @@ impl<C: Component> ComponentExecutor<C> {
         let present = self.life.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
+        self.pulse.owe_exits(false);
         if self.pulse.is_lost() {
             self.seat.return_late();
         } else {
@@ -234,7 +243,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.lose_message();
         self.bury(Blame::Log);
         self.anchor.lane.leave(incarnation);
-        self.anchor.record.keep_exit(incarnation, ExitReason::Aborted);
+        self.anchor.record.exits.keep(incarnation, ExitReason::Aborted);
         self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
     }

@@ -80,8 +80,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     home: Option<Rc<ComponentSlot<C>>>,
     service: Service,
     nests: Vec<Nested<C>>,
-    /// Boxed, so that what every message touches lies closer together.
-    chores: Box<ScheduledWork<C>>,
+    chores: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
     /// The last turn went to the component's tasks; this one begins with the next step.
@@ -100,7 +99,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     over: bool,
     deaths: VecDeque<Instant>,
     outbox: Vec<DeferredReport>,
-    supervisor: Recipient<ChildReport>,
+    supervisor: Arc<Recipient<ChildReport>>,
 }
 
 impl<C: Component> ComponentExecutor<C> {
@@ -109,7 +108,7 @@ impl<C: Component> ComponentExecutor<C> {
         anchor: Arc<ComponentCell<C>>,
         incarnation: Incarnation,
         seat: ArbiterSlot,
-        supervisor: Recipient<ChildReport>,
+        supervisor: Arc<Recipient<ChildReport>>,
     ) -> Self {
         let slot = ActivitySlot::claim();
         let life = Rc::new(IncarnationState::new(incarnation, slot.stamp));
@@ -120,7 +119,7 @@ impl<C: Component> ComponentExecutor<C> {
             home: None,
             service: Service::Idle,
             nests: Vec::new(),
-            chores: Box::default(),
+            chores: ScheduledWork::default(),
             budget: Rc::default(),
             step_first: false,
             message_next: false,
@@ -143,7 +142,7 @@ impl<C: Component> ComponentExecutor<C> {
             inside: anchor,
             pulse: pump.pulse.clone(),
             stamp: pump.slot.stamp,
-            limits: record.limits.clone(),
+            limits: record.limits.judged(),
         };
         record.environment.watch_list.enter(pump.slot.index, watched);
         pump

@@ -20,9 +20,11 @@ impl<C: Component> ComponentExecutor<C> {
         if self.outbox.is_empty() {
             return;
         }
+        self.pulse.owe_exits(false);
         let record = &self.anchor.record;
         let reports = &record.environment.reports;
-        for notice in self.outbox.drain(..) {
+        // Taken, not drained: one that has nothing to tell keeps no room for it.
+        for notice in std::mem::take(&mut self.outbox) {
             match notice {
                 DeferredReport::Exited(incarnation) => record.tell_exits(incarnation),
                 DeferredReport::State(state) => tell(reports.states.as_ref(), state),

@@ -153,7 +153,7 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
                 Fragile(way)
             });
             let (mut child, _) = stage.add(spec.rate_hz(10.0));
-            child.start(Incarnation(1), stage.reports.recipient());
+            child.start(Incarnation(1), stage.reports.recipient().into());
             let exited = stage.exits.expect().await;
             let ExitReason::Panicked { text: told, during, .. } = exited.exit else {
                 panic!("{way:?}: {exited:?}")

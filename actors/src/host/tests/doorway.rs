@@ -264,7 +264,7 @@ impl RemoteStub for Narrow {
 #[test]
 fn a_large_vector_goes_to_another_node_as_it_lies_and_comes_back_so_where_it_is_refused() {
     paused(async {
-        let registry = Stage::new().environment.registry;
+        let registry = Stage::new().environment.registry.clone();
         let narrow = Narrow::default();
         registry.connect(NodeName::new("here").unwrap(), Some(Arc::new(narrow.clone())));
         let images = registry.sender::<Image>("there:screen").unwrap();

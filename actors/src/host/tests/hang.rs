@@ -1,6 +1,6 @@
 //! Hangs, fences, lost arbiters; silence and waiting.
 
-use super::{Log, Stage, acc, logged};
+use super::{Log, Stage, acc, logged, order};
 use crate::arbiter::pool::ArbiterPool;
 use crate::liveness::sampler;
 use crate::liveness::sampler::SamplerGuard;
@@ -445,5 +445,45 @@ fn a_handler_that_waits_too_long_is_seen_unless_it_said_so() {
         assert_eq!(*after, LivenessReported::Resumed { objects: [name("beater")].into() });
         assert_eq!((object, during), (&name("beater"), "Do"));
         assert!(age >= Duration::from_secs(1) && age < Duration::from_millis(1200), "{age:?}");
+    });
+}
+
+/// Panics when it is let go, and blocks from then on until it is let go once more.
+struct Relapsing(Gate);
+
+impl Component for Relapsing {}
+impl Handle<Said> for Relapsing {
+    async fn handle(&mut self, Said(n): Said, _: &mut Context<Self>) {
+        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner).recv().unwrap();
+        assert!(n != 0, "it was told to");
+    }
+}
+
+#[test]
+fn a_death_is_told_while_the_replacement_keeps_its_thread() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, Duration::from_secs(60)).await;
+        let gate = site.gate.clone();
+        let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
+        let (mut child, relapsing) =
+            site.stage.start(spec.max_block(Duration::from_secs(60))).await;
+        child.standing_order(order(1));
+        relapsing.tell(Said(0)).unwrap();
+        relapsing.tell(Said(1)).unwrap();
+
+        site.open.send(()).unwrap();
+
+        let exited = site.stage.exits.wait(|exited| exited.object == *child.name()).await;
+        assert_eq!(
+            (exited.incarnation, exited.restarted_as),
+            (Incarnation(1), Some(Incarnation(2)))
+        );
+        let died =
+            |event: &ChildEvent| matches!(event, ChildEvent::Died { restarted_as: Some(_), .. });
+        site.stage.reports.wait(|report| died(&report.event)).await;
+        assert_eq!(site.stage.exits.drain(), [], "once");
+        site.open.send(()).unwrap();
+        child.stop();
+        site.stage.reports.wait(|report| report.event == ChildEvent::Stopped).await;
     });
 }

@@ -24,7 +24,7 @@ fn a_life_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
 
         // The supervisor still knows the first one, and wants it replaced.
         child.abandon();
-        let begun = child.start(Incarnation(2), stage.reports.recipient());
+        let begun = child.start(Incarnation(2), stage.reports.recipient().into());
 
         assert_eq!(begun, Incarnation(3));
         assert_eq!(acc.ask(Slow(0)).await, Ok(3000));
@@ -78,7 +78,7 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
             (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());
             child.abandon();
             let known = Incarnation(1 + round);
-            let begun = child.start(known, stage.reports.recipient());
+            let begun = child.start(known, stage.reports.recipient().into());
             let answered = loop {
                 match census.ask_within(Add(0), Duration::from_secs(30)).await {
                     Ok(life) => break Incarnation(life),

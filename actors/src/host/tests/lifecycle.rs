@@ -330,7 +330,7 @@ fn control_is_served_while_a_hook_awaits() {
         let (spec, diary) = diary();
         let (mut child, reference) = stage.add(spec);
         diary.plan("on_initialize", Outcome::Hang);
-        child.start(Incarnation(1), stage.reports.recipient());
+        child.start(Incarnation(1), stage.reports.recipient().into());
         settle().await;
 
         let host = reference.0.control().unwrap();

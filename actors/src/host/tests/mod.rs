@@ -32,7 +32,7 @@ use std::time::Duration;
 
 /// An environment whose every ear is a probe.
 pub(super) struct Stage {
-    pub(super) environment: ComponentEnvironment,
+    pub(super) environment: Arc<ComponentEnvironment>,
     pub(super) exits: Probe<Exited>,
     pub(super) states: Probe<StateReported>,
     pub(super) faults: Probe<FaultDeclared>,
@@ -54,7 +54,7 @@ impl Stage {
         };
         let environment =
             with_features(ComponentEnvironment::new(arbiters, reports), ActuatorTable::default());
-        Stage { environment, exits, states, faults, reports: Probe::start() }
+        Stage { environment: Arc::new(environment), exits, states, faults, reports: Probe::start() }
     }
 
     /// A component that is not started.
@@ -64,7 +64,7 @@ impl Stage {
 
     /// Begins a life, and waits for what comes of it.
     pub(super) async fn begin(&self, child: &mut dyn Child, incarnation: u64) -> ChildEvent {
-        child.start(Incarnation(incarnation), self.reports.recipient());
+        child.start(Incarnation(incarnation), self.reports.recipient().into());
         self.reports.wait(|report| report.object == *child.name()).await.event
     }
 

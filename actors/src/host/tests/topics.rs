@@ -8,7 +8,7 @@ use crate::{
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
 use blastema_core::delivery::dead_letters::DeadReason;
-use blastema_core::{Contract, ContractIdentity};
+use blastema_core::{Contract, ContractIdentity, Incarnation, Lifecycle};
 use blastema_doubles::{advance, paused, settle};
 use bytes::Bytes;
 use std::sync::{Arc, Mutex};
@@ -183,6 +183,23 @@ impl Handle<Scan> for Tracker {
         self.0.lock().unwrap().push(n);
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
+}
+
+#[test]
+fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() {
+    paused(async {
+        let stage = Stage::new();
+        let (mut child, _) = stage.start(listener("ear").0).await;
+        child.standing_order(order(1));
+        settle().await;
+
+        publish(&stage, "other", 13);
+
+        settle().await;
+        let told = stage.states.drain();
+        let last = told.last().map(|told| (told.incarnation, told.state));
+        assert_eq!(last, Some((Incarnation(2), Lifecycle::Active)));
+    });
 }
 
 #[test]

@@ -74,7 +74,7 @@ async fn desk(module: &Module) -> (Box<dyn Child>, Log) {
     let kept = log.clone();
     let spec = ChildSpec::new("desk", move || Desk(kept.clone())).queue(100, WhenFull::Refuse);
     let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
     settle().await;
     (child, log)
 }

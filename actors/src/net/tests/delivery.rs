@@ -62,7 +62,7 @@ async fn ear(module: &Module) -> (Box<dyn Child>, Log) {
     let kept = log.clone();
     let spec = ChildSpec::new("ear", move || Ear(kept.clone())).queue(20_000, WhenFull::Refuse);
     let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
     advance(50 * MS).await;
     (child, log)
 }

@@ -80,7 +80,7 @@ async fn slow(module: &Module, takes: Duration, full: WhenFull) -> (Box<dyn Chil
     let kept = log.clone();
     let spec = ChildSpec::new("slow", move || Slow { log: kept.clone(), takes });
     let (mut child, _) = spec.queue(QUEUE, full).into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
     settle().await;
     (child, log)
 }
@@ -189,7 +189,7 @@ fn a_restart_of_the_slow_object_costs_the_message_that_killed_it_and_no_other() 
         let restart = async {
             advance(2500 * MS).await;
             assert_eq!(log.take(), (0..500).collect::<Vec<_>>());
-            child.start(Incarnation(2), Probe::<ChildReport>::start().recipient());
+            child.start(Incarnation(2), Probe::<ChildReport>::start().recipient().into());
             advance(3000 * MS).await;
         };
 

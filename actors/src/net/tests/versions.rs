@@ -122,7 +122,7 @@ impl Handle<one::Speed> for Old {
 
 async fn live(module: &Module, spec: ChildSpec<impl Component>) -> Box<dyn Child> {
     let (mut child, _) = spec.into_child(&module.host).unwrap();
-    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient());
+    child.start(Incarnation(1), Probe::<ChildReport>::start().recipient().into());
     advance(50 * MS).await;
     child
 }

@@ -68,15 +68,24 @@ impl Rounds {
 }
 
 impl Lateness {
-    pub(super) fn new(now: Instant) -> Self {
+    /// Nothing is late, and so many messages have been noted as expired.
+    pub(super) fn new(now: Instant, expired: u64) -> Self {
         let blind = Duration::ZERO;
-        let window = Window { since: now, blind, due: 0, missed: 0, expired: 0 };
+        let window = Window { since: now, blind, due: 0, missed: 0, expired };
         Lateness { rounds: None, window, bad: 0, counts: Counts::default(), delayed_since: None }
     }
 
     /// Rounds that this life has missed.
     pub(super) fn missed_rounds(&self) -> u64 {
         self.rounds.map_or(0, |rounds| rounds.total())
+    }
+
+    /// Nothing is late, and the window has taken note of all that was counted.
+    pub(super) fn is_settled(&self, reading: &ComponentSample) -> bool {
+        self.bad == 0
+            && self.delayed_since.is_none()
+            && self.missed_rounds() == 0
+            && self.window.expired == reading.expired
     }
 
     /// Time in which nothing could be counted is over.
@@ -92,7 +101,7 @@ impl Lateness {
     /// Counts rounds. Answers what the latest window held if that and the one before it were bad.
     pub(super) fn handle_counts(
         &mut self,
-        judged: &HangLimits,
+        limits: &HangLimits,
         reading: &ComponentSample,
         (window, root): (Duration, Option<SlotId>),
         (now, blind): (Instant, Duration),
@@ -108,7 +117,7 @@ impl Lateness {
             self.window = next;
         } else if now - since >= window && is_full {
             let missed_here = missed.saturating_sub(missed_before);
-            let limit = u64::from(judged.max_missed_percent);
+            let limit = u64::from(limits.max_missed_percent);
             let rounds = missed_here * 100 > due_here * limit;
             let expired_here = reading.expired.saturating_sub(expired);
             // What expires while the scanner is not scheduled is no fault of the component.

@@ -3,7 +3,7 @@
 use super::lateness::Counts;
 use super::{
     Arbiter, Around, ComponentRecord, ComponentSample, Episode, HangDetector, Late, LivenessEvent,
-    Looked, OverloadFigures, QueueReading, Silence, SlotId,
+    Looked, OverloadFigures, QueueReading, Silence, SlotId, Watched,
 };
 use crate::Instant;
 use crate::detection::hang::occupancy::Occupancy;
@@ -22,13 +22,18 @@ fn looks_in(span: Duration) -> usize {
 }
 
 impl Arbiter {
+    /// It has had no time to spare for so long.
+    pub(super) fn is_saturated(&self, span: Duration) -> bool {
+        self.occupancy.busy(looks_in(span)) >= SATURATED
+    }
+
     /// Who has kept this component from the thread for so long: the one that was on it most often,
     /// or the one that was so when an overload began and still is for half as often.
     pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<SlotId> {
-        let looks = looks_in(span);
-        if self.occupancy.busy(looks) < SATURATED {
+        if !self.is_saturated(span) {
             return None;
         }
+        let looks = looks_in(span);
         let (largest, share) = self.occupancy.largest(looks)?;
         let known =
             self.overloaded.filter(|root| self.occupancy.share_of(*root, looks) >= share / 2.0);
@@ -47,9 +52,9 @@ impl ComponentRecord {
         late: &mut Vec<Late>,
     ) -> Option<LivenessEvent> {
         let reading = self.reading?;
-        let pushed = self.judged.max_silence.filter(|_| reading.speaks);
+        let pushed = self.judged.limits.max_silence.filter(|_| reading.speaks);
         let pushed = pushed.map(|limit| if self.heard { limit.between } else { limit.first });
-        let limit = pushed.or(self.judged.max_unanswered)?.max(reading.allowance);
+        let limit = pushed.or(self.judged.limits.max_unanswered)?.max(reading.allowance);
         let silent_for = now - self.alive_since;
         if silent_for < limit {
             return None;
@@ -67,7 +72,7 @@ impl ComponentRecord {
             if root == slot {
                 return None;
             }
-        } else if around.stands(now) && silent_for < limit.max(self.judged.max_block) {
+        } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
         }
         if self.silence == Silence::Told {
@@ -88,7 +93,7 @@ impl ComponentRecord {
         };
         self.worked
             && (around.arbiter.is_some_and(keeps_its_thread)
-                || looked.queue(around.slot).oldest > self.judged.max_delay)
+                || looked.queue(around.slot).oldest > self.judged.limits.max_delay)
     }
 
     /// Looks at its queue and its rounds.
@@ -102,15 +107,12 @@ impl ComponentRecord {
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
-        let max_delay = self.judged.max_delay;
+        let max_delay = self.judged.limits.max_delay;
         let window = around.config.window;
-        let root = around.kept_by(window);
+        let root = if around.is_saturated { around.kept_by(window) } else { None };
         let at = (now, around.missed);
-        let counts = self.lateness.handle_counts(&self.judged, &reading, (window, root), at);
-        let is_busy = around
-            .arbiter
-            .is_some_and(|arbiter| arbiter.occupancy.busy(looks_in(window)) >= SATURATED);
-        let looks = turned || reading.turn % 2 == 1 || is_busy;
+        let counts = self.lateness.handle_counts(&self.judged.limits, &reading, (window, root), at);
+        let looks = turned || reading.turn % 2 == 1 || around.is_saturated;
         let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
         // One that is not at work, because its device is away or its start fails, serves nothing:
         // that is another fault.
@@ -119,7 +121,7 @@ impl ComponentRecord {
         let moves = now - self.turn_since < max_delay;
         let delayed = waits && (root.is_some() || moves);
         let is_free = !delayed && !around.stands(now);
-        if waits && is_free && self.judged.max_unanswered.is_some() {
+        if waits && is_free && self.judged.limits.max_unanswered.is_some() {
             self.get_stuck(reading, queue, outputs);
         } else if self.stuck && !waits {
             self.flow(reading, outputs);
@@ -167,12 +169,13 @@ impl HangDetector {
     /// victims, or when one of its figures has doubled.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
         let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
-        let home = |slot| Some(self.component(slot)?.judged.arbiter);
+        let home = |slot| Some(self.judged(slot)?.arbiter);
         // Who kept the thread may have left it, and another may have its slot.
         let late = late.into_iter().filter(|late| home(late.root) == home(late.slot));
         late.for_each(|late| roots.entry(late.root).or_default().push(late));
         for (slot, late) in roots {
             let Some(Some(root)) = self.components.get_mut(slot as usize) else { continue };
+            let root = root.wake(looked.stamp(slot), now);
             let Some(reading) = root.reading else { continue };
             if root.stuck {
                 root.flow(reading, &mut self.outputs);
@@ -198,7 +201,7 @@ impl HangDetector {
                     arbiter.overloaded = Some(slot);
                 }
             }
-            let name = |slot| Some(self.component(slot)?.judged.object.clone());
+            let name = |slot| Some(self.judged(slot)?.object.clone());
             let victims = victims.into_iter().filter_map(name).collect();
             let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
             self.outputs.push_back(seen);
@@ -208,8 +211,9 @@ impl HangDetector {
     /// Overloads are over when nothing has been late because of them for long enough.
     pub(super) fn relieve(&mut self, now: Instant) {
         let mut free = Vec::new();
-        for (slot, place) in (0..).zip(&mut self.components) {
-            let Some(component) = place else { continue };
+        for &slot in &self.awake {
+            let place = self.components.get_mut(slot as usize).and_then(Option::as_mut);
+            let Some(component) = place.and_then(Watched::awake_mut) else { continue };
             let relief = self.config.relief;
             let is_over = |episode: &mut Episode| now - episode.latest >= relief;
             let Some(episode) = component.overload.take_if(is_over) else { continue };
@@ -221,7 +225,8 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for victim in free {
-            if let Some(Some(component)) = self.components.get_mut(victim as usize)
+            let place = self.components.get_mut(victim as usize).and_then(Option::as_mut);
+            if let Some(component) = place.and_then(Watched::awake_mut)
                 && component.silence == Silence::Told
             {
                 (component.silence, component.alive_since) = (Silence::Void, now);

@@ -22,8 +22,9 @@ mod types;
 pub mod occupancy;
 
 pub use self::types::{
-    ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig, HangLimits,
-    LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading, SlotId,
+    ActivityMark, ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig,
+    HangLimits, JudgedComponent, LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading,
+    SlotId,
 };
 
 use self::lateness::{Episode, Late, Lateness};
@@ -68,7 +69,7 @@ struct Hang {
 
 #[derive(Debug)]
 struct ComponentRecord {
-    judged: HangLimits,
+    judged: JudgedComponent,
     reading: Option<ComponentSample>,
     /// Its arbiter's beat at the last look.
     beat: u64,
@@ -92,6 +93,62 @@ struct ComponentRecord {
     overload: Option<Episode>,
 }
 
+/// What is kept of one slot. Most components rest, and cost no more than this.
+#[derive(Debug)]
+enum Watched {
+    /// It has nothing in service, nothing is late, and no sign is expected of it. As long as it
+    /// shows this mark and its arbiter has time, there is nothing to judge.
+    Resting {
+        judged: JudgedComponent,
+        mark: ActivityMark,
+    },
+    Awake(Box<ComponentRecord>),
+}
+
+impl Watched {
+    fn judged(&self) -> &JudgedComponent {
+        match self {
+            Watched::Resting { judged, .. } => judged,
+            Watched::Awake(component) => &component.judged,
+        }
+    }
+
+    fn awake(&self) -> Option<&ComponentRecord> {
+        match self {
+            Watched::Resting { .. } => None,
+            Watched::Awake(component) => Some(component),
+        }
+    }
+
+    fn awake_mut(&mut self) -> Option<&mut ComponentRecord> {
+        match self {
+            Watched::Resting { .. } => None,
+            Watched::Awake(component) => Some(component),
+        }
+    }
+
+    /// The component, to be judged: where it rests, as it was when it came to rest.
+    fn wake(&mut self, reading: ComponentSample, now: Instant) -> &mut ComponentRecord {
+        if let Watched::Resting { judged, mark } = self {
+            let ActivityMark { turn, incarnation, expired } = *mark;
+            let before = ComponentSample { turn, incarnation, expired, ..reading };
+            let fresh = ComponentRecord::new(judged.clone(), now);
+            let lateness = Lateness::new(now, expired);
+            let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
+            *self = Watched::Awake(Box::new(component));
+        }
+        self.awake_mut().expect("it was just made so")
+    }
+
+    /// Lets the component rest if it does.
+    fn settle(&mut self, now: Instant) {
+        let Some(component) = self.awake() else { return };
+        let Some(reading) = component.reading.filter(|_| component.rests(now)) else { return };
+        let (judged, mark) = (component.judged.clone(), reading.mark());
+        *self = Watched::Resting { judged, mark };
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Silence {
     No,
@@ -112,7 +169,9 @@ pub struct HangDetector {
     step: Duration,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
-    components: Vec<Option<ComponentRecord>>,
+    components: Vec<Option<Watched>>,
+    /// Those that were judged at the last look, in order.
+    awake: Vec<SlotId>,
     outputs: VecDeque<LivenessEvent>,
 }
 
@@ -126,26 +185,29 @@ impl HangDetector {
             step: Duration::ZERO,
             arbiters: BTreeMap::new(),
             components: Vec::new(),
+            awake: Vec::new(),
             outputs: VecDeque::new(),
         }
     }
 
     /// This component is judged from now on.
-    pub fn handle_enter(&mut self, slot: SlotId, judged: HangLimits) {
+    pub fn handle_enter(&mut self, slot: SlotId, judged: JudgedComponent) {
         let at = slot as usize;
         if self.components.len() <= at {
             self.components.resize_with(at + 1, || None);
         }
-        self.components[at] = Some(ComponentRecord::new(judged, self.clock));
+        let component = ComponentRecord::new(judged, self.clock);
+        self.components[at] = Some(Watched::Awake(Box::new(component)));
     }
 
     /// It is no longer.
     pub fn handle_leave(&mut self, slot: SlotId) {
         let place = self.components.get_mut(slot as usize);
         let Some(component) = place.and_then(Option::take) else { return };
-        if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
+        let JudgedComponent { object, arbiter, .. } = component.judged();
+        if let Some(arbiter) = self.arbiters.get_mut(arbiter) {
             if arbiter.running == Some(slot) {
-                arbiter.left = Some(component.judged.object);
+                arbiter.left = Some(object.clone());
             }
             arbiter.overloaded.take_if(|root| *root == slot);
         }
@@ -252,15 +314,15 @@ impl HangDetector {
     fn judge_arbiter(&mut self, id: ArbiterId, age: Duration) {
         let Some(arbiter) = self.arbiters.get(&id) else { return };
         let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
-        let Some(culprit) = self.component(slot) else { return };
-        let limit = culprit.judged.max_block.max(arbiter.allowance);
+        let Some(culprit) = self.judged(slot) else { return };
+        let limit = culprit.limits.max_block.max(arbiter.allowance);
         let starved = arbiter.starved_in_turn;
         let hangs = age >= limit || age + starved >= limit.saturating_mul(STARVED_MAX);
-        if !hangs || culprit.judged.arbiter != id {
+        if !hangs || culprit.arbiter != id {
             return;
         }
         let age = age + starved;
-        let object = culprit.judged.object.clone();
+        let object = culprit.object.clone();
         let victims = self.others_on(id, slot);
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
             arbiter.hang = Some(Hang { culprit: object.clone(), slot });
@@ -270,10 +332,10 @@ impl HangDetector {
 
     fn resume(&mut self, id: ArbiterId, hang: &Hang, now: Instant) {
         let mut objects = self.others_on(id, hang.slot);
-        let culprit = self.component(hang.slot);
-        objects.extend(culprit.map(|culprit| culprit.judged.object.clone()));
+        let culprit = self.judged(hang.slot);
+        objects.extend(culprit.map(|culprit| culprit.object.clone()));
         // Who stood still had no chance to speak.
-        for component in self.components.iter_mut().flatten() {
+        for component in self.components.iter_mut().flatten().filter_map(Watched::awake_mut) {
             if component.judged.arbiter == id {
                 component.void(now);
             }
@@ -291,7 +353,7 @@ impl HangDetector {
         let left = arbiter.left.clone();
         let known = hang.or_else(|| {
             let slot = running?;
-            let runs = || Some(self.component(slot)?.judged.object.clone());
+            let runs = || Some(self.judged(slot)?.object.clone());
             Some((left.or_else(runs)?, slot))
         });
         let Some((culprit, slot)) = known else { return };
@@ -299,15 +361,15 @@ impl HangDetector {
         self.outputs.push_back(LivenessEvent::Lost { arbiter: id, culprit, victims });
     }
 
-    fn component(&self, slot: SlotId) -> Option<&ComponentRecord> {
-        self.components.get(slot as usize)?.as_ref()
+    fn judged(&self, slot: SlotId) -> Option<&JudgedComponent> {
+        self.components.get(slot as usize)?.as_ref().map(Watched::judged)
     }
 
     fn others_on(&self, arbiter: ArbiterId, but: SlotId) -> Vec<ObjectName> {
         let others = self.components.iter().enumerate().filter(|(at, _)| *at != but as usize);
-        let others = others.filter_map(|(_, component)| component.as_ref());
-        let here = others.filter(|component| component.judged.arbiter == arbiter);
-        here.map(|component| component.judged.object.clone()).collect()
+        let others = others.filter_map(|(_, component)| component.as_ref().map(Watched::judged));
+        let here = others.filter(|judged| judged.arbiter == arbiter);
+        here.map(|judged| judged.object.clone()).collect()
     }
 
     /// What is known of every arbiter.
@@ -322,9 +384,7 @@ impl HangDetector {
     /// Which components have something in service, which turn it is, and since when at least; by
     /// slot.
     pub fn busy(&self) -> impl Iterator<Item = (SlotId, u64, Instant)> + '_ {
-        let known = (0..).zip(&self.components);
-        known.filter_map(|(slot, component)| {
-            let component = component.as_ref()?;
+        self.awake().filter_map(|(slot, component)| {
             let turn = component.reading?.turn;
             (turn % 2 == 1).then_some((slot, turn, self.shown(component.turn_since)))
         })
@@ -332,34 +392,50 @@ impl HangDetector {
 
     /// When each component that should give signs of life was last seen to have given one; by slot.
     pub fn last_signs(&self) -> impl Iterator<Item = (SlotId, Option<Instant>)> + '_ {
-        let known = (0..).zip(&self.components);
-        known.filter_map(|(slot, component)| {
-            let component = component.as_ref()?;
+        self.awake().filter_map(|(slot, component)| {
             let expected = component.reading.is_some_and(|reading| reading.speaks);
-            let judged = expected && component.judged.max_silence.is_some();
+            let judged = expected && component.judged.limits.max_silence.is_some();
             judged.then_some((slot, component.last_sign.map(|at| self.shown(at))))
         })
     }
 
     /// Which components have missed rounds in their present life, and how many; by slot.
     pub fn missed_rounds(&self) -> impl Iterator<Item = (SlotId, u64)> + '_ {
-        let known = (0..).zip(&self.components);
-        known.filter_map(|(slot, component)| {
-            let missed = component.as_ref()?.lateness.missed_rounds();
+        self.awake().filter_map(|(slot, component)| {
+            let missed = component.lateness.missed_rounds();
             (missed > 0).then_some((slot, missed))
         })
     }
 
-    /// Looks at all components.
+    /// The components that were judged at the last look: all that are not at rest.
+    fn awake(&self) -> impl Iterator<Item = (SlotId, &ComponentRecord)> + '_ {
+        let place = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
+        self.awake.iter().filter_map(move |slot| Some((*slot, place(*slot)?)))
+    }
+
+    /// Looks at all components. One that rests costs the comparison of its mark.
     pub fn handle_stamps(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
-        let HangDetector { config, arbiters, components, outputs, .. } = self;
+        let HangDetector { config, arbiters, components, awake, outputs, .. } = self;
+        let kept = arbiters.iter().filter(|(_, arbiter)| arbiter.is_saturated(config.window));
+        let saturated: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
+        awake.clear();
         for (slot, place) in (0..).zip(components) {
-            let Some(component) = place else { continue };
-            let arbiter = arbiters.get(&component.judged.arbiter);
-            let around = Around { slot, arbiter, config, missed };
+            let Some(watched) = place else { continue };
+            let id = watched.judged().arbiter;
+            let is_saturated = saturated.contains(&id);
+            if let Watched::Resting { mark, .. } = watched
+                && *mark == looked.mark(slot)
+                && !is_saturated
+            {
+                continue;
+            }
+            let component = watched.wake(looked.stamp(slot), now);
+            let around = Around { slot, arbiter: arbiters.get(&id), is_saturated, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
+            watched.settle(now);
+            awake.push(slot);
         }
         self.blame(late, looked, now);
         self.relieve(now);
@@ -372,6 +448,8 @@ impl HangDetector {
 struct Around<'a> {
     slot: SlotId,
     arbiter: Option<&'a Arbiter>,
+    /// The arbiter has had no time to spare within the window.
+    is_saturated: bool,
     config: &'a HangDetectorConfig,
     /// How long the scanner has not been scheduled, all in all.
     missed: Duration,
@@ -400,7 +478,7 @@ impl Around<'_> {
 }
 
 impl ComponentRecord {
-    fn new(judged: HangLimits, now: Instant) -> Self {
+    fn new(judged: JudgedComponent, now: Instant) -> Self {
         ComponentRecord {
             judged,
             reading: None,
@@ -414,9 +492,23 @@ impl ComponentRecord {
             heard: false,
             silence: Silence::No,
             stuck: false,
-            lateness: Lateness::new(now),
+            lateness: Lateness::new(now, 0),
             overload: None,
         }
+    }
+
+    /// There is nothing to judge until it takes something into service. One that has just done so
+    /// may do it again.
+    fn rests(&self, now: Instant) -> bool {
+        let HangLimits { max_silence, max_unanswered, .. } = *self.judged.limits;
+        let is_idle = |reading: ComponentSample| {
+            reading.turn.is_multiple_of(2)
+                && reading.interval.is_zero()
+                && self.lateness.is_settled(&reading)
+        };
+        let is_unheard = max_silence.is_none() && max_unanswered.is_none();
+        let is_well = self.silence == Silence::No && !self.stuck && self.overload.is_none();
+        self.turn_since < now && is_unheard && is_well && self.reading.is_some_and(is_idle)
     }
 
     /// It had no chance to work: all is measured from now on.
@@ -465,8 +557,8 @@ impl ComponentRecord {
         }
         let signs = before.alive != reading.alive;
         // Where it is asked, any movement is an answer.
-        let answers = self.judged.max_unanswered.is_some() && (turned || beats);
-        if signs || answers || (!reading.speaks && self.judged.max_unanswered.is_none()) {
+        let answers = self.judged.limits.max_unanswered.is_some() && (turned || beats);
+        if signs || answers || (!reading.speaks && self.judged.limits.max_unanswered.is_none()) {
             (self.alive_since, self.worked) = (now, false);
             self.heard |= signs;
             if signs {
@@ -487,7 +579,7 @@ impl ComponentRecord {
             silent.push(sighting);
         }
         let age = now - self.turn_since;
-        let limit = self.judged.max_wait.max(reading.allowance);
+        let limit = self.judged.limits.max_wait.max(reading.allowance);
         if reading.turn % 2 == 1 && !self.waits && age >= limit && !around.stands(now) {
             self.waits = true;
             let slot = around.slot;

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::Incarnation;
+use std::sync::Arc;
 
 const HOME: ArbiterId = 7;
 
@@ -17,10 +18,16 @@ fn ms(millis: u64) -> Duration {
     Duration::from_millis(millis)
 }
 
-fn judged(object: &str) -> HangLimits {
+fn judged(object: &str) -> JudgedComponent {
+    JudgedComponent { object: name(object), arbiter: HOME, limits: Arc::new(limits()) }
+}
+
+fn judged_by(object: &str, limits: HangLimits) -> JudgedComponent {
+    JudgedComponent { limits: Arc::new(limits), ..judged(object) }
+}
+
+fn limits() -> HangLimits {
     HangLimits {
-        object: name(object),
-        arbiter: HOME,
         max_block: ms(500),
         max_wait: ms(1000),
         max_silence: Some(MaxSilence { first: ms(600), between: ms(300) }),
@@ -103,7 +110,7 @@ impl World {
         self.scanner.handle_look(now);
         // As the watch does: the culprit's stamp is read with the pulse.
         let read = |slot: SlotId| self.eyes.stamps.get(slot as usize).copied();
-        let stamp = self.pulse.running.filter(|slot| self.scanner.component(*slot).is_some());
+        let stamp = self.pulse.running.filter(|slot| self.scanner.judged(*slot).is_some());
         let pulse = ArbiterSample { stamp: stamp.and_then(read), ..self.pulse };
         self.scanner.handle_pulse(HOME, pulse);
         if (self.now / 10).is_multiple_of(self.every) {
@@ -172,8 +179,7 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short_limit() {
     let mut world = World::new();
     world.every = 10;
-    let mut quick = judged("culprit");
-    quick.max_block = ms(20);
+    let quick = judged_by("culprit", HangLimits { max_block: ms(20), ..limits() });
     world.scanner.handle_enter(0, quick);
     world.pass(110, true);
 
@@ -347,8 +353,7 @@ fn silence_counts_only_where_signs_are_expected() {
     assert_eq!(world.pass(590, true), []);
     world.eyes.stamps[0].allowance = ms(1000);
     assert_eq!(world.pass(400, true), [], "a long operation was declared");
-    let mut quiet = judged("quiet");
-    quiet.max_silence = None;
+    let quiet = judged_by("quiet", HangLimits { max_silence: None, ..limits() });
     world.scanner.handle_enter(0, quiet);
     assert_eq!(world.pass(5000, true), []);
 }
@@ -454,3 +459,88 @@ fn a_stall_of_the_scanner_does_not_end_a_hang() {
 }
 
 mod overload;
+
+/// What a scanner looks at, and how often it looks at it closely.
+struct Counted<'a> {
+    eyes: &'a Eyes,
+    looks: std::cell::Cell<u32>,
+}
+
+impl Looked for Counted<'_> {
+    fn stamp(&self, slot: SlotId) -> ComponentSample {
+        self.looks.set(self.looks.get() + 1);
+        self.eyes.stamp(slot)
+    }
+
+    fn mark(&self, slot: SlotId) -> ActivityMark {
+        self.eyes.mark(slot)
+    }
+
+    fn queue(&self, slot: SlotId) -> QueueReading {
+        self.looks.set(self.looks.get() + 1);
+        self.eyes.queue(slot)
+    }
+}
+
+/// Two components, of which no sign is expected, that have been looked at until they rest.
+fn at_rest() -> World {
+    let mut world = World::new();
+    let quiet = |name| judged_by(name, HangLimits { max_silence: None, ..limits() });
+    world.scanner.handle_enter(0, quiet("culprit"));
+    world.scanner.handle_enter(2, quiet("victim"));
+    assert_eq!(world.pass(100, true), []);
+    world
+}
+
+#[test]
+fn a_component_that_rests_is_only_compared_with_its_mark() {
+    let mut world = at_rest();
+    let close = |world: &mut World| {
+        world.now += 100;
+        world.scanner.handle_look(at(world.now));
+        let looked = Counted { eyes: &world.eyes, looks: Default::default() };
+        world.scanner.handle_stamps(&looked);
+        looked.looks.get()
+    };
+    assert_eq!(close(&mut world), 0);
+
+    world.eyes.stamps[2].turn += 2;
+    assert!(close(&mut world) > 0, "it has served something");
+    assert!(close(&mut world) > 0, "it may do so again");
+    assert_eq!(close(&mut world), 0, "it rests again");
+}
+
+#[test]
+fn a_component_that_has_rested_is_judged_from_when_it_took_something_up() {
+    let mut world = at_rest();
+    world.pass(5000, true);
+
+    world.eyes.stamps[2].turn += 1;
+
+    assert_eq!(world.pass(1000, true), []);
+    assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { slot: 2, .. }]));
+    assert_eq!(
+        world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect::<Vec<_>>(),
+        [(2, 1)]
+    );
+}
+
+#[test]
+fn messages_that_expire_while_a_component_has_nothing_in_service_are_counted() {
+    let mut world = at_rest();
+    let mut seen = Vec::new();
+    for _ in 0..30 {
+        world.eyes.stamps[2].expired += 1;
+        seen.extend(world.pass(100, true));
+    }
+    assert!(matches!(seen[..], [LivenessEvent::Overloaded { .. }, ..]), "{seen:?}");
+}
+
+#[test]
+fn one_that_rests_is_named_as_a_victim_and_as_a_culprit() {
+    let mut world = at_rest();
+    world.pulse.running = Some(0);
+    let seen = world.pass(600, false);
+    let [LivenessEvent::Hangs { object, victims, .. }] = &seen[..] else { panic!("{seen:?}") };
+    assert_eq!((object, &victims[..]), (&name("culprit"), &[name("victim")][..]));
+}

@@ -1,6 +1,7 @@
 //! What a scanner is shown, and what it has seen.
 
 use crate::{Incarnation, Instant, ObjectName};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The number of an arbiter.
@@ -49,13 +50,20 @@ impl Default for HangDetectorConfig {
     }
 }
 
-/// How one component is judged.
+/// A component that is judged.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct HangLimits {
+pub struct JudgedComponent {
     /// Who.
     pub object: ObjectName,
     /// The arbiter that it lives on.
     pub arbiter: ArbiterId,
+    /// By what. Components with the same limits can share them.
+    pub limits: Arc<HangLimits>,
+}
+
+/// How one component is judged.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HangLimits {
     /// How long its handler may keep the arbiter.
     pub max_block: Duration,
     /// How long its handler may await something.
@@ -99,7 +107,7 @@ pub struct ArbiterSample {
 }
 
 /// What a component says about itself.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ComponentSample {
     /// Odd while something is in service.
     pub turn: u64,
@@ -119,6 +127,25 @@ pub struct ComponentSample {
     pub expired: u64,
 }
 
+impl ComponentSample {
+    /// The part by which a component that rests is known to rest still.
+    pub fn mark(&self) -> ActivityMark {
+        let ComponentSample { turn, incarnation, expired, .. } = *self;
+        ActivityMark { turn, incarnation, expired }
+    }
+}
+
+/// What changes whenever a component with nothing in service takes something up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ActivityMark {
+    /// As in [`ComponentSample`].
+    pub turn: u64,
+    /// As in [`ComponentSample`].
+    pub incarnation: Incarnation,
+    /// As in [`ComponentSample`].
+    pub expired: u64,
+}
+
 /// How a component's queue is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QueueReading {
@@ -132,6 +159,10 @@ pub struct QueueReading {
 pub trait Looked {
     /// What the component of a slot says.
     fn stamp(&self, slot: SlotId) -> ComponentSample;
+    /// The mark of what it says, for one that may rest: asked of every component at every look.
+    fn mark(&self, slot: SlotId) -> ActivityMark {
+        self.stamp(slot).mark()
+    }
     /// How its queue is. Asked only where something may wait.
     fn queue(&self, slot: SlotId) -> QueueReading;
 }

@@ -547,3 +547,23 @@ fn what_goes_with_its_node_is_not_handed_over_and_what_a_component_dies_of_is() 
 
     assert_eq!(seen(&mut monitor, 1), ["m:arm Exited"]);
 }
+
+/// What a large node reports at its start is handed over as fast as it is confirmed: the report of a
+/// fault does not wait for seconds behind it.
+#[test]
+fn a_fault_right_after_the_start_of_many_objects_is_handed_over_at_once() {
+    let mut monitor = Monitor::new(node("module1"), MonitorLimits::default(), at(0));
+    for number in 0..20_000 {
+        let name = object(&format!("part/{number}"));
+        monitor.enrol(Registration::new(name), at(0)).expect("there is room");
+    }
+    let failed = "it is broken".to_owned();
+    monitor.handle_declared(&object("part/7"), ONE, FaultKind::CheckFailed, failed, at(0));
+
+    let mut told = 0;
+    while let Some(MonitorOutput::Observe { number, observation }) = monitor.poll_output() {
+        told += u32::from(matches!(observation.finding, Finding::Declared { .. }));
+        monitor.handle_confirmed(number, at(0));
+    }
+    assert_eq!(told, 1);
+}

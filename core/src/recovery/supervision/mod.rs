@@ -38,7 +38,7 @@ use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// No supervisor keeps more: its table is read as a whole.
-const CHILDREN_LIMIT: usize = 65_536;
+const CHILDREN_LIMIT: usize = 128 * 1024;
 /// More requests than this wait for no supervisor: the recoverer holds fewer cases open.
 const PENDING_LIMIT: usize = 16_384;
 
@@ -72,7 +72,8 @@ pub struct Supervisor {
     rules: SupervisorRules,
     incarnation: Incarnation,
     phase: Phase,
-    children: BTreeMap<ChildKey, SupervisedChild>,
+    /// Boxed: keys rise, and leave the nodes of such a map half empty.
+    children: BTreeMap<ChildKey, Box<SupervisedChild>>,
     index: BTreeMap<ObjectName, ChildKey>,
     next_key: ChildKey,
     going: BTreeSet<ChildKey>,
@@ -120,7 +121,7 @@ impl Supervisor {
 
     /// Its children in their start order.
     pub fn children(&self) -> impl Iterator<Item = ChildStatus> + '_ {
-        self.children.values().map(SupervisedChild::status)
+        self.children.values().map(|child| child.status())
     }
 
     /// Takes in one more child, behind all others; it is started if the supervisor is at work.
@@ -142,7 +143,7 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        self.children.insert(key, SupervisedChild::new(name.clone(), rules));
+        self.children.insert(key, Box::new(SupervisedChild::new(name.clone(), rules)));
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {

@@ -23,7 +23,9 @@ impl Road {
         world.eyes.stamps[2].speaks = true;
         // The planner is not expected to give signs of life.
         world.eyes.stamps[0].speaks = true;
-        world.scanner.handle_enter(0, HangLimits { max_silence: None, ..judged("culprit") });
+        world
+            .scanner
+            .handle_enter(0, judged_by("culprit", HangLimits { max_silence: None, ..limits() }));
         Road { world, kept, rounds, planner_speaks: false, beats: 3 }
     }
 
@@ -175,8 +177,7 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
     world.look();
     world.eyes.stamps[2].alive += 1;
     world.pass(100, true);
-    let mut patient = judged("culprit");
-    patient.max_block = ms(10_000);
+    let patient = judged_by("culprit", HangLimits { max_block: ms(10_000), ..limits() });
     world.scanner.handle_enter(0, patient);
     world.pulse.running = Some(0);
     world.eyes.stamps[0].turn = 1;
@@ -202,8 +203,8 @@ fn messages_that_wait_for_a_component_that_is_not_at_work_are_no_overload() {
 #[test]
 fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
     let mut road = Road::new(10, 2);
-    let mut asked = judged("culprit");
-    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
+    let limits = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
+    let asked = judged_by("culprit", limits);
     road.world.scanner.handle_enter(0, asked);
     road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
 
@@ -223,9 +224,8 @@ fn messages_that_wait_are_seen_also_while_a_turn_of_many_holds_the_beat_up() {
 #[test]
 fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not_silent() {
     let mut world = World::new();
-    let mut asked = judged("victim");
-    (asked.max_silence, asked.max_unanswered) = (None, Some(ms(300)));
-    asked.max_wait = Duration::MAX;
+    let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
+    let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked);
     world.eyes.stamps[2].speaks = true;
     world.look();

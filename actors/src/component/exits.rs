@@ -1,0 +1,100 @@
+//! Ends of a component's incarnations that were not told yet.
+//!
+//! They stand with the cell and not with the executor, so that they are told also where what
+//! follows an end blocks its thread: by the watch, or by the supervisor that gives the next
+//! incarnation up.
+
+use crate::runtime::reports::FaultReports;
+use actix::Recipient;
+use blastema_contract::child::{ChildEvent, ChildReport};
+use blastema_contract::reports::{ExitReason, Exited};
+use blastema_core::{Incarnation, ObjectName};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// As many as the component's guard has restarted it in one turn, and one.
+#[derive(Default)]
+pub(crate) struct UntoldExits(Mutex<Vec<UntoldExit>>);
+
+/// An end that was not told yet.
+struct UntoldExit {
+    incarnation: Incarnation,
+    exit: ExitReason,
+    restarted_as: Option<Incarnation>,
+    /// The supervisor, where it is to be told as well.
+    supervisor: Option<Arc<Recipient<ChildReport>>>,
+    /// What follows is decided: all of the above stays as it is.
+    is_settled: bool,
+}
+
+/// Which ends are told.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Told {
+    /// Those of the incarnations up to this one.
+    Until(Incarnation),
+    /// Those of which it is decided what follows.
+    Settled,
+}
+
+impl UntoldExits {
+    fn lock(&self) -> MutexGuard<'_, Vec<UntoldExit>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn change(&self, incarnation: Incarnation, change: impl FnOnce(&mut UntoldExit)) {
+        let mut untold = self.lock();
+        let exited = untold.iter_mut().find(|exited| exited.incarnation == incarnation);
+        if let Some(exited) = exited {
+            change(exited);
+        }
+    }
+
+    /// An incarnation has ended. The first report of it counts.
+    pub(crate) fn keep(&self, incarnation: Incarnation, exit: ExitReason) {
+        let (restarted_as, supervisor, is_settled) = (None, None, false);
+        let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
+        let mut untold = self.lock();
+        if untold.iter().all(|known| known.incarnation != incarnation) {
+            untold.push(exited);
+        }
+    }
+
+    /// Its guard has begun another one in its place.
+    pub(crate) fn set_restarted(&self, incarnation: Incarnation, next: Incarnation) {
+        self.change(incarnation, |exited| exited.restarted_as = Some(next));
+    }
+
+    /// What follows this end is decided; the supervisor is to be told as well, where it is given.
+    pub(crate) fn settle(
+        &self,
+        incarnation: Incarnation,
+        supervisor: Option<&Arc<Recipient<ChildReport>>>,
+    ) {
+        self.change(incarnation, |exited| {
+            (exited.supervisor, exited.is_settled) = (supervisor.cloned(), true);
+        });
+    }
+
+    /// That incarnation had been given up before it ended: its end is no news.
+    pub(crate) fn forget(&self, incarnation: Incarnation) {
+        self.lock().retain(|exited| exited.incarnation != incarnation);
+    }
+
+    /// Tells the monitor, and the supervisor, each end once.
+    pub(crate) fn tell(&self, which: Told, object: &ObjectName, reports: &FaultReports) {
+        let is_told = |exited: &mut UntoldExit| match which {
+            Told::Until(until) => exited.incarnation <= until,
+            Told::Settled => exited.is_settled,
+        };
+        let told: Vec<UntoldExit> = self.lock().extract_if(.., is_told).collect();
+        for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in told {
+            if let Some(exits) = &reports.exits {
+                let (object, exit) = (object.clone(), exit.clone());
+                exits.do_send(Exited { object, incarnation, exit, restarted_as });
+            }
+            if let Some(supervisor) = supervisor {
+                let event = ChildEvent::Died { exit, restarted_as };
+                supervisor.do_send(ChildReport { object: object.clone(), incarnation, event });
+            }
+        }
+    }
+}
