@@ -10,7 +10,7 @@ use crate::arbiter::pool::ArbiterSlot;
 use crate::component::control::HostCommand;
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
-use crate::component::exits::{Told, UntoldExits};
+use crate::component::exits::{DueExits, UntoldExits};
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
@@ -227,7 +227,7 @@ impl CellCore {
 
     /// Tells the monitor, and the supervisor, of the lives up to this one that have ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
-        self.exits.tell(Told::Until(until), &self.name, &self.environment.reports);
+        self.exits.tell(DueExits::Until(until), &self.name, &self.environment.reports);
     }
 
     #[inline]
@@ -433,7 +433,7 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn tell_exits(&self) {
         let record = &self.record;
-        record.exits.tell(Told::Settled, &record.name, &record.environment.reports);
+        record.exits.tell(DueExits::Settled, &record.name, &record.environment.reports);
     }
 }
 

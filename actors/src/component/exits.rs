@@ -28,7 +28,7 @@ struct UntoldExit {
 
 /// Which ends are told.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Told {
+pub(crate) enum DueExits {
     /// Those of the incarnations up to this one.
     Until(Incarnation),
     /// Those of which it is decided what follows.
@@ -80,10 +80,10 @@ impl UntoldExits {
     }
 
     /// Tells the monitor, and the supervisor, each end once.
-    pub(crate) fn tell(&self, which: Told, object: &ObjectName, reports: &FaultReports) {
+    pub(crate) fn tell(&self, which: DueExits, object: &ObjectName, reports: &FaultReports) {
         let is_told = |exited: &mut UntoldExit| match which {
-            Told::Until(until) => exited.incarnation <= until,
-            Told::Settled => exited.is_settled,
+            DueExits::Until(until) => exited.incarnation <= until,
+            DueExits::Settled => exited.is_settled,
         };
         let told: Vec<UntoldExit> = self.lock().extract_if(.., is_told).collect();
         for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in told {

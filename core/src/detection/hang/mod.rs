@@ -18,6 +18,7 @@
 mod lateness;
 mod load;
 mod types;
+mod watched;
 
 pub mod occupancy;
 
@@ -28,6 +29,7 @@ pub use self::types::{
 };
 
 use self::lateness::{Episode, Late, Lateness};
+use self::watched::Watched;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
 use std::collections::{BTreeMap, VecDeque};
@@ -91,62 +93,6 @@ struct ComponentRecord {
     lateness: Lateness,
     /// An overload whose root it is.
     overload: Option<Episode>,
-}
-
-/// What is kept of one slot. Most components rest, and cost no more than this.
-#[derive(Debug)]
-enum Watched {
-    /// It has nothing in service, nothing is late, and no sign is expected of it. As long as it
-    /// shows this mark and its arbiter has time, there is nothing to judge.
-    Resting {
-        judged: JudgedComponent,
-        mark: ActivityMark,
-    },
-    Awake(Box<ComponentRecord>),
-}
-
-impl Watched {
-    fn judged(&self) -> &JudgedComponent {
-        match self {
-            Watched::Resting { judged, .. } => judged,
-            Watched::Awake(component) => &component.judged,
-        }
-    }
-
-    fn awake(&self) -> Option<&ComponentRecord> {
-        match self {
-            Watched::Resting { .. } => None,
-            Watched::Awake(component) => Some(component),
-        }
-    }
-
-    fn awake_mut(&mut self) -> Option<&mut ComponentRecord> {
-        match self {
-            Watched::Resting { .. } => None,
-            Watched::Awake(component) => Some(component),
-        }
-    }
-
-    /// The component, to be judged: where it rests, as it was when it came to rest.
-    fn wake(&mut self, reading: ComponentSample, now: Instant) -> &mut ComponentRecord {
-        if let Watched::Resting { judged, mark } = self {
-            let ActivityMark { turn, incarnation, expired } = *mark;
-            let before = ComponentSample { turn, incarnation, expired, ..reading };
-            let fresh = ComponentRecord::new(judged.clone(), now);
-            let lateness = Lateness::new(now, expired);
-            let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
-            *self = Watched::Awake(Box::new(component));
-        }
-        self.awake_mut().expect("it was just made so")
-    }
-
-    /// Lets the component rest if it does.
-    fn settle(&mut self, now: Instant) {
-        let Some(component) = self.awake() else { return };
-        let Some(reading) = component.reading.filter(|_| component.rests(now)) else { return };
-        let (judged, mark) = (component.judged.clone(), reading.mark());
-        *self = Watched::Resting { judged, mark };
-    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
