@@ -2,8 +2,8 @@
 
 use super::lateness::Counts;
 use super::{
-    Arbiter, Around, ComponentRecord, ComponentSample, Episode, HangDetector, Late, LivenessEvent,
-    Looked, OverloadFigures, QueueReading, Silence, SlotId, Watched,
+    Arbiter, Around, ComponentEntry, ComponentRecord, ComponentSample, Episode, HangDetector, Late,
+    LivenessEvent, Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
 use crate::Instant;
 use crate::detection::hang::occupancy::Occupancy;
@@ -213,7 +213,7 @@ impl HangDetector {
         let mut free = Vec::new();
         for &slot in &self.awake {
             let place = self.components.get_mut(slot as usize).and_then(Option::as_mut);
-            let Some(component) = place.and_then(Watched::awake_mut) else { continue };
+            let Some(component) = place.and_then(ComponentEntry::awake_mut) else { continue };
             let relief = self.config.relief;
             let is_over = |episode: &mut Episode| now - episode.latest >= relief;
             let Some(episode) = component.overload.take_if(is_over) else { continue };
@@ -226,7 +226,7 @@ impl HangDetector {
         }
         for victim in free {
             let place = self.components.get_mut(victim as usize).and_then(Option::as_mut);
-            if let Some(component) = place.and_then(Watched::awake_mut)
+            if let Some(component) = place.and_then(ComponentEntry::awake_mut)
                 && component.silence == Silence::Told
             {
                 (component.silence, component.alive_since) = (Silence::Void, now);

@@ -15,10 +15,10 @@
 //! at every look is judged later, and no less. Nor is time charged in which a thread was ready to
 //! run and the operating system did not run it.
 
+mod entry;
 mod lateness;
 mod load;
 mod types;
-mod watched;
 
 pub mod occupancy;
 
@@ -28,8 +28,8 @@ pub use self::types::{
     SlotId,
 };
 
+use self::entry::ComponentEntry;
 use self::lateness::{Episode, Late, Lateness};
-use self::watched::Watched;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
 use std::collections::{BTreeMap, VecDeque};
@@ -115,7 +115,7 @@ pub struct HangDetector {
     step: Duration,
     arbiters: BTreeMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
-    components: Vec<Option<Watched>>,
+    components: Vec<Option<ComponentEntry>>,
     /// Those that were judged at the last look, in order.
     awake: Vec<SlotId>,
     outputs: VecDeque<LivenessEvent>,
@@ -143,7 +143,7 @@ impl HangDetector {
             self.components.resize_with(at + 1, || None);
         }
         let component = ComponentRecord::new(judged, self.clock);
-        self.components[at] = Some(Watched::Awake(Box::new(component)));
+        self.components[at] = Some(ComponentEntry::Awake(Box::new(component)));
     }
 
     /// It is no longer.
@@ -281,7 +281,8 @@ impl HangDetector {
         let culprit = self.judged(hang.slot);
         objects.extend(culprit.map(|culprit| culprit.object.clone()));
         // Who stood still had no chance to speak.
-        for component in self.components.iter_mut().flatten().filter_map(Watched::awake_mut) {
+        for component in self.components.iter_mut().flatten().filter_map(ComponentEntry::awake_mut)
+        {
             if component.judged.arbiter == id {
                 component.void(now);
             }
@@ -308,12 +309,13 @@ impl HangDetector {
     }
 
     fn judged(&self, slot: SlotId) -> Option<&JudgedComponent> {
-        self.components.get(slot as usize)?.as_ref().map(Watched::judged)
+        self.components.get(slot as usize)?.as_ref().map(ComponentEntry::judged)
     }
 
     fn others_on(&self, arbiter: ArbiterId, but: SlotId) -> Vec<ObjectName> {
         let others = self.components.iter().enumerate().filter(|(at, _)| *at != but as usize);
-        let others = others.filter_map(|(_, component)| component.as_ref().map(Watched::judged));
+        let others =
+            others.filter_map(|(_, component)| component.as_ref().map(ComponentEntry::judged));
         let here = others.filter(|judged| judged.arbiter == arbiter);
         here.map(|judged| judged.object.clone()).collect()
     }
@@ -371,7 +373,7 @@ impl HangDetector {
             let Some(watched) = place else { continue };
             let id = watched.judged().arbiter;
             let is_saturated = saturated.contains(&id);
-            if let Watched::Resting { mark, .. } = watched
+            if let ComponentEntry::Resting { mark, .. } = watched
                 && *mark == looked.mark(slot)
                 && !is_saturated
             {

@@ -6,7 +6,7 @@ use crate::Instant;
 
 /// What is kept of one slot. Most components rest, and cost no more than this.
 #[derive(Debug)]
-pub(super) enum Watched {
+pub(super) enum ComponentEntry {
     /// It has nothing in service, nothing is late, and no sign is expected of it. As long as it
     /// shows this mark and its arbiter has time, there is nothing to judge.
     Resting {
@@ -16,37 +16,37 @@ pub(super) enum Watched {
     Awake(Box<ComponentRecord>),
 }
 
-impl Watched {
+impl ComponentEntry {
     pub(super) fn judged(&self) -> &JudgedComponent {
         match self {
-            Watched::Resting { judged, .. } => judged,
-            Watched::Awake(component) => &component.judged,
+            ComponentEntry::Resting { judged, .. } => judged,
+            ComponentEntry::Awake(component) => &component.judged,
         }
     }
 
     pub(super) fn awake(&self) -> Option<&ComponentRecord> {
         match self {
-            Watched::Resting { .. } => None,
-            Watched::Awake(component) => Some(component),
+            ComponentEntry::Resting { .. } => None,
+            ComponentEntry::Awake(component) => Some(component),
         }
     }
 
     pub(super) fn awake_mut(&mut self) -> Option<&mut ComponentRecord> {
         match self {
-            Watched::Resting { .. } => None,
-            Watched::Awake(component) => Some(component),
+            ComponentEntry::Resting { .. } => None,
+            ComponentEntry::Awake(component) => Some(component),
         }
     }
 
     /// The component, to be judged: where it rests, as it was when it came to rest.
     pub(super) fn wake(&mut self, reading: ComponentSample, now: Instant) -> &mut ComponentRecord {
-        if let Watched::Resting { judged, mark } = self {
+        if let ComponentEntry::Resting { judged, mark } = self {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
             let fresh = ComponentRecord::new(judged.clone(), now);
             let lateness = Lateness::new(now, expired);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
-            *self = Watched::Awake(Box::new(component));
+            *self = ComponentEntry::Awake(Box::new(component));
         }
         self.awake_mut().expect("it was just made so")
     }
@@ -56,6 +56,6 @@ impl Watched {
         let Some(component) = self.awake() else { return };
         let Some(reading) = component.reading.filter(|_| component.rests(now)) else { return };
         let (judged, mark) = (component.judged.clone(), reading.mark());
-        *self = Watched::Resting { judged, mark };
+        *self = ComponentEntry::Resting { judged, mark };
     }
 }
