@@ -469,7 +469,8 @@ impl Handler<SafeStop> for SupervisorActor {
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;
-        let cause = fault.as_ref().map_or(ReplacementCause::Asked, cause_of_rest);
+        let present = self.machine.incarnation_of(&object);
+        let cause = fault.map_or(ReplacementCause::Asked, |fault| cause_of_rest(&fault, present));
         self.ask(context, object, |machine, object, ticket, now| {
             machine.handle_rest(object, ticket, cause, now);
         })
@@ -478,12 +479,14 @@ impl Handler<SafeStop> for SupervisorActor {
 
 /// Several measures may have been tried since a panic: whether the present life, if there is one,
 /// ends is found out by asking it. Only one that does not answer is not asked.
-fn cause_of_rest(fault: &Fault) -> ReplacementCause {
+fn cause_of_rest(fault: &Fault, present: Option<Incarnation>) -> ReplacementCause {
     match ReplacementCause::of(fault) {
-        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind) => stuck,
-        ReplacementCause::Died | ReplacementCause::Faulty | ReplacementCause::Asked => {
-            ReplacementCause::Faulty
+        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind)
+            if present <= Some(fault.incarnation) =>
+        {
+            stuck
         }
+        _ => ReplacementCause::Faulty,
     }
 }
 

@@ -248,3 +248,35 @@ fn victims_of_a_hang_whose_thread_returns_as_it_is_lost_suffer_nothing_else() {
         node.shutdown().await;
     });
 }
+
+#[test]
+fn a_shutdown_waits_for_nobody_who_stands_still_behind_a_hang() {
+    blastema::run(async {
+        let strings = Strings::default();
+        // They share one thread: whoever is asked to stop does not hear it.
+        let patient = |name| strings.spec(name).shutdown_within(Duration::from_secs(3600));
+        let pair = SupervisorSpec::new("pair", Strategy::OneForAll)
+            .child(patient("c"))
+            .child(patient("d"));
+        let builder = Node::builder("module1")
+            .work_threads(1)
+            .child(patient("a"))
+            .child(patient("b").max_block(Duration::from_millis(150)))
+            .supervisor(pair)
+            .child(strings.spec("ear").on_own_thread());
+        let node = start(builder).await;
+        node.sender("b").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+        strings.diary();
+
+        let ended = tokio::time::timeout(LONG, node.shutdown()).await;
+
+        ended.expect("no deadline of an hour is waited for");
+        assert_eq!(node.state(), NodeState::Stopped);
+        let diary = strings.diary();
+        let stopped = |name| diary.contains(&format!("{name}#1 on_finalize"));
+        assert!(stopped("ear"), "who can stop in order does: {diary:?}");
+        assert!(!["a", "b", "c", "d"].into_iter().any(stopped), "{diary:?}");
+        assert!(!diary.iter().any(|line| line.contains("#2")), "nothing restarts: {diary:?}");
+        strings.release();
+    });
+}

@@ -123,6 +123,11 @@ impl Supervisor {
         self.children.values().map(SupervisedChild::status)
     }
 
+    /// Which life of this child is its present or last one, as far as is known here.
+    pub fn incarnation_of(&self, name: &ObjectName) -> Option<Incarnation> {
+        Some(self.children[self.index.get(name)?].incarnation)
+    }
+
     /// Takes in one more child, behind all others; it is started if the supervisor is at work.
     ///
     /// # Errors
