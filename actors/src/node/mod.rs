@@ -77,6 +77,7 @@ use std::any::{Any, type_name};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::watch;
 use tracing::warn;
@@ -122,6 +123,8 @@ struct Shared {
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
     systemd: Option<Systemd>,
+    /// Components have begun, so that outputs may have to be made safe.
+    begun: AtomicBool,
     /// The safe outputs were applied without the fault chain.
     safe: AtomicBool,
     /// What stood in the record of faults when the node was shut down.
@@ -505,11 +508,16 @@ impl Shared {
         self.chain.stop(cause, in_order);
     }
 
-    /// The node ends otherwise than in order, for this reason, from whichever thread this is.
+    /// The node ends otherwise than in order, for this reason, from whichever thread this is. One
+    /// whose start is refused before any component has begun leaves outputs and watchdogs alone:
+    /// they may be those of the robot that runs already.
     fn end(&self, cause: &str) {
         self.chain.expect_end();
-        self.become_safe(cause);
-        self.stop_threads(cause, false);
+        let begun = self.begun.load(SeqCst);
+        if begun {
+            self.become_safe(cause);
+        }
+        self.stop_threads(cause, !begun);
     }
 }
 
