@@ -165,7 +165,8 @@ impl World {
                 SupervisorOutput::GiveUp { .. } => {
                     assert!(!self.escalated, "it is said before all else");
                 }
-                SupervisorOutput::Reset { .. }
+                SupervisorOutput::ExpectEnd { .. }
+                | SupervisorOutput::Reset { .. }
                 | SupervisorOutput::Refused { .. }
                 | SupervisorOutput::Unavailable { .. }
                 | SupervisorOutput::Isolate { .. }

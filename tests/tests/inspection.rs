@@ -3,6 +3,9 @@
 use blastema::StartError;
 use blastema::prelude::*;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 use tokio::io::AsyncReadExt;
 use tokio::net::UnixStream;
@@ -176,9 +179,14 @@ fn that_a_socket_cannot_be_made_again_is_a_fault_until_it_can() {
     });
 }
 
+/// What is said to a node with safe outputs that cannot be shown there.
 async fn refused(socket: &Path) -> String {
-    let refused = Node::builder("module2").inspection_socket(socket).start().await.unwrap_err();
+    let applied = Arc::new(AtomicBool::new(false));
+    let applies = applied.clone();
+    let builder = Node::builder("module2").safe_outputs(move |_| applies.store(true, SeqCst));
+    let refused = builder.inspection_socket(socket).start().await.unwrap_err();
     assert!(matches!(refused, StartError::Shown(_)), "{refused}");
+    assert!(!applied.load(SeqCst), "the outputs may be those of a robot that runs");
     refused.to_string()
 }
 

@@ -1,6 +1,7 @@
 //! The supervisor's body: it holds the children, and does to them what its machine decides.
 
 mod moving;
+mod rest;
 mod tree;
 
 use super::directory::{SupervisorDirectory, SupervisorRecipients};
@@ -16,14 +17,14 @@ use blastema_contract::reports::{
     Alive, AreYouAlive, ExitReason, Exited, FaultDeclared, StateReported,
 };
 use blastema_contract::supervisor::{
-    AbandonChildren, AddChild, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered, RemoveChild,
-    ResetChild, RestartChild, SafeStop, StartSupervisor, StopSupervisor,
+    AbandonChildren, AddChild, ExpectEnd, GaveUp, IsolateAll, IsolateChild, ReadTree, Recovered,
+    RemoveChild, ResetChild, RestartChild, StartSupervisor, StopSupervisor,
 };
 use blastema_core::recovery::{
     CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
     SupervisorRules,
 };
-use blastema_core::{Fault, FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
+use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::sync::oneshot;
@@ -220,6 +221,11 @@ impl MachineActor for SupervisorActor {
                     None => {}
                 }
             }
+            SupervisorOutput::ExpectEnd { child } => {
+                if let Some(child) = self.child(&child) {
+                    child.expect_end();
+                }
+            }
             SupervisorOutput::Abandon { child } => {
                 if let Some(child) = self.child(&child) {
                     child.abandon();
@@ -367,6 +373,15 @@ impl Handler<StopSupervisor> for SupervisorActor {
     }
 }
 
+impl Handler<ExpectEnd> for SupervisorActor {
+    type Result = ();
+
+    fn handle(&mut self, _: ExpectEnd, context: &mut Context<Self>) {
+        self.machine.handle_end_expected();
+        self.drive(context);
+    }
+}
+
 impl Handler<AbandonChildren> for SupervisorActor {
     type Result = ();
 
@@ -469,29 +484,6 @@ impl Handler<IsolateChild> for SupervisorActor {
     }
 }
 
-impl Handler<SafeStop> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
-
-    fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
-        let SafeStop { object, fault } = message;
-        let cause = fault.as_ref().map_or(ReplacementCause::Asked, cause_of_rest);
-        self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_rest(object, ticket, cause, now);
-        })
-    }
-}
-
-/// Several measures may have been tried since a panic: whether the present life, if there is one,
-/// ends is found out by asking it. Only one that does not answer is not asked.
-fn cause_of_rest(fault: &Fault) -> ReplacementCause {
-    match ReplacementCause::of(fault) {
-        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind) => stuck,
-        ReplacementCause::Died | ReplacementCause::Faulty | ReplacementCause::Asked => {
-            ReplacementCause::Faulty
-        }
-    }
-}
-
 impl Handler<RemoveChild> for SupervisorActor {
     type Result = ResponseFuture<RecoveryResult>;
 
@@ -566,6 +558,10 @@ impl Child for SupervisorChild {
 
     fn make_way(&mut self) {
         self.address.do_send(StopSupervisor { again: true });
+    }
+
+    fn expect_end(&mut self) {
+        self.address.do_send(ExpectEnd);
     }
 
     fn retire(&mut self) {

@@ -57,6 +57,7 @@ use blastema_core::{
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
@@ -348,6 +349,7 @@ impl NodeAssembly {
             dependencies: Mutex::new(dependencies),
             plan: self.plan,
             systemd,
+            begun: AtomicBool::new(false),
             safe: AtomicBool::new(false),
             last_record: OnceLock::new(),
         };
@@ -370,7 +372,9 @@ impl StartingNode {
         shown.map_err(StartError::Shown)
     }
 
+    /// Nothing refuses the start any more.
     async fn start_root(self, root: SupervisorChild) -> Result<Node, StartError> {
+        self.node.0.begun.store(true, SeqCst);
         match self.keeper.send(StartRoot(Box::new(root))).await {
             Ok(Ok(())) => {
                 self.node.0.tell_systemd("READY=1");

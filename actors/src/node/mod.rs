@@ -76,6 +76,7 @@ use controller::{RestartRoot, Shutdown};
 use std::any::type_name;
 use std::fmt;
 use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::watch;
 use tracing::warn;
@@ -120,6 +121,8 @@ struct Shared {
     dependencies: Mutex<Dependencies>,
     plan: Arc<blastema_core::recovery::Plan>,
     systemd: Option<Systemd>,
+    /// Components have begun, so that outputs may have to be made safe.
+    begun: AtomicBool,
     /// The safe outputs were applied without the fault chain.
     safe: AtomicBool,
     /// What stood in the record of faults when the node was shut down.
@@ -499,11 +502,16 @@ impl Shared {
         self.chain.stop(cause, in_order);
     }
 
-    /// The node ends otherwise than in order, for this reason, from whichever thread this is.
+    /// The node ends otherwise than in order, for this reason, from whichever thread this is. One
+    /// whose start is refused before any component has begun leaves outputs and watchdogs alone:
+    /// they may be those of the robot that runs already.
     fn end(&self, cause: &str) {
         self.chain.expect_end();
-        self.become_safe(cause);
-        self.stop_threads(cause, false);
+        let begun = self.begun.load(SeqCst);
+        if begun {
+            self.become_safe(cause);
+        }
+        self.stop_threads(cause, !begun);
     }
 }
 

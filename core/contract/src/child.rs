@@ -35,6 +35,10 @@ pub trait Child: Send {
         self.stop();
     }
 
+    /// The present life is about to be asked to end, and a supervisor starts nothing any more. No
+    /// answer.
+    fn expect_end(&mut self) {}
+
     /// The child has no life, and none is to follow: what waits for it is given back. No answer.
     /// The next [`start`](Child::start) takes it up again.
     fn retire(&mut self) {}

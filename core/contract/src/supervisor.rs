@@ -3,8 +3,8 @@
 //! ```text
 //! strategy ──RestartChild, ResetChild, IsolateChild, SafeStop──► Supervisor
 //!          ◄──Recovered | GaveUp (once it is decided)───────────┘
-//! parent, or the node ──StartSupervisor, StopSupervisor, AbandonChildren──► Supervisor
-//!                     ◄──ChildReport────────────────────────────────────────┘
+//! parent, or the node ──StartSupervisor, ExpectEnd, StopSupervisor, AbandonChildren──► Supervisor
+//!                     ◄──ChildReport───────────────────────────────────────────────────┘
 //! ```
 //!
 //! Requests go down the tree, events go up; a supervisor awaits no other object.
@@ -128,6 +128,12 @@ pub struct StopSupervisor {
     /// The supervisor is to restart, so that what waits for its children goes on waiting.
     pub again: bool,
 }
+
+/// From the parent: you are about to be told to stop, so begin nothing any more. Nothing is
+/// reported.
+#[derive(Clone, Copy, Debug, Message)]
+#[rtype(result = "()")]
+pub struct ExpectEnd;
 
 /// From the parent: give all children up at once. Nothing is reported.
 #[derive(Clone, Copy, Debug, Message)]

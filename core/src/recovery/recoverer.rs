@@ -227,7 +227,7 @@ impl Recoverer {
             return self.tell(&fault, FaultResolution::Observed);
         }
         if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.place) {
-            return self.tell_rest(&fault, standstill);
+            return self.leave_untreated(&fault, standstill);
         }
         let place = fault.place.clone();
         if let Some(case) = self.cases.get_mut(&place) {

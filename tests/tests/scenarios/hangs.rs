@@ -248,3 +248,74 @@ fn victims_of_a_hang_whose_thread_returns_as_it_is_lost_suffer_nothing_else() {
         node.shutdown().await;
     });
 }
+
+#[test]
+fn a_shutdown_waits_for_nobody_who_stands_still_behind_a_hang() {
+    blastema::run(async {
+        let strings = Strings::default();
+        // They share one thread: whoever is asked to stop does not hear it.
+        let patient = |name| strings.spec(name).shutdown_within(Duration::from_secs(3600));
+        let pair = SupervisorSpec::new("pair", Strategy::OneForAll)
+            .child(patient("c"))
+            .child(patient("d"));
+        let builder = Node::builder("module1")
+            .work_threads(1)
+            .child(patient("a"))
+            .child(patient("b").max_block(Duration::from_millis(150)))
+            .supervisor(pair)
+            .child(strings.spec("ear").on_own_thread());
+        let node = start(builder).await;
+        node.sender("b").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+        strings.diary();
+
+        let ended = tokio::time::timeout(LONG, node.shutdown()).await;
+
+        ended.expect("no deadline of an hour is waited for");
+        assert_eq!(node.state(), NodeState::Stopped);
+        let diary = strings.diary();
+        let stopped = |name| diary.contains(&format!("{name}#1 on_finalize"));
+        assert!(stopped("ear"), "who can stop in order does: {diary:?}");
+        assert!(!["a", "b", "c", "d"].into_iter().any(stopped), "{diary:?}");
+        assert!(!diary.iter().any(|line| line.contains("#2")), "nothing restarts: {diary:?}");
+        strings.release();
+    });
+}
+
+#[test]
+fn a_hang_restarts_a_group_with_a_supervisor_in_it_in_order_and_once() {
+    for strategy in [Strategy::RestForOne, Strategy::OneForAll] {
+        blastema::run(async move {
+            let strings = Strings::default();
+            let pair = SupervisorSpec::new("pair", Strategy::OneForOne)
+                .child(strings.spec("b"))
+                .child(strings.spec("c"));
+            let group = SupervisorSpec::new("group", strategy)
+                .child(strings.spec("a").max_block(Duration::from_millis(150)))
+                .supervisor(pair)
+                .child(strings.spec("d"));
+            let builder = Node::builder("module1")
+                .work_threads(1)
+                .supervisor(group)
+                .child(strings.spec("ear").on_own_thread());
+            let mut node = start(builder).await;
+            strings.diary();
+
+            node.sender("a").unwrap().tell(Do(Deed::Block("ear".into()))).unwrap();
+            let recovered = async {
+                for name in ["a", "b", "c", "d"] {
+                    node.await_recovered(FaultKind::Hang, name).await;
+                }
+            };
+            tokio::time::timeout(LONG, recovered).await.expect("all come back");
+
+            for name in ["a", "b", "c", "d"] {
+                assert_eq!(patiently(&node, name).await, 2, "{strategy:?}: {name}");
+            }
+            let begun = strings.lines("on_initialize");
+            let in_order = ["a", "b", "c", "d"].map(|name| format!("{name}#2 on_initialize"));
+            assert_eq!(begun, in_order, "{strategy:?}");
+            strings.release();
+            node.shutdown().await;
+        });
+    }
+}

@@ -131,6 +131,14 @@ impl StrategyContext {
         judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
     }
 
+    /// Puts an object to rest whose node is at rest, or ends. Nobody waits for that.
+    pub(crate) fn give_up_life(&self, fault: &Fault) {
+        // One that was removed meanwhile is nobody's.
+        if let Ok((object, keeper)) = self.keeper(&fault.place) {
+            keeper.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
+        }
+    }
+
     /// Applies the safe outputs and puts the whole node to rest.
     pub(crate) fn rest_node(&self, fault: &Fault, reason: &str) {
         let (fault, reason) = (fault.clone(), reason.into());

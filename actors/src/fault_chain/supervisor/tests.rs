@@ -1,5 +1,6 @@
 use super::*;
 use crate::fault_chain::scripted::{Bench, ScriptedReply, fault, object};
+use blastema_contract::supervisor::SafeStop;
 use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};
 use std::time::Duration;

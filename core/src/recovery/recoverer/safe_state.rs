@@ -1,7 +1,7 @@
 //! What a recoverer does while its node is in the safe state, or ends.
 
-use super::{FaultLocation, FaultResolution, Recoverer};
-use crate::{Fault, Instant};
+use super::{FaultLocation, FaultResolution, Recoverer, RecovererOutput};
+use crate::{Fault, FaultKind, Instant};
 
 /// Why faults of objects are not treated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,8 +32,11 @@ impl Recoverer {
         let places: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
         for place in places {
             let told = self.cases[&place].given_up;
-            for fault in self.close(&place, now).iter().filter(|_| !told) {
-                self.tell_rest(fault, standstill);
+            for fault in &self.close(&place, now) {
+                self.give_up_hung(fault);
+                if !told {
+                    self.tell_rest(fault, standstill);
+                }
             }
         }
     }
@@ -43,7 +46,20 @@ impl Recoverer {
         self.standstill = None;
     }
 
-    pub(super) fn tell_rest(&mut self, fault: &Fault, standstill: Standstill) {
+    /// A fault of an object that is found now.
+    pub(super) fn leave_untreated(&mut self, fault: &Fault, standstill: Standstill) {
+        self.give_up_hung(fault);
+        self.tell_rest(fault, standstill);
+    }
+
+    /// Lives are stopped one after the other: each that hangs would take all of its time.
+    fn give_up_hung(&mut self, fault: &Fault) {
+        if fault.kind == FaultKind::Hang {
+            self.outputs.push_back(RecovererOutput::GiveUpLife { fault: fault.clone() });
+        }
+    }
+
+    fn tell_rest(&mut self, fault: &Fault, standstill: Standstill) {
         let reason = match standstill {
             Standstill::SafeState => "the node is in the safe state, where nothing is restarted",
             Standstill::NodeEnds => "the node ends, and restarts nothing",

@@ -81,6 +81,9 @@ impl Rig {
                     FaultResolution::RootSettled => format!("{id} may pass"),
                 },
                 RecovererOutput::Release { measure } => format!("release {measure}"),
+                RecovererOutput::GiveUpLife { fault } => {
+                    format!("give up {} {}", fault.place, fault.incarnation)
+                }
                 RecovererOutput::LastResort { fault, reason } => {
                     format!("last resort for {}: {reason}", fault.id.0)
                 }
@@ -519,6 +522,20 @@ fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_
     // Life 8 is the one that is in error.
     let said = rig.outcome(2, works(8));
     assert_eq!(said, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
+}
+
+#[test]
+fn lives_that_hang_as_the_node_ends_are_given_up_and_not_restarted() {
+    let mut rig = Rig::new();
+    rig.find(fault(1, FaultKind::Hang, at("arm"), 1));
+    rig.machine.handle_node_end(rig.now);
+    let told = |id| format!("{id} given up: the node ends, and restarts nothing");
+    assert_eq!(rig.said(), ["give up here:arm #1".to_owned(), told(1)]);
+
+    let leg = fault(2, FaultKind::Hang, at("leg"), 3);
+    assert_eq!(rig.find(leg), ["give up here:leg #3".to_owned(), told(2)]);
+    assert_eq!(rig.find(panic_of(3, "leg", 3)), [told(3)], "it has ended");
+    assert_eq!(rig.machine.open_cases(), 0);
 }
 
 #[test]

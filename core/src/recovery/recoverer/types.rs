@@ -97,6 +97,12 @@ pub enum RecovererOutput {
         /// The measure that it carries out.
         measure: RecoveryAction,
     },
+    /// The node is in the safe state, or ends, and this life keeps its thread, or stands still
+    /// behind the one that does: have it given up, so that nobody who is being stopped waits for it.
+    GiveUpLife {
+        /// Its hang.
+        fault: Fault,
+    },
     /// Not even safe stop could be carried out: the whole node is to come to rest.
     LastResort {
         /// What could not be contained.

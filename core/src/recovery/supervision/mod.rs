@@ -47,8 +47,14 @@ enum Phase {
     Idle,
     Starting,
     Serving,
-    Ending { escalation: Option<String> },
-    Escalated { reason: String },
+    /// Its parent is about to end this life.
+    Leaving,
+    Ending {
+        escalation: Option<String>,
+    },
+    Escalated {
+        reason: String,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,6 +130,11 @@ impl Supervisor {
         self.children.values().map(|child| child.status())
     }
 
+    /// Which life of this child is its present or last one, as far as is known here.
+    pub fn incarnation_of(&self, name: &ObjectName) -> Option<Incarnation> {
+        Some(self.children[self.index.get(name)?].incarnation)
+    }
+
     /// Takes in one more child, behind all others; it is started if the supervisor is at work.
     ///
     /// # Errors
@@ -176,6 +187,17 @@ impl Supervisor {
             self.coming.insert(key);
         }
         self.advance(now);
+    }
+
+    /// The life is about to end, with others that are stopped before it: nothing is started any
+    /// more.
+    pub fn handle_end_expected(&mut self) {
+        if self.at_work() {
+            self.phase = Phase::Leaving;
+            self.withdraw_all();
+            let living: Vec<ChildKey> = self.living().collect();
+            self.foretell(living);
+        }
     }
 
     /// Ends the life: every child is stopped in reverse order.
@@ -231,10 +253,18 @@ impl Supervisor {
         let Some(key) = self.admit(name, ticket, Wish::Work) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
-            // What becomes of it shows in the supervisor's next life.
-            Phase::Ending { escalation: Some(_) } | Phase::Escalated { .. } if struck.is_some() => {
-                return self.settle();
+            // What becomes of it shows in the supervisor's next life, if there is one.
+            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if struck.is_some() => {
+                let child = self.kept(key);
+                child.failed = None;
+                let present = child.lives() && struck >= Some(child.incarnation);
+                if present && matches!(cause, ReplacementCause::Stuck | ReplacementCause::Behind) {
+                    self.end_now(key, cause);
+                    self.after_end(key, now);
+                }
+                return self.advance(now);
             }
+            Phase::Leaving => return self.settle(),
             Phase::Idle | Phase::Ending { .. } | Phase::Escalated { .. } => {
                 return self.refuse(ticket, GiveUpReason::NotAtWork);
             }
@@ -471,16 +501,21 @@ impl Supervisor {
     pub fn handle_own_restart(&mut self, now: Instant) {
         self.outputs.clear();
         self.pending.clear();
-        self.going.clear();
+        let going = std::mem::take(&mut self.going);
         let living: Vec<ChildKey> = self.living().collect();
         for key in living {
+            let foretold = going.contains(&key) && self.kept(key).rules.supervises;
             match self.kept(key).state {
-                ChildPhase::Running => {
+                ChildPhase::Running if !foretold => {
                     self.coming.remove(&key);
                 }
                 ChildPhase::Resetting { .. } => self.set_state(key, ChildPhase::Running),
-                ChildPhase::Unavailable => {}
-                ChildPhase::Starting { .. } | ChildPhase::Stopping { .. } | ChildPhase::Down => {
+                ChildPhase::Unavailable if !foretold => {}
+                ChildPhase::Starting { .. }
+                | ChildPhase::Stopping { .. }
+                | ChildPhase::Down
+                | ChildPhase::Running
+                | ChildPhase::Unavailable => {
                     self.abandon(key);
                     if self.at_work() && self.kept(key).goal == ChildTarget::Run {
                         self.coming.insert(key);

@@ -33,8 +33,10 @@ impl Supervisor {
             Some(&first) => {
                 // One further back may have begun before this one joined.
                 let starting = self.timed.intersection(&self.coming).next().is_some();
+                let at_work = self.at_work();
                 let child = self.kept(first);
-                if !starting && child.state == ChildPhase::Down && child.failed.is_none() {
+                if at_work && !starting && child.state == ChildPhase::Down && child.failed.is_none()
+                {
                     self.start(first, now);
                 }
             }
@@ -197,14 +199,14 @@ impl Supervisor {
     /// Everybody from `first` on, in start order, is to end and to start again; but for temporary
     /// children, which only end.
     fn renew_from(&mut self, first: ChildKey) {
-        let mut finished = Vec::new();
+        let (mut finished, mut going) = (Vec::new(), Vec::new());
         for (&key, child) in self.children.range_mut(first..) {
             if child.goal != ChildTarget::Run {
                 continue;
             }
             child.failed = None;
             if child.lives() {
-                self.going.insert(key);
+                going.push(key);
             }
             if child.rules.restart == Restart::Temporary {
                 child.goal = ChildTarget::Finished;
@@ -218,6 +220,18 @@ impl Supervisor {
         }
         let retire = |child| SupervisorOutput::Retire { child };
         self.outputs.extend(finished.into_iter().map(retire));
+        self.going.extend(&going);
+        self.foretell(going);
+    }
+
+    /// These are going to be stopped, each when those behind it have ended: until then a supervisor
+    /// among them begins nothing that would have to be stopped again.
+    pub(super) fn foretell(&mut self, going: Vec<ChildKey>) {
+        let children = going.into_iter().map(|key| &self.children[&key]);
+        let supervisors = children.filter(|child| child.rules.supervises);
+        let tell =
+            |child: &SupervisedChild| SupervisorOutput::ExpectEnd { child: child.name.clone() };
+        self.outputs.extend(supervisors.map(tell));
     }
 
     /// Ends a child for good, or until it is started again on request.
@@ -243,7 +257,7 @@ impl Supervisor {
     }
 
     /// Ends a life that need not, or cannot, be asked.
-    fn end_now(&mut self, key: ChildKey, cause: ReplacementCause) {
+    pub(super) fn end_now(&mut self, key: ChildKey, cause: ReplacementCause) {
         match cause {
             ReplacementCause::Died if self.kept(key).lives() => {
                 self.set_state(key, ChildPhase::Down)
@@ -367,7 +381,7 @@ impl Supervisor {
         let wanted = child.goal == ChildTarget::Run;
         let again = wanted
             && match &self.phase {
-                Phase::Starting | Phase::Serving => true,
+                Phase::Starting | Phase::Serving | Phase::Leaving => true,
                 // The parent restarts it, unless there is none.
                 Phase::Ending { escalation: Some(_) } => !self.rules.root,
                 Phase::Ending { escalation: None } | Phase::Idle | Phase::Escalated { .. } => false,
@@ -446,6 +460,7 @@ impl Supervisor {
         self.withdraw_all();
         self.budget.settle();
         self.going = self.living().collect();
+        self.foretell(self.going.iter().copied().collect());
         for child in self.children.values_mut() {
             child.failed = None;
         }
@@ -503,7 +518,7 @@ impl Supervisor {
         }
     }
 
-    fn withdraw_all(&mut self) {
+    pub(super) fn withdraw_all(&mut self) {
         let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             self.withdraw(key);

@@ -88,6 +88,12 @@ pub enum SupervisorOutput {
         /// Another life is to follow, so that what waits for the child goes on waiting.
         again: bool,
     },
+    /// Tell the child, which is a supervisor, that its life is about to end: others are stopped
+    /// before it.
+    ExpectEnd {
+        /// The child.
+        child: ObjectName,
+    },
     /// Give the child's life up without asking it.
     Abandon {
         /// The child.

@@ -47,12 +47,12 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
     rig.begin();
     rig.started("a", 1);
     assert_eq!(rig.end(), ["stop a"]);
-    assert_eq!(
-        rig.restart("a", ReplacementCause::Died, 1),
-        ["2 gave a up: its supervisor is not at work"]
-    );
+    assert_eq!(rig.restart_by_hand("a"), ["2 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.restart("a", ReplacementCause::Faulty, 1), [""; 0], "its next life says");
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
-    assert_eq!(rig.remove("a"), ["left a", "3 let a go"]);
+    rig.machine.handle_retired();
+    assert_eq!(rig.said(), ["3 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.remove("a"), ["left a", "4 let a go"]);
 }
 
 #[test]

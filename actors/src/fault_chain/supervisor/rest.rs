@@ -1,0 +1,33 @@
+//! A child is put in safe state.
+
+use super::{RecoveryResult, SupervisorActor};
+use actix::prelude::*;
+use blastema_contract::supervisor::SafeStop;
+use blastema_core::recovery::ReplacementCause;
+use blastema_core::{Fault, Incarnation};
+
+impl Handler<SafeStop> for SupervisorActor {
+    type Result = ResponseFuture<RecoveryResult>;
+
+    fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
+        let SafeStop { object, fault } = message;
+        let present = self.machine.incarnation_of(&object);
+        let cause = fault.map_or(ReplacementCause::Asked, |fault| cause_of_rest(&fault, present));
+        self.ask(context, object, |machine, object, ticket, now| {
+            machine.handle_rest(object, ticket, cause, now);
+        })
+    }
+}
+
+/// Several measures may have been tried since a panic: whether the present life, if there is one,
+/// ends is found out by asking it. Only one that does not answer is not asked.
+fn cause_of_rest(fault: &Fault, present: Option<Incarnation>) -> ReplacementCause {
+    match ReplacementCause::of(fault) {
+        stuck @ (ReplacementCause::Stuck | ReplacementCause::Behind)
+            if present <= Some(fault.incarnation) =>
+        {
+            stuck
+        }
+        _ => ReplacementCause::Faulty,
+    }
+}
