@@ -104,6 +104,8 @@ pub(crate) struct SampledComponents(Arc<Entries>);
 #[derive(Default)]
 struct Entries {
     by_slot: Mutex<BTreeMap<u32, SampledComponent>>,
+    /// The component that declares its ports now, before it has a slot.
+    declaring: Mutex<Option<ObjectName>>,
     /// Raised by every change.
     version: AtomicU64,
     /// What was in service at the last look: slot, turn, and since when.
@@ -140,6 +142,15 @@ impl SampledComponents {
     pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
         self.lock().insert(slot, watched);
         self.0.version.fetch_add(1, Relaxed);
+    }
+
+    /// This component declares its ports from now on, or none does.
+    pub(crate) fn declare(&self, object: Option<ObjectName>) {
+        *self.declaring() = object;
+    }
+
+    fn declaring(&self) -> MutexGuard<'_, Option<ObjectName>> {
+        self.0.declaring.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What every component is doing now.
@@ -241,7 +252,8 @@ impl Running {
             let running = watched.pulse.running() == Some(*slot);
             running.then(|| (watched.object.clone(), during(&reading), reading.turn))
         };
-        self.0.lock().iter().filter_map(on_thread).collect()
+        let declaring = self.0.declaring().clone().map(|object| (object, "ports", 0));
+        self.0.lock().iter().filter_map(on_thread).chain(declaring).collect()
     }
 }
 
