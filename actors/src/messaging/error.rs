@@ -111,19 +111,17 @@ impl<M> RequestError<M> {
     }
 }
 
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
 impl<M> fmt::Debug for SendError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SendError").field("why", &self.kind).finish_non_exhaustive()
+        fmt::Display::fmt(self, f)
     }
 }
 
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
 impl<M> fmt::Debug for RequestError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let returned = self.message.is_some();
-        f.debug_struct("RequestError")
-            .field("why", &self.kind)
-            .field("message_returned", &returned)
-            .finish()
+        fmt::Display::fmt(self, f)
     }
 }
 

@@ -34,7 +34,7 @@ impl fmt::Display for Delivery {
 }
 
 /// Why a message was not delivered, or a request not answered.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeliveryError {
     /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
@@ -251,6 +251,13 @@ pub enum DeliveryError {
         /// The type that was asked for.
         wanted: String,
     },
+}
+
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
+impl fmt::Debug for DeliveryError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
 }
 
 fn listed(served: &[String]) -> String {
