@@ -291,10 +291,11 @@ impl TestNode {
         match timeout(PATIENCE, found).await {
             Ok(Some(event)) => event,
             Ok(None) | Err(_) => {
-                let record = describe(&self.node.faults().await);
-                panic!(
-                    "no {kind} of {object} was {what} within {PATIENCE:?}; found were:\n{record}"
-                );
+                let record = match describe(&self.node.faults().await).as_str() {
+                    "" => "no fault was found at all".to_owned(),
+                    record => format!("found were:\n{record}"),
+                };
+                panic!("no {kind} of {object} was {what} within {PATIENCE:?}; {record}");
             }
         }
     }
