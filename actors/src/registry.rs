@@ -206,7 +206,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
     fn receiver(&self) -> Option<Receiver> {
         let ObjectAddress { node, object } = self.to.clone();
         let (node, contract) = (Some(node), M::NAME);
-        Some(Receiver { node, object, contract, queue: None, unavailable: None })
+        Some(Receiver { node, object, contract, queue: None, unavailable: None, deadline: None })
     }
 
     fn room<'a>(
@@ -255,7 +255,10 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 
 /// A name that is taken already.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the name {name} is taken by another object of this node; names are given once")]
+#[error(
+    "the name {name} is taken by another object of this node, perhaps by a supervisor or an object of \
+     the middleware; names are given once"
+)]
 pub struct NameTaken {
     /// The name.
     pub name: ObjectName,
@@ -287,6 +290,8 @@ struct Inner {
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
+    /// The node was shut down.
+    is_shut_down: bool,
     remote: Option<Arc<dyn StubFactory>>,
     /// The names of the whole robot.
     names: Option<Arc<dyn NameResolver>>,
@@ -297,6 +302,9 @@ struct Inner {
 impl Inner {
     /// What to say of a name that no object of this node has.
     fn misspelt(&self, name: &str) -> DeliveryError {
+        if let Some(why) = self.refusal() {
+            return why;
+        }
         let known = self.objects.keys().map(ObjectName::as_str);
         let object = name.split_once(':').map_or(name, |(_, object)| object);
         let name = name.to_owned();
@@ -305,6 +313,25 @@ impl Inner {
             Some(nearest) if nearest == object => DeliveryError::Unknown { name },
             Some(nearest) => DeliveryError::Misspelt { nearest: nearest.to_owned(), name },
             None => DeliveryError::Unknown { name },
+        }
+    }
+
+    /// Nothing is sent from a node that was shut down.
+    fn refusal(&self) -> Option<DeliveryError> {
+        let node = self.node.as_ref().filter(|_| self.is_shut_down)?;
+        Some(DeliveryError::ShutDown { node: node.to_string() })
+    }
+
+    /// What to say of an object of another node where there is no network.
+    fn out_of_reach(&self, to: &ObjectAddress) -> DeliveryError {
+        let own = suggestion::nearest(to.node.as_str(), self.node.iter().map(NodeName::as_str));
+        let objects = self.objects.keys().map(ObjectName::as_str);
+        match (own, suggestion::nearest(to.object.as_str(), objects)) {
+            (Some(node), Some(object)) => {
+                let nearest = format!("{node}:{object}");
+                DeliveryError::Misspelt { name: to.to_string(), nearest }
+            }
+            _ => DeliveryError::Unreachable { node: to.node.to_string() },
         }
     }
 }
@@ -381,6 +408,9 @@ impl Registry {
     pub(crate) fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
         let unknown = || DeliveryError::Unknown { name: name.to_owned() };
         let inner = self.lock();
+        if let Some(why) = inner.refusal() {
+            return Err(why);
+        }
         let object = match name.split_once(':') {
             None => ObjectName::new(name).map_err(|_| inner.misspelt(name))?,
             Some((ANY_NODE, claimed)) => {
@@ -391,7 +421,8 @@ impl Registry {
             Some(_) => {
                 let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
                 if inner.node.as_ref() != Some(&address.node) {
-                    let remote = inner.remote.clone().ok_or_else(unknown)?;
+                    let remote = inner.remote.clone();
+                    let remote = remote.ok_or_else(|| inner.out_of_reach(&address))?;
                     drop(inner);
                     let door = remote.door(address.clone(), ContractIdentity::of::<M>());
                     let outlet = Outlet::<M> { door, to: address, sends: PhantomData };
@@ -428,6 +459,11 @@ impl Registry {
             None => DeliveryError::Unknown { name: object.to_string() },
         })?;
         Ok((port.identity.clone(), port.doorway.clone()))
+    }
+
+    /// The node was shut down: whom an object is looked for is told so.
+    pub(crate) fn shut_down(&self) {
+        self.lock().is_shut_down = true;
     }
 
     /// What to say of a name that no object of this node has.

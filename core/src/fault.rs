@@ -79,6 +79,16 @@ pub enum Severity {
     Critical,
 }
 
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Severity::Warning => "warning",
+            Severity::Error => "error",
+            Severity::Critical => "critical",
+        })
+    }
+}
+
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
     pub const BUILT_IN: [FaultKind; 24] = [
@@ -262,6 +272,17 @@ pub struct Fault {
     pub symptom_of: Option<FaultId>,
     /// How often it was seen while latched; 1 for once.
     pub count: u32,
+}
+
+impl fmt::Display for Fault {
+    /// As in `error: hang of module1:arm: a handler of Drive keeps its thread`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} of {}", self.severity, self.kind, self.place)?;
+        match self.detail.as_str() {
+            "" => Ok(()),
+            detail => write!(f, ": {detail}"),
+        }
+    }
 }
 
 impl Fault {

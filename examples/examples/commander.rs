@@ -65,7 +65,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Err(why) = planner.command(Drive(2.0)).await {
         println!("the planner hears: {why}");
     }
-    while console.claim().await.is_err() {} // the wheels are still being stopped
+    console.claim_within(PATIENCE).await?; // the wheels are still being stopped
     println!("the console commands: {} m/s", console.command(Drive(0.1)).await?);
     node.shutdown().await;
     base.shutdown().await;

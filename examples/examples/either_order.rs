@@ -45,12 +45,16 @@ impl Component for Planner {
         // Not here: the motors start only when the planner is active.
         cx.spawn(async move {
             loop {
-                if let Err(why) = motors.claim_within(Duration::from_secs(5)).await {
-                    println!("planner: {why}");
+                match motors.claim_within(Duration::from_secs(5)).await {
+                    Ok(_) => {
+                        while motors.command(Drive(1.0)).await.is_ok() {
+                            blastema::sleep(Duration::from_millis(20)).await;
+                        }
+                    }
+                    Err(why) => println!("planner: {why}"),
                 }
-                while motors.command(Drive(1.0)).await.is_ok() {
-                    blastema::sleep(Duration::from_millis(20)).await;
-                }
+                // A refusal can be immediate: always wait before the next claim.
+                blastema::sleep(Duration::from_millis(20)).await;
             }
         });
         println!("the planner is active");

@@ -5,6 +5,9 @@ use blastema::{Network, run};
 use std::error::Error;
 use std::process::ExitCode;
 
+#[derive(Clone, Debug, Event)]
+struct Ping;
+
 #[blastema::main]
 async fn program_with_a_wrong_endpoint() -> Result<(), Box<dyn Error + Send + Sync>> {
     let bus = Network::new("bus", "serial:///dev/ttyUSB0?buad=9600");
@@ -36,11 +39,28 @@ fn the_wrong_part_of_an_endpoint_is_underlined_in_what_main_prints() {
 }
 
 #[test]
+fn errors_of_sending_print_their_text_where_a_main_prints_debug() {
+    run(async {
+        let node = Node::builder("n").start().await?;
+        let unknown = node.sender::<Ping>("arm").map(|_| ()).expect_err("there is no arm");
+        let stopped = Box::<dyn Error>::from(unknown.clone());
+        node.shutdown().await;
+
+        assert!(unknown.to_string().contains("no object is called `arm`"), "{unknown}");
+        assert_eq!(format!("{unknown:?}"), unknown.to_string());
+        assert_eq!(format!("{stopped:?}"), unknown.to_string());
+        Ok::<(), StartError>(())
+    })
+    .unwrap();
+}
+
+#[test]
 fn a_node_started_outside_of_the_runtime_is_told_what_to_write() {
     let plain = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
 
     let refused = plain.block_on(async { Node::builder("n").start().await });
 
     let Err(StartError::Runtime) = &refused else { panic!("{refused:?}") };
-    assert!(StartError::Runtime.to_string().contains("#[blastema::main]"));
+    // A `main` without Blastema's attribute prints what it returns by `Debug`.
+    assert!(format!("{:?}", StartError::Runtime).contains("#[blastema::main]"));
 }

@@ -221,7 +221,8 @@ impl Drop for Helm {
 
 impl<M: Contract> Commander<M> {
     /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be
-    /// commanded yet, a second is waited for it, as by [`claim_within`](Self::claim_within).
+    /// commanded by this commander, a second is waited for it, as by
+    /// [`claim_within`](Self::claim_within).
     ///
     /// # Errors
     /// As [`claim_within`](Self::claim_within).
@@ -230,17 +231,18 @@ impl<M: Contract> Commander<M> {
     }
 
     /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator
-    /// that is not there yet, that is being restarted or brought to rest, or whose node cannot be
-    /// reached.
+    /// that is not there yet, that another commander holds, that is being restarted or brought to
+    /// rest, or whose node cannot be reached. It asks again after 10 ms, and less and less often,
+    /// down to every 160 ms: of several commanders that wait, any may get the lease first.
     ///
     /// A component that claims while it is being activated keeps those waiting that start after it:
     /// where the actuator is one of them, [spawn](crate::Context::spawn) the claim.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while another commander holds the lease, and
-    /// [`DeliveryError::ContractDiffers`], at once. [`DeliveryError::Restarting`],
-    /// [`DeliveryError::Unknown`] and [`DeliveryError::Unreachable`] where the actuator did not
-    /// come in time; from other nodes, what any request may meet with.
+    /// [`DeliveryError::ContractDiffers`] at once. [`DeliveryError::Held`] where another commander
+    /// still held the lease at the end, [`DeliveryError::Restarting`], [`DeliveryError::Unknown`]
+    /// and [`DeliveryError::Unreachable`] where the actuator did not come in time; from other
+    /// nodes, what any request may meet with.
     pub async fn claim_within(&self, limit: Duration) -> Result<u64, DeliveryError> {
         let due = platform::now() + limit;
         let mut pause = *CLAIM_AGAIN.start();
@@ -319,12 +321,18 @@ impl<M: Contract> Commander<M> {
     }
 }
 
-/// Whether an actuator that refuses so may be there a little later.
+/// Whether an actuator that refuses so may be there, and free, a little later.
 fn comes_later(why: &DeliveryError) -> bool {
-    use DeliveryError::{DeadlinePassed, Full, PeerDied, Restarting, Unknown, Unreachable};
+    use DeliveryError::{DeadlinePassed, Full, Held, PeerDied, Restarting, Unknown, Unreachable};
     matches!(
         why,
-        Restarting | Full | DeadlinePassed | PeerDied { .. } | Unknown { .. } | Unreachable { .. }
+        Restarting
+            | Full
+            | DeadlinePassed
+            | Held { .. }
+            | PeerDied { .. }
+            | Unknown { .. }
+            | Unreachable { .. }
     )
 }
 

@@ -459,6 +459,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
             contract: M::NAME,
             queue: Some(self.lane.capacity()),
             unavailable: self.record.unavailable(),
+            deadline: None,
         })
     }
 

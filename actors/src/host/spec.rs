@@ -185,11 +185,13 @@ impl<C: Component> ChildSpec<C> {
         }
         let name = ObjectName::new(&self.name)?;
         let more_ports = self.more_ports;
+        environment.watch_list.declare(Some(name.clone()));
         let declared = panics::caught(move || {
             let mut ports = Ports::<C>::of();
             more_ports.into_iter().for_each(|declare| declare(&mut ports));
             ports
         });
+        environment.watch_list.declare(None);
         let ports =
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;

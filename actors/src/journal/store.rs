@@ -1,7 +1,7 @@
 //! The journal's database: its tables, and what is written into them.
 
 use super::WallTime;
-use blastema_core::{Fault, Incarnation, Instant, NodeName, Severity};
+use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
 use std::path::Path;
 use std::time::Duration;
@@ -270,7 +270,7 @@ fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::
         number(fault.id.0),
         fault.kind.code(),
         fault.kind.text(),
-        severity_name(fault.severity),
+        fault.severity.to_string(),
         fault.place.to_string(),
         number(fault.incarnation.0),
         shortened(&fault.detail),
@@ -305,14 +305,6 @@ fn trim(transaction: &Transaction<'_>, run: i64, limit: u32) -> rusqlite::Result
         params![run],
     )?;
     Ok(())
-}
-
-fn severity_name(severity: Severity) -> &'static str {
-    match severity {
-        Severity::Warning => "warning",
-        Severity::Error => "error",
-        Severity::Critical => "critical",
-    }
 }
 
 /// SQLite's integers are signed.

@@ -93,6 +93,8 @@ pub(crate) struct SampledComponents(Arc<Entries>);
 #[derive(Default)]
 struct Entries {
     by_slot: Mutex<BTreeMap<u32, Arc<SampledComponent>>>,
+    /// The component that declares its ports now, before it has a slot.
+    declaring: Mutex<Option<ObjectName>>,
     /// The slots whose entries the watch has not learnt of yet.
     changed: Mutex<BTreeSet<u32>>,
     /// What was in service at the last look: slot, turn, and since when.
@@ -134,6 +136,15 @@ impl SampledComponents {
     /// After the entry was changed, so that who learns of it finds it so.
     fn note_change(&self, slot: u32) {
         self.0.changed.lock().unwrap_or_else(PoisonError::into_inner).insert(slot);
+    }
+
+    /// This component declares its ports from now on, or none does.
+    pub(crate) fn declare(&self, object: Option<ObjectName>) {
+        *self.declaring() = object;
+    }
+
+    fn declaring(&self) -> MutexGuard<'_, Option<ObjectName>> {
+        self.0.declaring.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What every component is doing now.
@@ -235,7 +246,8 @@ impl Running {
             let running = watched.pulse.running() == Some(*slot);
             running.then(|| (watched.object.clone(), during(&reading), reading.turn))
         };
-        self.0.lock().iter().filter_map(on_thread).collect()
+        let declaring = self.0.declaring().clone().map(|object| (object, "ports", 0));
+        self.0.lock().iter().filter_map(on_thread).chain(declaring).collect()
     }
 }
 

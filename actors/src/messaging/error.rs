@@ -20,6 +20,8 @@ pub struct Receiver {
     /// The receiver serves nothing, because a hook of it waits for what is
     /// [not there yet](crate::Failure::unavailable); `None` for a receiver on another node.
     pub unavailable: Option<Unavailable>,
+    /// For how long its reply to a request was awaited, where one deadline was given.
+    pub deadline: Option<Duration>,
 }
 
 /// What a receiver waits for.
@@ -111,19 +113,17 @@ impl<M> RequestError<M> {
     }
 }
 
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
 impl<M> fmt::Debug for SendError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("SendError").field("why", &self.kind).finish_non_exhaustive()
+        fmt::Display::fmt(self, f)
     }
 }
 
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
 impl<M> fmt::Debug for RequestError<M> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let returned = self.message.is_some();
-        f.debug_struct("RequestError")
-            .field("why", &self.kind)
-            .field("message_returned", &returned)
-            .finish()
+        fmt::Display::fmt(self, f)
     }
 }
 
@@ -150,8 +150,11 @@ fn describe(
         None => write!(f, "the message {what}: {why}"),
         Some(to) => {
             write!(f, "`{}` to {to} {what}: ", to.contract)?;
-            match (why, to.queue) {
-                (DeliveryError::Full, Some(limit)) => write!(f, "its queue of {limit} is full")?,
+            match (why, to.queue, to.deadline) {
+                (DeliveryError::Full, Some(limit), _) => write!(f, "its queue of {limit} is full")?,
+                (DeliveryError::DeadlinePassed, _, Some(deadline)) => {
+                    write!(f, "no reply within {deadline:?}")?;
+                }
                 _ => write!(f, "{why}")?,
             }
             to.unavailable.as_ref().map_or(Ok(()), |unavailable| write!(f, "; {unavailable}"))

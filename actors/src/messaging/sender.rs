@@ -86,7 +86,7 @@ impl<M: Contract> Sender<M> {
             }
             self.0.ask(message, None, Some(deadline))?.within(deadline).await
         };
-        asked.await.map_err(|error| error.at(|| self.0.receiver()))
+        asked.await.map_err(|error| error.at(|| awaited(self.0.receiver(), deadline)))
     }
 
     /// Asks, and asks again by this rule where the request was not taken up, or, if its contract is
@@ -150,13 +150,18 @@ impl<M: Contract + Clone> Repeatable<M> {
         let (inlet, message) = (&self.sender.0, self.message.clone());
         let asked =
             async { inlet.ask(message, Some(self.id), Some(deadline))?.within(deadline).await };
-        asked.await.map_err(|error| error.at(|| inlet.receiver()))
+        asked.await.map_err(|error| error.at(|| awaited(inlet.receiver(), deadline)))
     }
 
     /// Its identity.
     pub fn id(&self) -> MessageId {
         self.id
     }
+}
+
+/// The receiver, with the deadline of the request.
+fn awaited(receiver: Option<Receiver>, deadline: Duration) -> Option<Receiver> {
+    receiver.map(|receiver| Receiver { deadline: Some(deadline), ..receiver })
 }
 
 pub(crate) async fn deliver<M: Contract>(

@@ -149,7 +149,10 @@ impl NodeAssembly {
         let own = parts.chain.arbiter.iter().cloned().collect();
         let plan = Arc::new(std::mem::take(&mut builder.plan));
         Ok(NodeAssembly {
-            environment: environment(&parts, &node, &plan, arbiters.clone()),
+            environment: ComponentEnvironment {
+                watch_list: builder.watch_list.clone(),
+                ..environment(&parts, &node, &plan, arbiters.clone())
+            },
             undone: StopOnFailure { arbiters, own, kept: false },
             placement: builder.placement,
             networks: None,

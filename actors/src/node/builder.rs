@@ -8,6 +8,7 @@ use super::watchdogs::ProcessWatchdogs;
 use crate::component::Component;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::ChildSpec;
+use crate::liveness::sampler::{Running, SampledComponents};
 use crate::runtime::callbacks::CALLBACK_LIMIT;
 use crate::service::{Carried, ServiceSpec, ServiceSpecError, Stateful};
 use blastema_core::net::session::IDLE_TIMEOUT;
@@ -58,6 +59,7 @@ pub struct NodeBuilder {
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
     pub(super) parameters: Vec<Configuration>,
+    pub(super) watch_list: SampledComponents,
     #[cfg(feature = "unix")]
     pub(super) shown_at: Option<PathBuf>,
     #[cfg(feature = "journal")]
@@ -96,6 +98,7 @@ impl NodeBuilder {
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
             parameters: Vec::new(),
+            watch_list: SampledComponents::default(),
             #[cfg(feature = "unix")]
             shown_at: None,
             #[cfg(feature = "journal")]
@@ -342,6 +345,12 @@ impl NodeBuilder {
     pub fn on_this_thread(mut self) -> Self {
         self.placement = ActorPlacement::Here;
         self
+    }
+
+    /// Tells from outside which component is on a thread, also while the node starts.
+    #[doc(hidden)]
+    pub fn running(&self) -> Running {
+        Running(self.watch_list.clone())
     }
 
     /// Every step in the history of every fault from the first on, also of those that are found

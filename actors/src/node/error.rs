@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::{fmt, io};
 
 /// Why a node did not start. What had been started is stopped again.
-#[derive(Debug, thiserror::Error)]
+#[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum StartError {
     /// A name that the description holds does not parse.
@@ -112,6 +112,13 @@ pub enum StartError {
         /// Which component, and what it said.
         reason: String,
     },
+}
+
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
+impl fmt::Debug for StartError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
 }
 
 impl StartError {

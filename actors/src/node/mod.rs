@@ -471,6 +471,7 @@ impl Node {
             // Of several callers that shut it down at once, each reads the same.
             let _ = self.0.last_record.set(record);
         }
+        self.0.environment.registry.shut_down();
         self.0.stop_threads(cause, stopped.is_some());
     }
 }

@@ -11,7 +11,7 @@ use blastema_contract::link::LinkRow;
 use blastema_contract::session::SessionRow;
 use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
 use blastema_core::lease::LeaseStatus;
-use blastema_core::{Incarnation, Instant, NodeName, ObjectName, Severity};
+use blastema_core::{Incarnation, Instant, NodeName, ObjectName};
 use serde_json::{Value, json};
 use std::future::Future;
 use std::time::Duration;
@@ -272,11 +272,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
         "id": fault.id.to_string(),
         "code": fault.kind.code(),
         "kind": fault.kind.to_string(),
-        "severity": match fault.severity {
-            Severity::Warning => "warning",
-            Severity::Error => "error",
-            Severity::Critical => "critical",
-        },
+        "severity": fault.severity.to_string(),
         "location": fault.place.to_string(),
         "incarnation": fault.incarnation.0,
         "detail": fault.detail,

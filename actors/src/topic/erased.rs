@@ -33,6 +33,8 @@ pub(super) trait AnyTopic: Send + Sync {
     fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
     fn row(&self, now: Instant) -> TopicRow;
+    /// Says whether it has publishers and no listeners, although they have had the time to join.
+    fn is_unheard(&self, now: Instant) -> bool;
     /// The names of its publishers and listeners of this node.
     fn users(&self) -> Vec<String>;
 }
@@ -73,6 +75,12 @@ impl<E: Event> AnyTopic for Topic<E> {
     fn row(&self, now: Instant) -> TopicRow {
         let nodes = lock(&self.forwards).len();
         self.traffic.row(&self.key, E::LATCHED, nodes, now)
+    }
+
+    fn is_unheard(&self, now: Instant) -> bool {
+        !self.has_listeners()
+            && !self.is_forwarded.load(Relaxed)
+            && self.traffic.expects_listeners(now)
     }
 
     fn users(&self) -> Vec<String> {

@@ -189,7 +189,6 @@ impl<E: Event> Topic<E> {
             "a topic has publishers and no listeners, and one of a similar name has listeners and no \
              publishers: is the name right?"
         );
-        self.traffic.suggest(nearest);
     }
 
     /// To the listeners of this node.
@@ -366,11 +365,14 @@ pub(crate) struct Topics {
     interest: Arc<Mutex<Option<InterestObserver>>>,
     dead_letters: DeadLetterLog,
     reports: FaultReports,
+    /// When a listener joined a topic last, in nanoseconds.
+    joined: Arc<AtomicU64>,
 }
 
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
-        Topics { inner: Arc::default(), interest: Arc::default(), dead_letters, reports }
+        let (inner, interest, joined) = Default::default();
+        Topics { inner, interest, dead_letters, reports, joined }
     }
 
     /// The topic of this name that carries `E`, as it is said to here. A topic carries one
@@ -402,7 +404,7 @@ impl Topics {
             is_forwarded: AtomicBool::new(false),
             listeners: AtomicU64::new(0),
             latch: Mutex::default(),
-            traffic: Traffic::new(platform::now()),
+            traffic: Traffic::new(platform::now(), self.joined.clone()),
             matched: watch::Sender::new(0),
             all: Arc::downgrade(&self.inner),
             dead_letters: self.dead_letters.clone(),
@@ -453,7 +455,11 @@ impl Topics {
         let topics: Vec<Arc<dyn AnyTopic>> =
             lock(&self.inner).topics.values().map(|known| known.erased.clone()).collect();
         let now = platform::now();
-        topics.iter().map(|topic| topic.row(now)).collect()
+        let row = |topic: &Arc<dyn AnyTopic>| {
+            let unheard = topic.is_unheard(now).then(|| lock(&self.inner).lonely_like(topic.key()));
+            TopicRow { similar: unheard.flatten().map(String::from), ..topic.row(now) }
+        };
+        topics.iter().map(row).collect()
     }
 
     /// Ships every event that is published here on this topic, from now on, also if the topic does
@@ -474,6 +480,7 @@ impl Topics {
         inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
         inner.renew_forwards(&key.topic);
         drop(inner);
+        self.joined.store(platform::now().as_nanos(), Relaxed);
         if let Some(topic) = topic {
             topic.catch_up(&forward);
         }
@@ -541,7 +548,7 @@ impl Topics {
 impl Inner {
     /// The topic of the most similar name that has listeners, here or on other nodes, and no
     /// publisher.
-    fn lonely_like(&self, key: &TopicKey) -> Option<Arc<str>> {
+    fn lonely_like(&self, key: &TopicKey) -> Option<Box<str>> {
         let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
         let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
         let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
@@ -550,7 +557,7 @@ impl Inner {
             **other != key.topic && known.is_none_or(|known| !known.erased.has_publishers())
         };
         let names = listened.filter(is_lonely).map(ObjectName::as_str);
-        suggestion::nearest(key.topic.as_str(), names).map(Arc::from)
+        suggestion::nearest(key.topic.as_str(), names).map(Box::from)
     }
 
     /// Says whether there are some.

@@ -1,6 +1,7 @@
 //! What a topic carries, with its publishers and listeners: for display only.
 
 use super::{TopicKey, lock};
+use crate::platform;
 use blastema_core::{Instant, ObjectName};
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering::Relaxed;
@@ -35,8 +36,8 @@ pub struct TopicRow {
     pub rate_hz: f64,
     /// How many bytes one event takes when it is sent to another node, measured lately.
     pub bytes: Option<usize>,
-    /// If this topic has no listeners: the topic of a similar name that has listeners and no
-    /// publishers.
+    /// If this topic is published on and has no listeners after 5 s: the topic of a similar name
+    /// that has listeners and no publishers.
     pub similar: Option<String>,
 }
 
@@ -45,8 +46,10 @@ pub(super) struct Traffic {
     bytes: AtomicUsize,
     /// The next event is to be measured.
     unmeasured: AtomicBool,
-    /// Its name was compared with those of other topics.
-    judged: AtomicBool,
+    /// When a listener joined some topic of the node last, in nanoseconds.
+    joined: Arc<AtomicU64>,
+    /// When its name was compared with those of other topics last, in nanoseconds.
+    judged: AtomicU64,
     since: Instant,
     shown: Mutex<Shown>,
 }
@@ -59,7 +62,6 @@ struct Shown {
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
-    similar: Option<Arc<str>>,
 }
 
 fn count<K: Ord>(counts: &mut BTreeMap<K, usize>, key: K, more: bool) {
@@ -71,19 +73,19 @@ fn count<K: Ord>(counts: &mut BTreeMap<K, usize>, key: K, more: bool) {
 }
 
 impl Traffic {
-    pub(super) fn new(now: Instant) -> Self {
+    pub(super) fn new(now: Instant, joined: Arc<AtomicU64>) -> Self {
         Traffic {
             events: AtomicU64::new(0),
             bytes: AtomicUsize::new(0),
             unmeasured: AtomicBool::new(true),
-            judged: AtomicBool::new(false),
+            joined,
+            judged: AtomicU64::new(0),
             since: now,
             shown: Mutex::new(Shown {
                 publishers: BTreeMap::new(),
                 listeners: BTreeMap::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
-                similar: None,
             }),
         }
     }
@@ -104,18 +106,24 @@ impl Traffic {
         self.unmeasured.store(false, Relaxed);
     }
 
+    /// Since the last listener joined.
     #[inline]
     pub(super) fn was_judged(&self) -> bool {
-        self.judged.load(Relaxed)
+        self.judged.load(Relaxed) > self.joined.load(Relaxed)
     }
 
-    /// Says once that listeners have had the time to join.
+    /// Says once that listeners have had the time to join, and again after another has joined.
     pub(super) fn is_time_to_judge(&self, now: Instant) -> bool {
-        now - self.since >= JOINED_WITHIN && !self.judged.swap(true, Relaxed)
+        let joined = self.joined.load(Relaxed);
+        // Who publishes to the listener that has joined may still come.
+        now - self.since.max(Instant::from_nanos(joined)) >= JOINED_WITHIN
+            && self.judged.swap(now.as_nanos(), Relaxed) <= joined
     }
 
-    pub(super) fn suggest(&self, similar: Arc<str>) {
-        lock(&self.shown).similar = Some(similar);
+    /// Says whether events are published, or may be, and listeners have had the time to join.
+    pub(super) fn expects_listeners(&self, now: Instant) -> bool {
+        let is_used = self.events.load(Relaxed) > 0 || self.has_publishers();
+        now - self.since >= JOINED_WITHIN && is_used
     }
 
     /// One publisher more or less.
@@ -129,10 +137,9 @@ impl Traffic {
 
     /// One subscription more or less.
     pub(super) fn listens(&self, name: &ObjectName, more: bool) {
-        let mut shown = lock(&self.shown);
-        count(&mut shown.listeners, name.clone(), more);
+        count(&mut lock(&self.shown).listeners, name.clone(), more);
         if more {
-            shown.similar = None;
+            self.joined.store(platform::now().as_nanos(), Relaxed);
         }
     }
 
@@ -171,7 +178,7 @@ impl Traffic {
             events,
             rate_hz: shown.rate_hz,
             bytes: measured,
-            similar: shown.similar.as_ref().map(|name| name.to_string()),
+            similar: None,
         }
     }
 }

@@ -173,7 +173,7 @@ impl<V: Variable> VariableRef<V> {
     /// Reads the value.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] where the object has no such variable,
+    /// [`DeliveryError::NoVariable`] where the object has no such variable,
     /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
     /// while a decision is awaited; from other nodes, what any request may meet with.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {

@@ -384,10 +384,14 @@ impl VariableStore {
             VariableReply::refused(&DeliveryError::Undecodable { reason: error.to_string() })
         })?;
         let key = (wanted.object.clone(), theirs.name.clone());
-        let facts = self.lock().facts.get(&key).cloned().ok_or_else(|| {
-            let name = format!("{} of {}", key.1, key.0);
-            VariableReply::refused(&DeliveryError::Unknown { name })
+        let inner = self.lock();
+        let facts = inner.facts.get(&key).cloned().ok_or_else(|| {
+            let of_object = inner.facts.keys().filter(|(object, _)| *object == key.0);
+            let known = of_object.map(|(_, variable)| variable.to_string()).collect();
+            let (object, variable) = (key.0.to_string(), key.1.to_string());
+            VariableReply::refused(&DeliveryError::NoVariable { object, variable, known })
         })?;
+        drop(inner);
         match facts.identity.check(&theirs) {
             Ok(()) => Ok((key, facts)),
             Err(_) => Err(VariableReply::Differs { identity: facts.identity.full().encode() }),

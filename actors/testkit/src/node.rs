@@ -87,16 +87,22 @@ impl TestNode {
     /// # Errors
     /// As [`NodeBuilder::start`].
     pub async fn try_start(builder: NodeBuilder) -> Result<Self, StartError> {
-        Ok(TestNode::of(builder.on_this_thread().start().await?).await)
+        // A component can already hang while the node starts.
+        let guard = Guard::of(builder.running());
+        Ok(TestNode::guarded(builder.on_this_thread().start().await?, guard).await)
     }
 
     /// Takes a node that runs already. Its clock is the test's only if it was built
     /// [`on_this_thread`](NodeBuilder::on_this_thread).
     pub async fn of(node: Node) -> Self {
+        let guard = Guard::of(node.running());
+        TestNode::guarded(node, guard).await
+    }
+
+    async fn guarded(node: Node, _guard: Guard) -> Self {
         let events = node.fault_events();
         let FaultRecord { entries, .. } = node.faults().await;
         let (awaited, unread, probes) = (BTreeSet::new(), Vec::new(), 0);
-        let _guard = Guard::of(node.running());
         let mut test = TestNode { node, events, unread, awaited, probes, _guard };
         // What happened while it started.
         for entry in entries {
@@ -285,10 +291,11 @@ impl TestNode {
         match timeout(PATIENCE, found).await {
             Ok(Some(event)) => event,
             Ok(None) | Err(_) => {
-                let record = describe(&self.node.faults().await);
-                panic!(
-                    "no {kind} of {object} was {what} within {PATIENCE:?}; found were:\n{record}"
-                );
+                let record = match describe(&self.node.faults().await).as_str() {
+                    "" => "no fault was found at all".to_owned(),
+                    record => format!("found were:\n{record}"),
+                };
+                panic!("no {kind} of {object} was {what} within {PATIENCE:?}; {record}");
             }
         }
     }

@@ -3,7 +3,7 @@
 use blastema::detection::{Liveness, Push};
 use blastema::prelude::*;
 use blastema_testkit::{Probe, TestNode, owner};
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 const SECOND: Duration = Duration::from_secs(1);
@@ -155,23 +155,48 @@ async fn an_actuator_and_a_variable_have_doubles() {
     assert_eq!(limit.read().await.unwrap().value, Limit(4));
 }
 
-/// Set for the program that is to hang.
+/// Names the hook that is to hang, in the program that a test starts for that.
 const HANGS: &str = "BLASTEMA_TEST_HANGS";
 
 /// Never returns, where it is told so.
+fn hang_in(hook: &str) {
+    while std::env::var(HANGS).as_deref() == Ok(hook) {
+        std::thread::park();
+    }
+}
+
 struct Stuck;
 
 impl Component for Stuck {
+    fn ports(_: &mut Ports<Self>) {
+        hang_in("ports");
+    }
+
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        hang_in("on_initialize");
+        Ok(())
+    }
+
     async fn on_activated(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
-        while std::env::var_os(HANGS).is_some() {
-            std::thread::park();
-        }
+        hang_in("on_activated");
+        Ok(())
+    }
+
+    async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        hang_in("on_execute");
         Ok(())
     }
 }
 
 #[blastema_testkit::test]
 async fn a_handler_that_never_returns() {
+    let lidar = ChildSpec::new("lidar", || Stuck).rate_hz(10.0);
+    let node = TestNode::start(Node::builder("module1").child(lidar)).await;
+    node.advance(SECOND).await;
+}
+
+#[blastema_testkit::test]
+async fn an_added_component_that_never_returns() {
     let node = TestNode::start(Node::builder("module1")).await;
     node.add_child(ChildSpec::new("lidar", || Stuck)).await.unwrap();
     node.settle().await;
@@ -180,14 +205,22 @@ async fn a_handler_that_never_returns() {
 #[test]
 fn a_test_that_hangs_ends_with_the_name_of_the_component() {
     let program = std::env::current_exe().expect("this program");
+    let hook = |test: &'static str, hook: &'static str| {
+        // Without `--nocapture`, as a user runs it.
+        let mut again = Command::new(&program);
+        again.args(["--exact", test]).env(HANGS, hook).stderr(Stdio::piped());
+        (test, hook, again.spawn().expect("this program again"))
+    };
 
-    let ended = Command::new(program)
-        .args(["--exact", "a_handler_that_never_returns", "--nocapture"])
-        .env(HANGS, "yes")
-        .output()
-        .expect("this program again");
+    let hanging = ["ports", "on_initialize", "on_activated", "on_execute"]
+        .map(|name| hook("a_handler_that_never_returns", name));
+    let added = hook("an_added_component_that_never_returns", "on_activated");
 
-    let said = String::from_utf8_lossy(&ended.stderr);
-    assert_eq!(ended.status.code(), Some(101), "{said}");
-    assert!(said.contains("a_handler_that_never_returns hangs: lidar"), "{said}");
+    for (test, hook, program) in hanging.into_iter().chain([added]) {
+        let ended = program.wait_with_output().expect("this program ends");
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(101), "{hook}: {said}");
+        let wanted = format!("{test} hangs: lidar has kept its thread in {hook}");
+        assert!(said.contains(&wanted), "{said}");
+    }
 }

@@ -87,7 +87,7 @@ impl From<&DeliveryError> for DeadReason {
             | DeliveryError::Undelivered { .. }
             | DeliveryError::OutcomeUnknown { .. } => DeadReason::Unreachable,
             DeliveryError::Left { .. } => DeadReason::Left,
-            DeliveryError::Stopped => DeadReason::Stopped,
+            DeliveryError::Stopped | DeliveryError::ShutDown { .. } => DeadReason::Stopped,
             DeliveryError::PeerDied { .. } => DeadReason::PeerDied,
             DeliveryError::Expired => DeadReason::Expired,
             DeliveryError::DeadlinePassed => DeadReason::DeadlinePassed,
@@ -98,7 +98,8 @@ impl From<&DeliveryError> for DeadReason {
             | DeliveryError::Misspelt { .. }
             | DeliveryError::NotServed { .. }
             | DeliveryError::InvalidName { .. }
-            | DeliveryError::OtherType { .. } => DeadReason::Unknown,
+            | DeliveryError::OtherType { .. }
+            | DeliveryError::NoVariable { .. } => DeadReason::Unknown,
             DeliveryError::TooLarge { .. } | DeliveryError::TooLargeForSession { .. } => {
                 DeadReason::TooLarge
             }

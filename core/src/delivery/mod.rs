@@ -34,7 +34,7 @@ impl fmt::Display for Delivery {
 }
 
 /// Why a message was not delivered, or a request not answered.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeliveryError {
     /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
@@ -73,7 +73,9 @@ pub enum DeliveryError {
     #[error("the sender has been fenced off")]
     Fenced,
     /// The receiver may neither send nor receive, or the sender may not.
-    #[error("the receiver, or the sender, is isolated")]
+    #[error(
+        "the receiver, or the sender, is isolated or in its safe state: the fault list says why"
+    )]
     Isolated,
     /// The message was older than its contract allows.
     #[error("the message is older than its contract allows")]
@@ -144,8 +146,8 @@ pub enum DeliveryError {
         /// Who does, and in which life.
         by: String,
     },
-    /// The lease under which this was sent has ended. Claim the actuator again.
-    #[error("the lease has ended: claim it again")]
+    /// The commander has not claimed the actuator, or its lease has ended. Claim it, again.
+    #[error("the commander holds no lease of the actuator, or no more: claim it")]
     LeaseEnded,
     /// Another commander or primary has taken over: messages of an older epoch are refused.
     #[error("superseded: epoch {epoch} holds now")]
@@ -218,7 +220,7 @@ pub enum DeliveryError {
     },
     /// The object is there, and does not serve this contract. Declare it in the object's `ports`,
     /// or send to another object.
-    #[error("{object} does not serve `{contract}`: {}", listed(.served))]
+    #[error("{}", not_served(.object, .contract, .served))]
     NotServed {
         /// The object.
         object: String,
@@ -251,12 +253,52 @@ pub enum DeliveryError {
         /// The type that was asked for.
         wanted: String,
     },
+    /// The object has no such variable. Declare it in the object's `ports`, or ask another one.
+    #[error("{object} has no variable `{variable}`: {}", listed("has", .known))]
+    NoVariable {
+        /// The object.
+        object: String,
+        /// The contract of the variable that it has not.
+        variable: String,
+        /// The variables that it has.
+        known: Vec<String>,
+    },
+    /// The sender's own node was shut down.
+    #[error("node {node} was shut down")]
+    ShutDown {
+        /// The node.
+        node: String,
+    },
 }
 
-fn listed(served: &[String]) -> String {
-    match served {
-        [] => "it serves no contract".to_owned(),
-        served => format!("it serves `{}`", served.join("`, `")),
+/// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
+impl fmt::Debug for DeliveryError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+/// The contract by which commanders speak with an actuator.
+const COMMAND: &str = "blastema/command";
+
+fn not_served(object: &str, contract: &str, served: &[String]) -> String {
+    let listed = listed("serves", served);
+    if contract == COMMAND {
+        return format!("{object} is no actuator: {listed}");
+    }
+    let cure = match served.iter().any(|served| served == COMMAND) {
+        true => "; it is an actuator: command it by `commander`",
+        false => "",
+    };
+    format!("{object} does not serve `{contract}`: {listed}{cure}")
+}
+
+/// Contracts, without those of the middleware.
+fn listed(verb: &str, known: &[String]) -> String {
+    let known = known.iter().filter(|known| !known.starts_with("blastema/"));
+    match known.map(|known| format!("`{known}`")).collect::<Vec<_>>().join(", ").as_str() {
+        "" => format!("it {verb} none"),
+        known => format!("it {verb} {known}"),
     }
 }
 
@@ -290,6 +332,8 @@ impl DeliveryError {
             | DeliveryError::NotServed { .. }
             | DeliveryError::InvalidName { .. }
             | DeliveryError::OtherType { .. }
+            | DeliveryError::NoVariable { .. }
+            | DeliveryError::ShutDown { .. }
             | DeliveryError::Unreachable { .. }
             | DeliveryError::Undelivered { .. }
             | DeliveryError::TooLarge { .. }

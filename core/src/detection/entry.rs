@@ -126,6 +126,9 @@ pub(super) fn describe(exit: &ExitReason) -> String {
     match exit {
         ExitReason::Returned => "it ended itself".into(),
         ExitReason::Fatal => "it could not go on".into(),
+        ExitReason::Panicked { text, at, during } if at.is_empty() => {
+            format!("panicked in {during}: {text}")
+        }
         ExitReason::Panicked { text, at, during } => {
             format!("panicked in {during} at {at}: {text}")
         }

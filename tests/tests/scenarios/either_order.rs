@@ -64,14 +64,16 @@ impl Component for Planner {
         let (motors, track) = (cx.commander::<Drive>("motors")?, self.0.clone());
         cx.spawn(async move {
             loop {
-                if let Err(why) = motors.claim_within(Duration::from_secs(5)).await {
-                    track.lock().unwrap().push(Err(why));
-                    continue;
+                match motors.claim_within(Duration::from_secs(5)).await {
+                    Ok(_) => {
+                        while let Ok(incarnation) = motors.command(Drive(1.0)).await {
+                            track.lock().unwrap().push(Ok(incarnation));
+                            blastema::sleep(50 * MS).await;
+                        }
+                    }
+                    Err(why) => track.lock().unwrap().push(Err(why)),
                 }
-                while let Ok(incarnation) = motors.command(Drive(1.0)).await {
-                    track.lock().unwrap().push(Ok(incarnation));
-                    blastema::sleep(50 * MS).await;
-                }
+                blastema::sleep(20 * MS).await;
             }
         });
         Ok(())
@@ -143,6 +145,29 @@ async fn a_claim_waits_no_longer_than_its_limit() {
     assert_eq!(commander.claim_within(200 * MS).await, Err(DeliveryError::Restarting));
     let took = now() - asked;
     assert!((200 * MS..220 * MS).contains(&took), "{took:?}");
+}
+
+#[blastema_testkit::test]
+async fn a_claim_waits_for_an_actuator_that_another_commander_holds() {
+    let node = TestNode::start(Node::builder("module1").child(motors())).await;
+    let holder = node.commander::<Drive>("motors", "planner").unwrap();
+    let waiting = node.commander::<Drive>("motors", "console").unwrap();
+    holder.claim().await.unwrap();
+    let asked = now();
+
+    let refused = waiting.claim_within(200 * MS).await;
+    let took = now() - asked;
+    let released = async {
+        node.advance(300 * MS).await;
+        holder.release().await
+    };
+    let (claimed, released) = tokio::join!(waiting.claim_within(5000 * MS), released);
+
+    assert!(matches!(refused, Err(DeliveryError::Held { .. })), "{refused:?}");
+    assert!((200 * MS..220 * MS).contains(&took), "{took:?}");
+    released.unwrap();
+    claimed.expect("the lease was given back");
+    assert_eq!(waiting.command(Drive(1.0)).await, Ok(1));
 }
 
 fn networked(name: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {

@@ -2,7 +2,7 @@
 
 use crate::puppet::{Deed, Do, Pull, Puppet, Strings};
 use blastema::prelude::*;
-use blastema::{FaultTransition, RestartError};
+use blastema::{ActuatorSpec, FaultTransition, RestartError, VariableSpec};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -64,6 +64,7 @@ async fn who_asks_a_component_that_waits_for_its_device_is_told_that_and_since_w
     laser.ask(Do(Deed::Nothing)).await.expect("its device has come");
     let late = laser.ask_within(Do(Deed::Await(5000)), 100 * MS).await.unwrap_err();
     assert!(!late.to_string().contains("/dev/laser"), "{late}");
+    assert!(late.to_string().ends_with("failed: no reply within 100ms"), "{late}");
 }
 
 #[blastema_testkit::test]
@@ -86,4 +87,76 @@ async fn a_hook_that_hangs_while_its_node_ends_is_a_fault_about_which_nothing_is
     }
     assert!(hangs > 0, "it is told");
     assert_eq!(decided, []);
+}
+
+#[derive(Clone, Debug, Request)]
+#[contract(name = "wheels/drive", reply = ())]
+struct Drive(f32);
+
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "wheels/limit")]
+struct Limit(f32);
+
+#[derive(Clone, Debug, PartialEq, Variable)]
+#[contract(name = "wheels/colour")]
+struct Colour(u32);
+
+struct Wheels;
+
+impl Component for Wheels {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.actuator(ActuatorSpec::new(Drive(0.0))).variable(VariableSpec::new(Limit(1.0)));
+    }
+}
+
+impl Handle<Drive> for Wheels {
+    async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
+}
+
+/// Why something was refused, as it is printed.
+#[track_caller]
+fn text<T>(refused: Result<T, DeliveryError>) -> String {
+    match refused {
+        Ok(_) => panic!("it is not refused"),
+        Err(why) => why.to_string(),
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_is_looked_for_in_the_wrong_place_is_told_with_what_is_there() {
+    let strings = Strings::default();
+    let builder = Node::builder("module1").child(strings.spec("laser"));
+    let node = TestNode::start(builder.child(ChildSpec::new("wheels", || Wheels))).await;
+
+    let misspelt = text(node.sender::<Do>("modul1:laser"));
+    assert!(misspelt.contains("did you mean `module1:laser`?"), "{misspelt}");
+    let elsewhere = text(node.sender::<Do>("gripper:laser"));
+    assert!(elsewhere.contains("node gripper cannot be reached"), "{elsewhere}");
+    let actuator = text(node.sender::<Drive>("wheels"));
+    assert!(actuator.contains("wheels does not serve `wheels/drive`"), "{actuator}");
+    assert!(actuator.ends_with("it is an actuator: command it by `commander`"), "{actuator}");
+    assert!(!actuator.contains("blastema/"), "{actuator}");
+    let none = text(node.commander::<Drive>("laser", "console"));
+    assert!(none.starts_with("laser is no actuator: it serves `"), "{none}");
+    let commander = node.commander::<Drive>("wheels", "console").unwrap();
+    let unclaimed = text(commander.command(Drive(1.0)).await);
+    assert!(unclaimed.contains("holds no lease"), "{unclaimed}");
+    let colour = text(node.variable::<Colour>("wheels").unwrap().read().await);
+    assert_eq!(colour, "wheels has no variable `wheels/colour`: it has `wheels/limit`");
+
+    node.shutdown().await;
+    assert_eq!(text(node.sender::<Do>("laser")), "node module1 was shut down");
+}
+
+#[blastema_testkit::test]
+async fn an_injected_panic_is_told_without_a_place() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+
+    node.kill("arm");
+
+    let fault = node.await_fault(FaultKind::Panic, "arm").await;
+    assert_eq!(fault.detail, "it was told to panic, in an injected fault");
+    let printed = "error: panic of module1:arm: it was told to panic, in an injected fault";
+    assert_eq!(fault.to_string(), printed);
 }

@@ -248,6 +248,24 @@ async fn a_topic_that_nobody_else_names_is_suggested_the_nearest_that_lacks_a_pu
 }
 
 #[blastema_testkit::test]
+async fn a_topic_that_was_published_on_once_is_suggested_a_listener_that_joins_later() {
+    let node = TestNode::start(Node::builder("module1")).await;
+    let publisher = node.publisher::<Image>("camera/imgae").unwrap();
+    publisher.publish(Image(0)).unwrap();
+    node.advance(Duration::from_secs(12)).await;
+    let before = row_of(&node, "camera/imgae").similar;
+
+    node.add_child(viewer("viewer").0).await.unwrap();
+    node.advance(Duration::from_secs(1)).await;
+    let suggested = row_of(&node, "camera/imgae").similar;
+    let _right = node.publisher::<Image>("camera/image").unwrap();
+
+    assert_eq!(before, None);
+    assert_eq!(suggested.as_deref(), Some("camera/image"));
+    assert_eq!(row_of(&node, "camera/imgae").similar, None, "it has a publisher now");
+}
+
+#[blastema_testkit::test]
 async fn a_publisher_of_another_contract_than_the_listeners_of_its_topic_is_refused() {
     let node = TestNode::start(Node::builder("module1").child(viewer("viewer").0)).await;
 

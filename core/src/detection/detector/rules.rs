@@ -381,7 +381,11 @@ impl Detector {
 }
 
 fn describe_panic(text: &str, at: &str, during: &str) -> String {
-    format!("{text}, at {at}, in {during}")
+    match at {
+        // A panic that was injected has no place in a source.
+        "" => format!("{text}, in {during}"),
+        at => format!("{text}, at {at}, in {during}"),
+    }
 }
 
 /// Whether a life of which this was seen does not wait any more for what was not there yet. One
