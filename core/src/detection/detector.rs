@@ -58,6 +58,8 @@ pub struct Detector {
     last_number: u64,
     last_id: u64,
     stale: u64,
+    /// The node ends, and its components with it.
+    ending: bool,
 }
 
 /// The bounds of a [`Detector`].
@@ -209,6 +211,7 @@ impl Detector {
             last_number: 0,
             last_id: 0,
             stale: 0,
+            ending: false,
         }
     }
 
@@ -245,6 +248,12 @@ impl Detector {
             RecoveryOutcome::Waits => self.await_next_life(id, at),
             RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
+    }
+
+    /// The node was told to stop: that its components end from now on repairs nothing. What stands,
+    /// stands at its end.
+    pub fn handle_node_end(&mut self) {
+        self.ending = true;
     }
 
     /// The notifier has confirmed a notice.

@@ -48,7 +48,7 @@ impl Detector {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let FaultLocation::Object(address) = &entry.fault.place else { return };
         let seen = self.objects.get(&address.object);
-        if seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
+        if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
             self.repair(id, at);
             self.withdraw(id, at);
         }

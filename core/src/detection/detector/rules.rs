@@ -28,7 +28,7 @@ impl Detector {
             *seen = fresh;
             self.behind.remove(object);
         }
-        if is_newer || ends_waiting(&finding) {
+        if is_newer || (ends_waiting(&finding) && !self.ending) {
             self.end_kind(&scene, &FaultKind::Unavailable);
         }
         match finding {

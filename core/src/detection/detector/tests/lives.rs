@@ -227,6 +227,21 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
 }
 
 #[test]
+fn what_stands_when_the_node_ends_is_not_repaired_by_the_end_of_its_component() {
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, unavailable());
+    bench.said();
+
+    bench.detector.handle_node_end();
+    bench.see("arm", TWO, state(Lifecycle::Finalized));
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+
+    let said = bench.run_until(60_000);
+    assert!(!said.iter().any(|step| step.starts_with("Cleared")), "{said:?}");
+    assert!(bench.entries().iter().all(|entry| entry.stands()));
+}
+
+#[test]
 fn a_hang_of_the_life_that_was_to_end_a_hang_is_handed_over_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, hangs(&[]));
