@@ -9,6 +9,7 @@
 //! until its root is settled, and is then either cleared by the detector or acted upon itself.
 //! Whether a restart is still worth it is not decided here but by the supervisor.
 
+use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
 use std::collections::{BTreeMap, VecDeque};
@@ -383,6 +384,9 @@ impl Recoverer {
             let settled = match contained {
                 true => FaultResolution::Contained { measure: measure.clone() },
                 false if done.waits => FaultResolution::Waits,
+                false if done.finished => {
+                    FaultResolution::GaveUp { reason: GiveUpReason::Finished.to_string() }
+                }
                 false => FaultResolution::Recovered { incarnation: done.incarnation },
             };
             self.tell(fault, settled);

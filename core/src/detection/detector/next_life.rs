@@ -63,7 +63,7 @@ impl Detector {
         iter::once(id).chain(before).collect()
     }
 
-    fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
+    pub(super) fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
         self.chronicle.standing_at(place).filter(|fault| self.unhanded.contains(&fault.id))
     }
 }

@@ -42,7 +42,7 @@ fn symptom(id: u64, object: &str, root: u64) -> Fault {
 }
 
 fn works(life: u64) -> Result<RecoveryDone, RecoveryFailed> {
-    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), waits: false })
+    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), ..RecoveryDone::default() })
 }
 
 fn fails() -> Result<RecoveryDone, RecoveryFailed> {
@@ -144,13 +144,26 @@ fn a_fault_that_is_reported_again_is_treated_once() {
 fn a_restart_whose_life_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
-    let waits = RecoveryDone { incarnation: Some(Incarnation(2)), waits: true };
+    let waits = RecoveryDone { waits: true, ..works(2).expect("it works") };
 
     assert_eq!(rig.outcome(1, Ok(waits)), ["1 waits"]);
 
     assert_eq!(rig.machine.open_cases(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0], "it may take for ever");
     assert_eq!(rig.find(panic_of(1, "laser", 2)), ["#2 restart here:laser against panic, 1"]);
+}
+
+#[test]
+fn a_restart_after_which_no_life_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
+
+    let told = "1 given up: it is not restarted: its end was final, as its rules say";
+    assert_eq!(rig.outcome(1, Ok(finished)), [told]);
+
+    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0]);
 }
 
 #[test]

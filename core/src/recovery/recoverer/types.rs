@@ -28,6 +28,8 @@ pub struct RecoveryDone {
     /// That life waits for something that is not there yet, such as a device, and tries again by
     /// itself. It has recovered when it is at work.
     pub waits: bool,
+    /// No life follows: its end was final, as its rules say. Service is not restored.
+    pub finished: bool,
 }
 
 /// A measure has not worked.
