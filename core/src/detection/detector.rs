@@ -238,7 +238,8 @@ impl Detector {
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
-        self.reminders.cancel(id);
+        let rank = FaultNotice::Found(entry.fault.clone()).rank();
+        self.reminders.handle_outcome(rank, id, at);
         match outcome {
             RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
             RecoveryOutcome::Recovered => {
@@ -525,6 +526,12 @@ impl Detector {
         }
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();
+        let notice = FaultNotice::Found(fault.clone());
+        let progress = self.reminders.progress_towards(notice.rank(), id);
+        if let Some(due) = progress.map(|at| at + self.limits.decision).filter(|due| *due > now) {
+            // Its turn comes.
+            return self.reminders.set(id, DecisionTimeout { due, sent: 0 });
+        }
         let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
             let root = self.chronicle.entry(root);
@@ -535,7 +542,7 @@ impl Detector {
         } else if reminder.sent < self.limits.reminders {
             self.reminders.set(id, DecisionTimeout { sent: reminder.sent + 1, ..next });
             self.handover.withdraw(|notice| notice.id() == id);
-            self.hand_over(FaultNotice::Found(fault), now);
+            self.hand_over(notice, now);
         } else {
             self.give_up(id, now, "no recoverer has decided about it".into());
         }

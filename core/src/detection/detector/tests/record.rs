@@ -130,6 +130,43 @@ fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_
     assert_eq!(said, ["Found 1", "+1", "+1", "+1", "+1", "GaveUp 1"]);
 }
 
+fn decided() -> RecoveryOutcome {
+    RecoveryOutcome::Decided { measure: "restart".into() }
+}
+
+#[test]
+fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
+    let mut bench = Bench::new();
+    for name in 1..=20 {
+        bench.see(&format!("arm{name}"), ONE, exited(panicked()));
+    }
+    bench.said();
+
+    for id in 1..20 {
+        assert_eq!(bench.run_until(id * 900), [""; 0]);
+        bench.detector.handle_outcome(FaultId(id), at(id * 900), decided());
+        assert_eq!(bench.said(), [format!("Decided {id}")]);
+    }
+
+    assert_eq!(bench.run_until(60_000), ["+20", "+20", "+20", "GaveUp 20"], "nobody answers now");
+}
+
+#[test]
+fn a_fault_that_others_have_overtaken_is_given_up_while_they_are_decided() {
+    let mut bench = Bench::new();
+    bench.see("lost", ONE, exited(panicked()));
+    bench.said();
+
+    let mut said = Vec::new();
+    for id in 2..10 {
+        bench.see(&format!("arm{id}"), ONE, exited(panicked()));
+        bench.detector.handle_outcome(FaultId(id), bench.now, decided());
+        said.extend(bench.run_until(id * 900).into_iter().filter(|step| step.ends_with(" 1")));
+    }
+
+    assert_eq!(said, ["GaveUp 1"]);
+}
+
 #[test]
 fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
     let mut bench = Bench::new();
