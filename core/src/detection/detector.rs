@@ -242,6 +242,11 @@ impl Detector {
         self.reminders.handle_outcome(rank, id, at);
         match outcome {
             RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
+            RecoveryOutcome::Failed { measure: action, reason } => {
+                let turn = FaultTransition::Failed { action, reason };
+                let fault = entry.fault.clone();
+                self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            }
             RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
                 self.recover(id, at);

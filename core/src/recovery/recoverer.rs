@@ -274,10 +274,17 @@ impl Recoverer {
             let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
             return self.release_symptoms(&ids(&faults), now);
         }
+        let measure = case.ladder.steps()[case.rung].measure.clone();
         case.attempt += 1;
         if case.attempt > case.ladder.steps()[case.rung].attempts {
             case.attempt = 1;
             case.rung += 1;
+        }
+        // At the end of its ladder the fault is given up, for this reason.
+        let known = if case.rung < case.ladder.steps().len() { case.known() } else { Vec::new() };
+        for fault in known {
+            let (measure, reason) = (measure.clone(), reason.clone());
+            self.tell(&fault, FaultResolution::Failed { measure, reason });
         }
         self.approach(place, reason, now);
     }

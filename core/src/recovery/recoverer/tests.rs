@@ -67,7 +67,7 @@ impl Rig {
                     format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
                 }
                 RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
-                    FaultResolution::Decided { .. } => continue,
+                    FaultResolution::Decided { .. } | FaultResolution::Failed { .. } => continue,
                     FaultResolution::Observed => format!("{id} observed"),
                     FaultResolution::Recovered { incarnation: Some(life) } => {
                         format!("{id} recovered {life}")
@@ -194,6 +194,32 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
     assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against panic, 3"]);
     assert_eq!(rig.outcome(3, fails()), ["#4 safe stop here:laser against panic, 1"]);
     assert_eq!(rig.outcome(4, Ok(RecoveryDone::default())), ["1 contained by safe stop"]);
+}
+
+#[test]
+fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
+    let ladder =
+        Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
+    let plan = Plan::default().on(FaultKind::Panic, ladder);
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    rig.find(panic_of(1, "laser", 1));
+    let mut reasons = |number, reason: &str| {
+        rig.machine.handle_outcome(number, Err(reason.into()), rig.now);
+        let mut said = Vec::new();
+        while let Some(output) = rig.machine.poll_output() {
+            let RecovererOutput::Settle { settled, .. } = output else { continue };
+            said.push(match settled {
+                FaultResolution::Failed { measure, reason } => format!("{measure}: {reason}"),
+                FaultResolution::GaveUp { reason } => format!("given up: {reason}"),
+                FaultResolution::Decided { measure, .. } => measure.to_string(),
+                other => panic!("{other:?}"),
+            });
+        }
+        said
+    };
+
+    assert_eq!(reasons(1, "it holds nothing"), ["homing: it holds nothing", "restart"]);
+    assert_eq!(reasons(2, "no thread"), ["given up: no thread", "safe stop"]);
 }
 
 #[test]

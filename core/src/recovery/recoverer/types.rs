@@ -56,6 +56,13 @@ pub enum FaultResolution {
         /// The how-manieth attempt, from 1.
         attempt: u32,
     },
+    /// What was done about it has not helped; the next attempt, or the next step, follows.
+    Failed {
+        /// What.
+        measure: RecoveryAction,
+        /// Why, as the strategy said it.
+        reason: String,
+    },
     /// Nothing is done about it but to keep it in the record.
     Observed,
     /// Service is restored.

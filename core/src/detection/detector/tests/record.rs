@@ -11,6 +11,8 @@ fn the_recoverer_s_word_is_recorded_and_told() {
 
     let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
+    let failed = RecoveryOutcome::Failed { measure: "restart".into(), reason: "no".into() };
+    bench.detector.handle_outcome(FaultId(1), at(5), failed);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     bench.detector.handle_outcome(
         FaultId(1),
@@ -19,7 +21,7 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     );
     bench.detector.handle_outcome(FaultId(7), at(9), RecoveryOutcome::Recovered);
 
-    assert_eq!(bench.said(), ["Decided 1", "Recovered 1"]);
+    assert_eq!(bench.said(), ["Decided 1", "Failed 1", "Recovered 1"]);
     let entry = &bench.entries()[0];
     assert_eq!(entry.decided, Some((at(3), "restart".into())));
     assert_eq!(entry.recovered_after(), Some(Duration::from_millis(8)));
