@@ -9,6 +9,7 @@ use actix::prelude::*;
 use blastema_contract::Confirmed;
 use blastema_contract::detector::{FaultEvent, FaultOutcome, Observed, ReadRecord, Subscribe};
 use blastema_contract::notifier::{FaultCleared, FaultFound};
+use blastema_contract::recoverer::SafeStateChanged;
 use blastema_core::NodeName;
 use blastema_core::detection::{self, DetectorLimits, DetectorOutput, FaultNotice};
 use tracing::{error, warn};
@@ -163,6 +164,16 @@ impl Handler<Subscribe> for DetectorActor {
             self.listeners.push(listener);
         } else {
             warn!(limit = LISTENERS, "no more listeners for faults are taken");
+        }
+    }
+}
+
+impl Handler<SafeStateChanged> for DetectorActor {
+    type Result = ();
+
+    fn handle(&mut self, message: SafeStateChanged, _: &mut Context<Self>) {
+        if let SafeStateChanged::NodeEnds = message {
+            self.machine.handle_node_end();
         }
     }
 }

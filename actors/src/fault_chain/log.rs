@@ -6,16 +6,18 @@
 //! | --- | --- |
 //! | a root is found, or again for the 2nd, 4th, 8th, … time | WARN for a warning, else ERROR |
 //! | the recoverer gives a fault up | ERROR |
+//! | a recovery action has failed, and another attempt or action follows | WARN |
 //! | a symptom is found; a decision, a recovery, a repair | INFO |
 //!
 //! Its fields are `node`, `place`, `object` (of faults of objects), `kind`, `code`, `severity`,
 //! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
-//! subscriber gets the steps of the first two rows on standard error, a line each; a fault that is
+//! subscriber gets the steps of the first three rows on standard error, a line each; a fault that is
 //! found again is not printed again.
 
 use blastema_contract::detector::FaultEvent;
 use blastema_core::detection::FaultTransition;
 use blastema_core::{Fault, FaultLocation, NodeName, Severity};
+use std::borrow::Cow;
 use std::io::{self, Write};
 use tracing::{Level, event};
 
@@ -55,7 +57,7 @@ pub(crate) fn log(node: &NodeName, step: &FaultEvent) {
                 count = fault.count,
                 symptom_of = fault.symptom_of.map(|root| root.0),
                 step = step_name(turn),
-                detail = detail(fault, turn),
+                detail = &*detail(fault, turn),
             )
         };
     }
@@ -76,6 +78,7 @@ fn shown(fault: &Fault, turn: &FaultTransition) -> Shown {
         FaultTransition::Found if is_root => Shown { level: of_severity, printed: true },
         FaultTransition::Repeated if is_root => Shown { level: of_severity, printed: false },
         FaultTransition::GaveUp { .. } => Shown { level: Level::ERROR, printed: true },
+        FaultTransition::Failed { .. } => Shown { level: Level::WARN, printed: true },
         _ => Shown { level: Level::INFO, printed: false },
     }
 }
@@ -93,6 +96,7 @@ fn step_name(turn: &FaultTransition) -> &'static str {
         FaultTransition::Repeated => "found again",
         FaultTransition::Explained => "explained",
         FaultTransition::Decided { .. } => "decided",
+        FaultTransition::Failed { .. } => "action failed",
         FaultTransition::Recovered => "recovered",
         FaultTransition::GaveUp { .. } => "given up",
         FaultTransition::Cleared => "cleared",
@@ -101,11 +105,12 @@ fn step_name(turn: &FaultTransition) -> &'static str {
 }
 
 /// What is new in the step, or the particulars of the fault.
-fn detail<'a>(fault: &'a Fault, turn: &'a FaultTransition) -> &'a str {
+fn detail<'a>(fault: &'a Fault, turn: &'a FaultTransition) -> Cow<'a, str> {
     match turn {
-        FaultTransition::Decided { action } => action,
-        FaultTransition::GaveUp { reason } => reason,
-        _ => &fault.detail,
+        FaultTransition::Decided { action } => action.into(),
+        FaultTransition::Failed { action, reason } => format!("{action}: {reason}").into(),
+        FaultTransition::GaveUp { reason } => reason.into(),
+        _ => (&fault.detail).into(),
     }
 }
 
@@ -119,6 +124,9 @@ fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
     let (kind, place) = (&fault.kind, &fault.place);
     let told = match turn {
         FaultTransition::GaveUp { reason } => format!("{kind} of {place} is given up: {reason}"),
+        FaultTransition::Failed { action, reason } => {
+            format!("{kind} of {place}: {action} has failed: {reason}")
+        }
         _ => format!("{kind} of {place}: {}", fault.detail),
     };
     let line = format!("blastema: {severity} on node {node}: {told}");
@@ -158,6 +166,8 @@ mod tests {
         check(FaultKind::Overload, None, FaultTransition::Found, Level::WARN, true);
         check(FaultKind::Overload, None, FaultTransition::Repeated, Level::WARN, false);
         check(FaultKind::Panic, None, gave_up(), Level::ERROR, true);
+        let failed = FaultTransition::Failed { action: "mine".into(), reason: "no".into() };
+        check(FaultKind::Panic, None, failed, Level::WARN, true);
         check(FaultKind::Panic, Some(1), gave_up(), Level::ERROR, true);
         check(FaultKind::Panic, Some(1), FaultTransition::Found, Level::INFO, false);
         check(FaultKind::Panic, Some(1), FaultTransition::Repeated, Level::INFO, false);

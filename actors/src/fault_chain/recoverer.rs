@@ -148,6 +148,9 @@ fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
         FaultResolution::Decided { measure, attempt } => {
             RecoveryOutcome::Decided { measure: format!("{measure}, attempt {attempt}") }
         }
+        FaultResolution::Failed { measure, reason } => {
+            RecoveryOutcome::Failed { measure: measure.to_string(), reason }
+        }
         FaultResolution::Observed => {
             RecoveryOutcome::Decided { measure: RecoveryAction::Observe.to_string() }
         }

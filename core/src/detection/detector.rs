@@ -58,6 +58,8 @@ pub struct Detector {
     last_number: u64,
     last_id: u64,
     stale: u64,
+    /// The node ends, and its components with it.
+    ending: bool,
 }
 
 /// The bounds of a [`Detector`].
@@ -209,6 +211,7 @@ impl Detector {
             last_number: 0,
             last_id: 0,
             stale: 0,
+            ending: false,
         }
     }
 
@@ -235,9 +238,15 @@ impl Detector {
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
-        self.reminders.cancel(id);
+        let rank = FaultNotice::Found(entry.fault.clone()).rank();
+        self.reminders.handle_outcome(rank, id, at);
         match outcome {
             RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
+            RecoveryOutcome::Failed { measure: action, reason } => {
+                let turn = FaultTransition::Failed { action, reason };
+                let fault = entry.fault.clone();
+                self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            }
             RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
                 self.recover(id, at);
@@ -245,6 +254,12 @@ impl Detector {
             RecoveryOutcome::Waits => self.await_next_life(id, at),
             RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
+    }
+
+    /// The node was told to stop: that its components end from now on repairs nothing. What stands,
+    /// stands at its end.
+    pub fn handle_node_end(&mut self) {
+        self.ending = true;
     }
 
     /// The notifier has confirmed a notice.
@@ -516,6 +531,12 @@ impl Detector {
         }
         let Some(entry) = self.chronicle.entry(id) else { return };
         let fault = entry.fault.clone();
+        let notice = FaultNotice::Found(fault.clone());
+        let progress = self.reminders.progress_towards(notice.rank(), id);
+        if let Some(due) = progress.map(|at| at + self.limits.decision).filter(|due| *due > now) {
+            // Its turn comes.
+            return self.reminders.set(id, DecisionTimeout { due, sent: 0 });
+        }
         let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
             let root = self.chronicle.entry(root);
@@ -526,7 +547,7 @@ impl Detector {
         } else if reminder.sent < self.limits.reminders {
             self.reminders.set(id, DecisionTimeout { sent: reminder.sent + 1, ..next });
             self.handover.withdraw(|notice| notice.id() == id);
-            self.hand_over(FaultNotice::Found(fault), now);
+            self.hand_over(notice, now);
         } else {
             self.give_up(id, now, "no recoverer has decided about it".into());
         }

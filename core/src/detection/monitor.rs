@@ -243,6 +243,10 @@ impl Monitor {
             Some(reason) => entry.note(NoteCause::State, reason.clone()),
             None => entry.erase(&NoteCause::State),
         }
+        if !matches!(state, Lifecycle::Created | Lifecycle::Initialized) {
+            // It waits no more, whether it is at work now or not.
+            entry.erase(&NoteCause::Declared(FaultKind::Unavailable));
+        }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(LastExit::Finalized);
             self.inquiry.handle_end(object, incarnation, now);

@@ -12,6 +12,13 @@ pub enum RecoveryOutcome {
         /// Which, as a person reads it: "restart", "re-route".
         measure: String,
     },
+    /// The action that was chosen has not helped. Another attempt, or another action, follows.
+    Failed {
+        /// Which, as in `Decided`.
+        measure: String,
+        /// Why.
+        reason: String,
+    },
     /// Service is restored.
     Recovered,
     /// Nothing more is done: the life that a measure has begun waits for something that is not
@@ -38,6 +45,13 @@ pub enum FaultTransition {
     Decided {
         /// Which one, for display.
         action: String,
+    },
+    /// A recovery action has not helped; another attempt, or another action, follows.
+    Failed {
+        /// Which one, for display.
+        action: String,
+        /// Why: what the strategy said, or what it panicked with.
+        reason: String,
     },
     /// Service is restored. Of an object, the fault is over; of a link or a node it stands until
     /// [`Cleared`](FaultTransition::Cleared): see [`Fault::is_repaired_by_recovery`].

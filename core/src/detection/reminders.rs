@@ -8,6 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) struct DecisionTimeouts {
     agenda: BTreeSet<(Instant, FaultId)>,
     by_fault: BTreeMap<FaultId, DecisionTimeout>,
+    /// The latest decision for each rank of faults: when, and about which.
+    decided: BTreeMap<u8, (Instant, FaultId)>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +29,22 @@ impl DecisionTimeouts {
         self.cancel(id);
         self.agenda.insert((reminder.due, id));
         self.by_fault.insert(id, reminder);
+    }
+
+    /// A recoverer has said something about a fault. What it says about one on which it has decided
+    /// before is not progress.
+    pub(super) fn handle_outcome(&mut self, rank: u8, id: FaultId, at: Instant) {
+        if self.by_fault.contains_key(&id) {
+            self.decided.insert(rank, (at, id));
+        }
+        self.cancel(id);
+    }
+
+    /// When a recoverer last decided about a fault that goes before this one: since then this one
+    /// waits in vain. One that was overtaken is not in the queue.
+    pub(super) fn progress_towards(&self, rank: u8, id: FaultId) -> Option<Instant> {
+        let decided = self.decided.iter().map(|(&of, &(at, last))| (at, (of, last)));
+        decided.filter(|&(_, last)| last < (rank, id)).map(|(at, _)| at).max()
     }
 
     pub(super) fn cancel(&mut self, id: FaultId) {

@@ -308,7 +308,15 @@ fn check_ladder(
     strategies: &BTreeSet<&str>,
 ) -> Result<(), PlanError> {
     let link = matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded);
-    let network = link || matches!(kind, FaultKind::NodeLost | FaultKind::NodeFaulty);
+    let node = matches!(
+        kind,
+        FaultKind::NodeLost
+            | FaultKind::NodeFaulty
+            | FaultKind::NodeAtRest
+            | FaultKind::CrashLoop
+            | FaultKind::NodePaused
+    );
+    let network = link || node;
     let mut observed = false;
     for step in ladder.steps() {
         let measure = step.measure.clone();
@@ -338,13 +346,23 @@ fn check_ladder(
                 let why = "needs a component or a node, and a link is neither";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
+            RecoveryAction::Reroute if !network => {
+                let why = "needs a link or another node, and a component is neither";
+                return Err(PlanError::DoesNotApply { what, measure, why });
+            }
             RecoveryAction::Reset
-                if matches!(kind, FaultKind::Panic | FaultKind::UnexpectedExit) =>
+                if matches!(
+                    kind,
+                    FaultKind::Panic
+                        | FaultKind::UnexpectedExit
+                        | FaultKind::InitializationFailed
+                        | FaultKind::Fatal
+                ) =>
             {
                 let why = "needs a life, and that one has ended: use restart";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
-            RecoveryAction::Reset if *kind == FaultKind::Hang => {
+            RecoveryAction::Reset if matches!(kind, FaultKind::Hang | FaultKind::Silence) => {
                 let why = "asks a component that does not answer: use restart";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
@@ -476,16 +494,34 @@ mod tests {
             wrong(FaultKind::NodeLost, Ladder::first(RecoveryAction::MoveToOwnThread))
                 .contains("by move to own thread, which needs a component")
         );
+        for ended in [
+            FaultKind::Panic,
+            FaultKind::UnexpectedExit,
+            FaultKind::InitializationFailed,
+            FaultKind::Fatal,
+        ] {
+            assert!(
+                wrong(ended, Ladder::first(RecoveryAction::Reset))
+                    .ends_with("that one has ended: use restart")
+            );
+        }
+        for stuck in [FaultKind::Hang, FaultKind::Silence] {
+            assert!(
+                wrong(stuck, Ladder::first(RecoveryAction::Restart).then(RecoveryAction::Reset))
+                    .ends_with("does not answer: use restart")
+            );
+        }
+        for kind in FaultKind::BUILT_IN {
+            let plan = good().on(kind.clone(), Ladder::first(RecoveryAction::Reroute));
+            let own = [FaultKind::Custom("GRIP".into())];
+            let works = plan.check(&[name("laser")], &own, ["homing"]).is_ok();
+            // B11 to B13 link down, link degraded, node lost; then what else befalls a node.
+            let network = ["B11", "B12", "B13", "B15", "B18", "B23", "B24"];
+            assert_eq!(works, network.contains(&kind.code()), "{kind}");
+        }
+        let grip = FaultKind::Custom("GRIP".into());
         assert!(
-            wrong(FaultKind::Panic, Ladder::first(RecoveryAction::Reset))
-                .ends_with("that one has ended: use restart")
-        );
-        assert!(
-            wrong(
-                FaultKind::Hang,
-                Ladder::first(RecoveryAction::Restart).then(RecoveryAction::Reset)
-            )
-            .ends_with("does not answer: use restart")
+            wrong(grip, Ladder::first(RecoveryAction::Reroute)).contains("a component is neither")
         );
         assert!(
             message(

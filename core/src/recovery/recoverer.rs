@@ -9,6 +9,7 @@
 //! until its root is settled, and is then either cleared by the detector or acted upon itself.
 //! Whether a restart is still worth it is not decided here but by the supervisor.
 
+use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
 use std::collections::{BTreeMap, VecDeque};
@@ -273,10 +274,17 @@ impl Recoverer {
             let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
             return self.release_symptoms(&ids(&faults), now);
         }
+        let measure = case.ladder.steps()[case.rung].measure.clone();
         case.attempt += 1;
         if case.attempt > case.ladder.steps()[case.rung].attempts {
             case.attempt = 1;
             case.rung += 1;
+        }
+        // At the end of its ladder the fault is given up, for this reason.
+        let known = if case.rung < case.ladder.steps().len() { case.known() } else { Vec::new() };
+        for fault in known {
+            let (measure, reason) = (measure.clone(), reason.clone());
+            self.tell(&fault, FaultResolution::Failed { measure, reason });
         }
         self.approach(place, reason, now);
     }
@@ -383,6 +391,9 @@ impl Recoverer {
             let settled = match contained {
                 true => FaultResolution::Contained { measure: measure.clone() },
                 false if done.waits => FaultResolution::Waits,
+                false if done.finished => {
+                    FaultResolution::GaveUp { reason: GiveUpReason::Finished.to_string() }
+                }
                 false => FaultResolution::Recovered { incarnation: done.incarnation },
             };
             self.tell(fault, settled);

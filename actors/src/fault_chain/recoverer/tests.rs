@@ -88,6 +88,9 @@ impl Chain {
             let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
             told.push(match what {
                 RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
+                RecoveryOutcome::Failed { measure, reason } => {
+                    format!("{id} {measure} failed: {reason}")
+                }
                 RecoveryOutcome::Recovered => format!("{id} recovered"),
                 RecoveryOutcome::Waits => format!("{id} waits"),
                 RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
@@ -145,8 +148,9 @@ fn an_error_that_cannot_be_reset_is_restarted() {
 
         chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
 
+        let jammed = "1 reset failed: arm: it could not reset itself: jammed";
         let told = chain.told_until("1 recovered").await;
-        assert_eq!(told, ["1 reset", "1 restart", "1 recovered"]);
+        assert_eq!(told, ["1 reset", jammed, "1 restart", "1 recovered"]);
         assert_eq!(chain.bench.script.done(), ["reset arm", "stop arm", "start arm"]);
     });
 }
@@ -160,8 +164,12 @@ fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
 
         let last = "1 given up: contained by safe stop; service is not restored";
+        let told = chain.told_until(last).await;
+        let failed = "1 restart failed: laser: its next life did not start: no device";
+        assert_eq!(told.iter().filter(|line| *line == failed).count(), 3, "{told:?}");
+        let others: Vec<&String> = told.iter().filter(|line| *line != failed).collect();
         assert_eq!(
-            chain.told_until(last).await,
+            others,
             ["1 restart", "1 restart, attempt 2", "1 restart, attempt 3", "1 safe stop", last]
         );
         assert_eq!(chain.safe_outputs.load(SeqCst), 1);
@@ -200,7 +208,10 @@ fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
 
         let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
         chain.recover(Fault { place: there, ..lost }).await;
-        assert_eq!(chain.told_until("2 observe").await, ["2 reroute", "2 observe"]);
+        assert_eq!(
+            chain.told_until("2 observe").await,
+            ["2 reroute", "2 reroute failed: no other way leads there", "2 observe"]
+        );
     });
 }
 
@@ -240,7 +251,12 @@ fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
         chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
 
         let told = chain.told_until("1 recovered").await;
-        assert_eq!(told.len(), 5, "{told:?}");
+        assert_eq!(told.len(), 8, "{told:?}");
+        assert!(
+            told[1].contains("panicked") && told[1].contains("the gripper is open"),
+            "{told:?}"
+        );
+        assert!(told[5].ends_with("failed: still not there"), "{told:?}");
         assert_eq!(chain.bench.script.done(), ["reset arm"]);
         assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 0));
         advance(Duration::from_secs(6)).await;
@@ -306,8 +322,12 @@ fn a_recoverer_that_panics_takes_up_again_what_was_open() {
 
         chain.recoverer.do_send(Poison);
 
+        let overdue = "1 restart failed: laser: its next life did not start: not at work within 5s";
         let told = chain.told_until("1 recovered").await;
-        assert_eq!(told, ["1 restart", "1 restart", "1 restart, attempt 2", "1 recovered"]);
+        assert_eq!(
+            told,
+            ["1 restart", "1 restart", overdue, "1 restart, attempt 2", "1 recovered"]
+        );
         assert!(chain.bench.deaths.expect().await.restarted_as.is_some());
         drop(chain.root);
     });

@@ -52,7 +52,7 @@ impl StrategyContext {
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, keeper) = self.keeper(&fault.place)?;
         let fault = Some(fault.clone());
-        judge(keeper.restart.send(RestartChild { object, fault }).await)
+        judge(keeper.restart.send(RestartChild { object, fault }).await).map(begun)
     }
 
     /// Lets a component go on in its next life on a thread of its own; its queue comes along.
@@ -64,7 +64,7 @@ impl StrategyContext {
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, keeper) = self.keeper(&fault.place)?;
         let fault = Some(fault.clone());
-        judge(keeper.move_away.send(MoveChild { object, fault }).await)
+        judge(keeper.move_away.send(MoveChild { object, fault }).await).map(begun)
     }
 
     /// Lets an object that is in error recover by itself.
@@ -74,7 +74,8 @@ impl StrategyContext {
     pub async fn reset(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, keeper) = self.keeper(place)?;
         // It is the same life as before.
-        judge(keeper.reset.send(ResetChild { object }).await).map(|_| RecoveryDone::default())
+        let done = judge(keeper.reset.send(ResetChild { object }).await)?;
+        Ok(RecoveryDone { incarnation: None, ..done })
     }
 
     /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
@@ -180,11 +181,18 @@ impl StrategyContext {
     }
 }
 
+/// Where a life was to begin, and none has, its rules do not let it.
+fn begun(done: RecoveryDone) -> RecoveryDone {
+    RecoveryDone { finished: done.incarnation.is_none(), ..done }
+}
+
 fn judge(
     answer: Result<Result<Recovered, GaveUp>, MailboxError>,
 ) -> Result<RecoveryDone, RecoveryFailed> {
     match answer {
-        Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(RecoveryDone { incarnation, waits }),
+        Ok(Ok(Recovered { incarnation, waits, .. })) => {
+            Ok(RecoveryDone { incarnation, waits, finished: false })
+        }
         Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
         Err(_) => Err("the supervisor did not answer".into()),
     }

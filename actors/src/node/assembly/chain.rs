@@ -237,6 +237,7 @@ pub(super) fn make_chain(
         guardian.start(named("chain/recoverer"), place, move |_: &mut Context<RecovererActor>| {
             RecovererActor::new(setup)
         });
+    keeper.do_send(SubscribeSafeState(detector.clone().recipient()));
     keeper.do_send(SubscribeSafeState(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
         port: RecovererPort::Local,

@@ -48,7 +48,7 @@ impl Detector {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let FaultLocation::Object(address) = &entry.fault.place else { return };
         let seen = self.objects.get(&address.object);
-        if seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
+        if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
             self.repair(id, at);
             self.withdraw(id, at);
         }
@@ -63,7 +63,7 @@ impl Detector {
         iter::once(id).chain(before).collect()
     }
 
-    fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
+    pub(super) fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
         self.chronicle.standing_at(place).filter(|fault| self.unhanded.contains(&fault.id))
     }
 }

@@ -28,7 +28,7 @@ impl Detector {
             *seen = fresh;
             self.behind.remove(object);
         }
-        if is_newer || ends_waiting(&finding) {
+        if is_newer || (ends_waiting(&finding) && !self.ending) {
             self.end_kind(&scene, &FaultKind::Unavailable);
         }
         match finding {
@@ -240,10 +240,12 @@ impl Detector {
             }
             Lifecycle::Active => {
                 let life = scene.incarnation;
+                // Also what a reset of this life was to end that came to wait.
+                let waits: Vec<FaultId> = self.unhanded_at(&scene.place).map(|f| f.id).collect();
                 let is_over = |fault: &Fault| {
                     let ended =
                         matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
-                    fault.incarnation < life || ended
+                    fault.incarnation < life || ended || waits.contains(&fault.id)
                 };
                 self.end_all_at(scene, is_over, true);
             }

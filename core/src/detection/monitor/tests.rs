@@ -380,6 +380,12 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     monitor.handle_mended(&laser, TWO, FaultKind::Overload, at(3));
     assert_eq!(note(&monitor), None);
 
+    declare(&mut monitor, FaultKind::Unavailable, "no device");
+    state(&mut monitor, Lifecycle::Initialized, None);
+    assert_eq!(note(&monitor).as_deref(), Some("no device"), "another hook may wait for it");
+    state(&mut monitor, Lifecycle::Active, None);
+    assert_eq!(note(&monitor), None);
+
     monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(4));
     declare(&mut monitor, FaultKind::CheckFailed, "its cut-off blocks");
     assert_eq!(note(&monitor).as_deref(), Some("its cut-off blocks"));

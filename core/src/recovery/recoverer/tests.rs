@@ -42,7 +42,7 @@ fn symptom(id: u64, object: &str, root: u64) -> Fault {
 }
 
 fn works(life: u64) -> Result<RecoveryDone, RecoveryFailed> {
-    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), waits: false })
+    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), ..RecoveryDone::default() })
 }
 
 fn fails() -> Result<RecoveryDone, RecoveryFailed> {
@@ -67,7 +67,7 @@ impl Rig {
                     format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
                 }
                 RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
-                    FaultResolution::Decided { .. } => continue,
+                    FaultResolution::Decided { .. } | FaultResolution::Failed { .. } => continue,
                     FaultResolution::Observed => format!("{id} observed"),
                     FaultResolution::Recovered { incarnation: Some(life) } => {
                         format!("{id} recovered {life}")
@@ -147,13 +147,26 @@ fn a_fault_that_is_reported_again_is_treated_once() {
 fn a_restart_whose_life_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
-    let waits = RecoveryDone { incarnation: Some(Incarnation(2)), waits: true };
+    let waits = RecoveryDone { waits: true, ..works(2).expect("it works") };
 
     assert_eq!(rig.outcome(1, Ok(waits)), ["1 waits"]);
 
     assert_eq!(rig.machine.open_cases(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0], "it may take for ever");
     assert_eq!(rig.find(panic_of(1, "laser", 2)), ["#2 restart here:laser against panic, 1"]);
+}
+
+#[test]
+fn a_restart_after_which_no_life_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
+
+    let told = "1 given up: it is not restarted: its end was final, as its rules say";
+    assert_eq!(rig.outcome(1, Ok(finished)), [told]);
+
+    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0]);
 }
 
 #[test]
@@ -184,6 +197,32 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
     assert_eq!(rig.pass_to_due(), ["#3 restart here:laser against panic, 3"]);
     assert_eq!(rig.outcome(3, fails()), ["#4 safe stop here:laser against panic, 1"]);
     assert_eq!(rig.outcome(4, Ok(RecoveryDone::default())), ["1 contained by safe stop"]);
+}
+
+#[test]
+fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
+    let ladder =
+        Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
+    let plan = Plan::default().on(FaultKind::Panic, ladder);
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    rig.find(panic_of(1, "laser", 1));
+    let mut reasons = |number, reason: &str| {
+        rig.machine.handle_outcome(number, Err(reason.into()), rig.now);
+        let mut said = Vec::new();
+        while let Some(output) = rig.machine.poll_output() {
+            let RecovererOutput::Settle { settled, .. } = output else { continue };
+            said.push(match settled {
+                FaultResolution::Failed { measure, reason } => format!("{measure}: {reason}"),
+                FaultResolution::GaveUp { reason } => format!("given up: {reason}"),
+                FaultResolution::Decided { measure, .. } => measure.to_string(),
+                other => panic!("{other:?}"),
+            });
+        }
+        said
+    };
+
+    assert_eq!(reasons(1, "it holds nothing"), ["homing: it holds nothing", "restart"]);
+    assert_eq!(reasons(2, "no thread"), ["given up: no thread", "safe stop"]);
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub struct RecoveryDone {
     /// That life waits for something that is not there yet, such as a device, and tries again by
     /// itself. It has recovered when it is at work.
     pub waits: bool,
+    /// No life follows: its end was final, as its rules say. Service is not restored.
+    pub finished: bool,
 }
 
 /// A measure has not worked.
@@ -53,6 +55,13 @@ pub enum FaultResolution {
         measure: RecoveryAction,
         /// The how-manieth attempt, from 1.
         attempt: u32,
+    },
+    /// What was done about it has not helped; the next attempt, or the next step, follows.
+    Failed {
+        /// What.
+        measure: RecoveryAction,
+        /// Why, as the strategy said it.
+        reason: String,
     },
     /// Nothing is done about it but to keep it in the record.
     Observed,

@@ -43,7 +43,7 @@ pub enum GiveUpReason {
     #[error("it is in safe state")]
     Resting,
     /// Its end was final.
-    #[error("its end was final, as its rules say")]
+    #[error("it is not restarted: its end was final, as its rules say")]
     Finished,
     /// It needs more restarts than the intensity allows; its siblings go on.
     #[error("it is not restarted any more: {reason}")]

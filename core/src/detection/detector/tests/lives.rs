@@ -198,6 +198,25 @@ fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
 }
 
 #[test]
+fn a_fault_whose_reset_came_to_wait_is_recovered_when_the_life_is_active_again() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    bench.see("arm", ONE, declared());
+    bench.see("arm", ONE, state(Lifecycle::Error));
+    assert_eq!(bench.said(), ["Found 1", "Found 2", "+1", "+2"]);
+
+    bench.see("arm", ONE, unavailable());
+    for id in [1, 2] {
+        bench.detector.handle_outcome(FaultId(id), at(0), RecoveryOutcome::Waits);
+    }
+    assert_eq!(bench.said(), ["Found 3", "+3"]);
+
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    let said = bench.said();
+    assert_eq!(said[..3], ["Recovered 2", "Recovered 1", "Recovered 3"]);
+}
+
+#[test]
 fn what_waits_no_more_is_not_unavailable_any_more() {
     let ends = [
         (ONE, exited(panicked()), "Panic"),
@@ -224,6 +243,21 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
         let said = bench.said();
         assert!(said.contains(&"Cleared 1".to_owned()), "{said:?}");
     }
+}
+
+#[test]
+fn what_stands_when_the_node_ends_is_not_repaired_by_the_end_of_its_component() {
+    let mut bench = restarted_on_the_spot();
+    bench.see("arm", TWO, unavailable());
+    bench.said();
+
+    bench.detector.handle_node_end();
+    bench.see("arm", TWO, state(Lifecycle::Finalized));
+    bench.see("arm", TWO, exited(ExitReason::Stopped));
+
+    let said = bench.run_until(60_000);
+    assert!(!said.iter().any(|step| step.starts_with("Cleared")), "{said:?}");
+    assert!(bench.entries().iter().all(|entry| entry.stands()));
 }
 
 #[test]

@@ -11,6 +11,8 @@ fn the_recoverer_s_word_is_recorded_and_told() {
 
     let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
+    let failed = RecoveryOutcome::Failed { measure: "restart".into(), reason: "no".into() };
+    bench.detector.handle_outcome(FaultId(1), at(5), failed);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     bench.detector.handle_outcome(
         FaultId(1),
@@ -19,7 +21,7 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     );
     bench.detector.handle_outcome(FaultId(7), at(9), RecoveryOutcome::Recovered);
 
-    assert_eq!(bench.said(), ["Decided 1", "Recovered 1"]);
+    assert_eq!(bench.said(), ["Decided 1", "Failed 1", "Recovered 1"]);
     let entry = &bench.entries()[0];
     assert_eq!(entry.decided, Some((at(3), "restart".into())));
     assert_eq!(entry.recovered_after(), Some(Duration::from_millis(8)));
@@ -128,6 +130,43 @@ fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_
     let said = bench.run_until(60_000);
 
     assert_eq!(said, ["Found 1", "+1", "+1", "+1", "+1", "GaveUp 1"]);
+}
+
+fn decided() -> RecoveryOutcome {
+    RecoveryOutcome::Decided { measure: "restart".into() }
+}
+
+#[test]
+fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
+    let mut bench = Bench::new();
+    for name in 1..=20 {
+        bench.see(&format!("arm{name}"), ONE, exited(panicked()));
+    }
+    bench.said();
+
+    for id in 1..20 {
+        assert_eq!(bench.run_until(id * 900), [""; 0]);
+        bench.detector.handle_outcome(FaultId(id), at(id * 900), decided());
+        assert_eq!(bench.said(), [format!("Decided {id}")]);
+    }
+
+    assert_eq!(bench.run_until(60_000), ["+20", "+20", "+20", "GaveUp 20"], "nobody answers now");
+}
+
+#[test]
+fn a_fault_that_others_have_overtaken_is_given_up_while_they_are_decided() {
+    let mut bench = Bench::new();
+    bench.see("lost", ONE, exited(panicked()));
+    bench.said();
+
+    let mut said = Vec::new();
+    for id in 2..10 {
+        bench.see(&format!("arm{id}"), ONE, exited(panicked()));
+        bench.detector.handle_outcome(FaultId(id), bench.now, decided());
+        said.extend(bench.run_until(id * 900).into_iter().filter(|step| step.ends_with(" 1")));
+    }
+
+    assert_eq!(said, ["GaveUp 1"]);
 }
 
 #[test]
