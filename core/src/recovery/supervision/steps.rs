@@ -229,9 +229,9 @@ impl Supervisor {
     pub(super) fn foretell(&mut self, going: Vec<ChildKey>) {
         let children = going.into_iter().map(|key| &self.children[&key]);
         let supervisors = children.filter(|child| child.rules.supervises);
-        let tell =
-            |child: &SupervisedChild| SupervisorOutput::ExpectEnd { child: child.name.clone() };
-        self.outputs.extend(supervisors.map(tell));
+        let expectations =
+            supervisors.map(|child| SupervisorOutput::ExpectEnd { child: child.name.clone() });
+        self.outputs.extend(expectations);
     }
 
     /// Ends a child for good, or until it is started again on request.
