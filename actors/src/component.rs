@@ -8,6 +8,7 @@ pub(crate) mod envelope;
 pub(crate) mod environment;
 pub(crate) mod extension;
 pub(crate) mod life;
+pub(crate) mod long_operation;
 pub(crate) mod ports;
 mod returns;
 pub(crate) mod skeleton;

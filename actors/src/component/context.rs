@@ -3,8 +3,8 @@
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
 use crate::component::life::{IncarnationState, TimerId, TimerMode};
+use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
-use crate::liveness::activity::ActivityRecord;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::MessageSink;
@@ -185,10 +185,10 @@ impl<C: Component> Context<C> {
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
-    /// dropped, it is taken neither for hanging nor for silent before that.
+    /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
+    /// within one another the one that is to end last counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.life.stamp.allow(span);
-        LongOperation { stamp: self.life.stamp }
+        self.life.operations.begin(span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never.
@@ -304,18 +304,5 @@ impl<C: Component> Context<C> {
             }
         }
         Ok(())
-    }
-}
-
-/// Ends a long operation when dropped; see [`Context::long_operation`].
-#[derive(Debug)]
-#[must_use = "the operation counts as long only while this guard lives"]
-pub struct LongOperation {
-    stamp: &'static ActivityRecord,
-}
-
-impl Drop for LongOperation {
-    fn drop(&mut self) {
-        self.stamp.allow(Duration::ZERO);
     }
 }

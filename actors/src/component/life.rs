@@ -1,6 +1,7 @@
 //! What one life's context and its pump share, and what its threads are given.
 
 use crate::component::context::Context;
+use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
@@ -54,6 +55,7 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
     pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) operations: Arc<LongOperations>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     wishes: RefCell<DeferredCommands<C>>,
@@ -63,9 +65,11 @@ pub(crate) struct IncarnationState<C: Component> {
 
 impl<C: Component> IncarnationState<C> {
     pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
+        let token: Arc<IncarnationToken> = Arc::default();
         IncarnationState {
             incarnation,
-            token: Arc::default(),
+            operations: Arc::new(LongOperations::new(stamp, token.clone())),
+            token,
             stamp,
             captured_at: Cell::new(None),
             wishes: RefCell::default(),
