@@ -27,7 +27,7 @@ use crate::component::life::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{FACTORY, TIMER, label};
+use crate::liveness::label::{self, FACTORY, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::queue::Popped;
 use crate::platform;
@@ -493,6 +493,12 @@ impl<C: Component> ComponentExecutor<C> {
         if self.chores.take_limit(DueWork::StopLimit)
             && let Some(end) = self.course.end_reason()
         {
+            let within = self.anchor.record.limits.shutdown_within;
+            // Who gives it no time at all wants it cut off.
+            if !within.is_zero() {
+                self.course.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.tell_news();
+            }
             self.drop_service();
             self.end(end);
         }
