@@ -102,37 +102,54 @@ impl<C: Component> Context<C> {
 
     /// Calls the closure every `interval` while the component is active. It takes its turn between
     /// messages; where it comes late, what was missed is skipped.
+    ///
+    /// # Panics
+    /// The component holds 1024 timers already: it has lost count of them.
+    #[track_caller]
     pub fn every(
         &mut self,
         interval: Duration,
         tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
-        self.timer(TimerMode::Every(interval), tick)
+        self.life.set_timer(TimerMode::Every(interval), Box::new(tick))
     }
 
     /// Calls the closure once, after `delay`.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn after(
         &mut self,
         delay: Duration,
         fire: impl FnOnce(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
         let mut fire = Some(fire);
-        self.timer(TimerMode::Once(delay), move |component, cx| {
+        let fire = move |component: &mut C, cx: &mut Context<C>| {
             if let Some(fire) = fire.take() {
                 fire(component, cx);
             }
-        })
+        };
+        self.life.set_timer(TimerMode::Once(delay), Box::new(fire))
     }
 
     /// Sends the component this message every `interval`, for work that awaits.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn tell_every<M: Contract + Clone>(&mut self, interval: Duration, message: M) -> TimerId
     where
         C: Handle<M>,
     {
-        self.timer(TimerMode::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
+        self.every(interval, move |_, cx| cx.post_to_myself(message.clone()))
     }
 
     /// Sends the component this message once, after `delay`.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn tell_after<M: Contract>(&mut self, delay: Duration, message: M) -> TimerId
     where
         C: Handle<M>,
@@ -150,19 +167,9 @@ impl<C: Component> Context<C> {
         }
     }
 
-    fn timer(
-        &mut self,
-        rhythm: TimerMode,
-        fire: impl FnMut(&mut C, &mut Context<C>) + 'static,
-    ) -> TimerId {
-        let id = self.life.next_timer();
-        self.life.defer(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
-        id
-    }
-
-    /// Ends a timer.
+    /// Ends a timer, and drops its closure.
     pub fn cancel(&mut self, timer: TimerId) {
-        self.life.defer(|wishes| wishes.cancelled.push(timer));
+        self.life.cancel_timer(timer);
     }
 
     /// Gives a sign of life. A successful `on_execute` gives one by itself.

@@ -2,13 +2,15 @@
 //!
 //! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a
 //! time stands in one schedule, of which one sleeping future waits for the earliest entry: a timer
-//! costs its closure and an entry, and frees both as soon as it is cancelled. Rounds and timers
+//! costs its closure, which it frees as soon as it is cancelled, and an entry. Rounds and timers
 //! become due here and take their turn between messages; one that is due already is not made due
 //! again, so that nothing stale piles up while the component is busy.
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
-use crate::component::life::{ComponentFuture, TimerAction, TimerId, TimerMode};
+use crate::component::life::{
+    ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
+};
 use crate::platform;
 use blastema_core::Instant;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -22,8 +24,6 @@ use tokio::time::Sleep;
 
 /// Tasks of one component at one time. Who has more has lost count of them.
 const TASKS: usize = 1024;
-/// Timers of one component at one time, for the same reason.
-const TIMERS: usize = 1024;
 /// Tasks that may end in one poll; then the rest of the arbiter has its turn.
 const BUDGET: usize = 64;
 /// Ticks that are no later than this are made up for, so that the runtime's clock, which rounds up
@@ -43,17 +43,6 @@ pub(crate) enum DueWork {
     StopLimit,
     /// What was not there yet may be there now.
     Retry,
-}
-
-/// When an entry of the schedule is due, and which of those of one instant it is.
-type Entry = (Instant, u64);
-
-struct Timer<C: Component> {
-    every: Option<Duration>,
-    /// Its entry in the schedule, until it is due for the last time.
-    entry: Option<Entry>,
-    /// Lifted out while it runs.
-    action: Option<TimerAction<C>>,
 }
 
 /// A task of the component's own; it waits while the turn is over.
@@ -78,8 +67,9 @@ impl Future for Spawned {
 
 pub(crate) struct ScheduledWork<C: Component> {
     tasks: FuturesUnordered<Spawned>,
-    timers: BTreeMap<u64, Timer<C>>,
-    schedule: BTreeMap<Entry, DueWork>,
+    /// Shared with those who set them.
+    timers: Rc<TimerTable<C>>,
+    schedule: BTreeMap<ScheduleEntry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
     /// Sleeps until the earliest entry, or one before it.
@@ -91,7 +81,7 @@ pub(crate) struct ScheduledWork<C: Component> {
     interval: Option<Duration>,
     active: bool,
     /// The entry of the next round.
-    round: Option<Entry>,
+    round: Option<ScheduleEntry>,
     /// When the last round was to be, since the component is active.
     last_round: Option<Instant>,
     /// Something was started and has not been polled yet.
@@ -102,7 +92,7 @@ impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
         ScheduledWork {
             tasks: FuturesUnordered::new(),
-            timers: BTreeMap::new(),
+            timers: Rc::default(),
             schedule: BTreeMap::new(),
             next_entry: 0,
             alarm: None,
@@ -130,9 +120,9 @@ fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For a life that begins, with rounds at this interval.
-    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
-        *self = ScheduledWork { interval, ..ScheduledWork::default() };
+    /// For a life that begins, with rounds at this interval and these timers.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>, timers: Rc<TimerTable<C>>) {
+        *self = ScheduledWork { interval, timers, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -178,7 +168,7 @@ impl<C: Component> ScheduledWork<C> {
         }
     }
 
-    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
+    fn enter(&mut self, at: Instant, chore: DueWork) -> ScheduleEntry {
         self.fresh = true;
         self.next_entry += 1;
         let entry = (at, self.next_entry);
@@ -190,8 +180,7 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn take_on(
         &mut self,
         tasks: Vec<ComponentFuture>,
-        timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
-        cancelled: &[TimerId],
+        cancelled: Vec<Option<ScheduleEntry>>,
         budget: &Rc<TurnBudget>,
     ) {
         for task in tasks {
@@ -200,29 +189,28 @@ impl<C: Component> ScheduledWork<C> {
             self.fresh = true;
             self.tasks.push(Spawned { task, budget: budget.clone() });
         }
-        cancelled.iter().for_each(|id| self.cancel(*id));
+        self.forget_cancelled(&cancelled);
         let now = platform::now();
-        for (id, rhythm, action) in timers {
-            if cancelled.contains(&id) {
-                continue;
+        for id in self.timers.take_new() {
+            let mode = self.timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+            let Some(TimerMode::Once(delay) | TimerMode::Every(delay)) = mode else { continue };
+            let entry = self.enter(now + delay, DueWork::Timer(id));
+            if let Some(timer) = self.timers.standing.borrow_mut().get_mut(&id.0) {
+                timer.entry = Some(entry);
             }
-            let held = self.timers.len();
-            assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
-            let (delay, every) = match rhythm {
-                TimerMode::Once(delay) => (delay, None),
-                TimerMode::Every(interval) => (interval, Some(interval)),
-            };
-            let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
-            self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
         }
     }
 
-    fn cancel(&mut self, id: TimerId) {
-        let Some(timer) = self.timers.remove(&id.0) else { return };
-        if let Some(entry) = timer.entry {
-            self.schedule.remove(&entry);
+    fn forget_cancelled(&mut self, cancelled: &[Option<ScheduleEntry>]) {
+        if cancelled.is_empty() {
+            return;
         }
-        self.due.retain(|chore| *chore != DueWork::Timer(id));
+        for entry in cancelled.iter().flatten() {
+            self.schedule.remove(entry);
+        }
+        let standing = self.timers.standing.borrow();
+        let is_over = |id: &TimerId| !standing.contains_key(&id.0);
+        self.due.retain(|chore| !matches!(chore, DueWork::Timer(id) if is_over(id)));
     }
 
     /// Sets one of the limits. One that is set already stays as it is.
@@ -288,10 +276,14 @@ impl<C: Component> ScheduledWork<C> {
                 self.round = next.map(|next| self.enter(next, DueWork::Execute));
             }
             DueWork::Timer(id) => {
-                let every = self.timers.get(&id.0).and_then(|timer| timer.every);
-                let next = every.map(|every| next_tick(at, every, now));
-                let entry = next.map(|next| self.enter(next, chore));
-                if let Some(timer) = self.timers.get_mut(&id.0) {
+                let mode = self.timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+                let entry = match mode {
+                    Some(TimerMode::Every(every)) => {
+                        Some(self.enter(next_tick(at, every, now), chore))
+                    }
+                    Some(TimerMode::Once(_)) | None => None,
+                };
+                if let Some(timer) = self.timers.standing.borrow_mut().get_mut(&id.0) {
                     timer.entry = entry;
                 }
             }
@@ -312,23 +304,23 @@ impl<C: Component> ScheduledWork<C> {
 
     /// The timer's action, to be run.
     pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
-        self.timers.get_mut(&id.0)?.action.take()
+        self.timers.standing.borrow_mut().get_mut(&id.0)?.action.take()
     }
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
     pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
-        if let Some(timer) = self.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
-            timer.action = Some(action);
-            return;
+        let mut standing = self.timers.standing.borrow_mut();
+        match standing.get_mut(&id.0) {
+            Some(timer) if matches!(timer.mode, TimerMode::Every(_)) => timer.action = Some(action),
+            _ => drop(standing.remove(&id.0)),
         }
-        self.timers.remove(&id.0);
     }
 
     /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
     pub(crate) fn clear(&mut self) -> (Vec<ComponentFuture>, Vec<TimerAction<C>>) {
         let ScheduledWork { tasks, timers, .. } = std::mem::take(self);
         let tasks = tasks.into_iter().map(|spawned| spawned.task);
-        let actions = timers.into_values().filter_map(|timer| timer.action);
+        let actions = timers.standing.take().into_values().filter_map(|timer| timer.action);
         (tasks.collect(), actions.collect())
     }
 }

@@ -177,9 +177,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.followed = false;
         self.dispose_service(blame);
         let record = &self.anchor.record;
-        let DeferredCommands { tasks, timers, .. } = self.life.take_wishes();
-        let fresh = timers.into_iter().map(|(_, _, action)| action);
-        fresh.for_each(|action| record.dispose(label::TIMER, action, blame));
+        let DeferredCommands { tasks, .. } = self.life.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.chores.clear();
         timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));

@@ -156,7 +156,7 @@ impl<C: Component> ComponentExecutor<C> {
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
         let seated = CurrentPlacement { seat, slot: self.place(), token };
         let is_newest = record.enter(self.life.incarnation, seated);
-        self.chores.begin(record.limits.interval);
+        self.chores.begin(record.limits.interval, self.life.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
@@ -453,7 +453,7 @@ impl<C: Component> ComponentExecutor<C> {
         if wishes.stop {
             self.course.handle_stop(EndReason::Returned);
         }
-        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
+        self.chores.take_on(wishes.tasks, wishes.cancelled, &self.budget);
         self.tell_news();
     }
 
