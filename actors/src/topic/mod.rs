@@ -159,11 +159,21 @@ impl<E: Event> Topic<E> {
             return self.fan_out(event, times);
         }
         let mut latch = lock(&self.latch);
-        let kept = Latched { event: event.clone(), at: times, is_foreign };
-        let earlier = latch.replace(kept).map(|earlier| earlier.event);
+        let mut copies = Vec::new();
+        let kept = self.copy(&event, 1, &mut copies).then(|| copies.pop()).flatten();
+        let kept = kept.map(|event| Latched { event, at: times, is_foreign });
+        let earlier = std::mem::replace(&mut *latch, kept).map(|earlier| earlier.event);
         self.fan_out(event, times);
         drop(latch);
         self.discard(earlier);
+    }
+
+    /// Adds copies of an event, or says that it panics. To copy it is the publisher's code.
+    fn copy(&self, event: &E, wanted: usize, copies: &mut Vec<E>) -> bool {
+        let _guarded = PanicGuard::enter();
+        let copy = || copies.extend(std::iter::repeat_n(event, wanted).cloned());
+        let copied = catch_unwind(AssertUnwindSafe(copy));
+        copied.map_err(|payload| self.complain(payload)).is_ok()
     }
 
     /// Measures the size of an event, for the topic's row.
@@ -200,8 +210,11 @@ impl<E: Event> Topic<E> {
             let Some((last, others)) = hubs.list.split_last() else { return };
             if others.len() > copies.len() {
                 let wanted = others.len() - copies.len();
-                drop(hubs); // To copy an event is the publisher's code.
-                copies.extend(std::iter::repeat_n(&event, wanted).cloned());
+                drop(hubs);
+                if !self.copy(&event, wanted, &mut copies) {
+                    // As where all listeners share a hub, none of them gets it.
+                    return self.discard(copies.into_iter().chain([event]));
+                }
                 continue;
             }
             let mut pushed = Vec::new();

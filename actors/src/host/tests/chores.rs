@@ -364,11 +364,11 @@ fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
 
 /// Sets a timer and cancels it, as often as that; says how many closures were held at most.
 #[derive(Clone, Debug, Request)]
-#[contract(reply = usize)]
+#[contract(reply = u64)]
 struct Churn(u32);
 
 impl Handle<Churn> for Keeper {
-    async fn handle(&mut self, Churn(times): Churn, cx: &mut Context<Self>) -> usize {
+    async fn handle(&mut self, Churn(times): Churn, cx: &mut Context<Self>) -> u64 {
         let idle = Arc::strong_count(&self.0);
         let mut most = 0;
         for _ in 0..times {
@@ -378,7 +378,7 @@ impl Handle<Churn> for Keeper {
             cx.cancel(timer);
             cx.cancel(timer);
         }
-        most
+        most as u64
     }
 }
 
