@@ -6,7 +6,7 @@
 use super::activity::{ActivityRecord, ActivitySample};
 use super::label;
 use super::limits::ComponentLimits;
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::heartbeat::{self, ArbiterHeartbeat};
 use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
 use crate::platform::processor_time::ThreadNumber;
@@ -140,6 +140,13 @@ impl SampledComponents {
     pub(crate) fn enter(&self, slot: u32, watched: SampledComponent) {
         self.lock().insert(slot, watched);
         self.0.version.fetch_add(1, Relaxed);
+    }
+
+    /// The component that runs on this thread; empty if none of this node does.
+    pub(crate) fn name_here(&self) -> String {
+        let entries = self.lock();
+        let here = heartbeat::running_here().and_then(|slot| entries.get(&slot));
+        here.map_or_else(String::new, |watched| watched.object.to_string())
     }
 
     /// What every component is doing now.

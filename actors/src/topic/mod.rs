@@ -32,6 +32,7 @@ pub use traffic::TopicRow;
 use crate::arbiter::heartbeat;
 use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
 use crate::platform;
 use crate::platform::panics;
@@ -136,11 +137,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<E: Event> Topic<E> {
-    fn publish(&self, event: E, captured_at: Option<Instant>) {
+    fn publish(&self, event: E, captured_at: Option<Instant>, by: &str) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
-        let times = Times { posted_at, captured_at };
+        let logged = message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
+        let times = Times { posted_at, captured_at, logged };
         self.traffic.count();
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
@@ -238,6 +240,7 @@ impl<E: Event> Topic<E> {
         }
         if let Some(displaced) = displaced {
             self.bury(&DeliveryError::Full);
+            self.log_lost(&displaced, &DeliveryError::Full);
             self.discard([displaced]);
         }
     }

@@ -29,6 +29,7 @@ use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
 use crate::liveness::label::{self, FACTORY, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
+use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -94,6 +95,8 @@ pub(crate) struct ComponentExecutor<C: Component> {
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
+    /// The message in service in the log: its id and contract, and whether a reply is wanted.
+    logged: Option<(LogId, &'static str, bool)>,
     /// The supervisor knows that the life did not come to work.
     start_failed: bool,
     /// This life is over, and none comes after it here.
@@ -129,6 +132,7 @@ impl<C: Component> ComponentExecutor<C> {
             seat,
             waker: None,
             followed: false,
+            logged: None,
             start_failed: false,
             over: false,
             deaths: VecDeque::new(),
@@ -370,6 +374,11 @@ impl<C: Component> ComponentExecutor<C> {
     fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
         let Some(home) = &self.home else { return };
         self.life.captured_at.set(Some(brief.captured_at));
+        if let Some(id) = brief.logged {
+            self.logged = Some((id, brief.name, mail.revocable().is_some()));
+            let record = &self.anchor.record;
+            message_log::begun(id, brief.name, &record.name, self.life.incarnation);
+        }
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
             self.slot.stamp.begin(nested.label);
@@ -407,6 +416,9 @@ impl<C: Component> ComponentExecutor<C> {
                 if self.followed {
                     self.followed = false;
                     self.anchor.record.end_service();
+                }
+                if let Some((id, contract, replies)) = self.logged.take() {
+                    message_log::served(id, contract, &self.anchor.record.name, replies);
                 }
             }
             Service::Hook(hook, future) => {
