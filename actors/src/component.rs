@@ -9,6 +9,7 @@ pub(crate) mod environment;
 pub(crate) mod exits;
 pub(crate) mod extension;
 pub(crate) mod life;
+pub(crate) mod long_operation;
 pub(crate) mod ports;
 mod returns;
 pub(crate) mod skeleton;

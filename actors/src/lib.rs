@@ -122,8 +122,9 @@ pub use serde;
 
 // Components.
 pub use crate::arbiter::pool::ThreadKind;
-pub use crate::component::context::{Context, LongOperation};
+pub use crate::component::context::Context;
 pub use crate::component::life::TimerId;
+pub use crate::component::long_operation::LongOperation;
 pub use crate::component::ports::Ports;
 pub use crate::component::spec_error::SpecError;
 pub use crate::liveness::threads::{ThreadRow, ThreadState};

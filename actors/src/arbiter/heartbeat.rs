@@ -60,6 +60,11 @@ pub(crate) fn send_refusal() -> Option<DeliveryError> {
     }
 }
 
+/// The slot of the component that runs on this thread.
+pub(crate) fn running_here() -> Option<u32> {
+    HERE.try_with(|here| here.get().and_then(|pulse| pulse.running())).ok().flatten()
+}
+
 /// The time to the precision of the beat.
 #[inline]
 pub(crate) fn coarse_now() -> Instant {

@@ -21,6 +21,7 @@ use crate::messaging::death_watch::{Down, Watchers};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::InjectionState;
+use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
@@ -404,6 +405,7 @@ impl<C: Component> ComponentCell<C> {
     where
         C: Handle<M>,
     {
+        let times = times.into();
         let refused = match self.record.refusal(None) {
             Some(why) => why,
             None => {
@@ -413,6 +415,9 @@ impl<C: Component> ComponentCell<C> {
             }
         };
         self.record.record_dead_letter(M::NAME, &refused);
+        if let Some(id) = times.logged {
+            message_log::lost(id, M::NAME, &self.record.name, &refused);
+        }
     }
 }
 
@@ -513,11 +518,16 @@ impl<C: Component> ComponentCell<C> {
     where
         C: Handle<M>,
     {
+        let logged = self.record.log_sent(M::NAME);
+        let times = Times { logged, ..posted_at.into() };
         let offered = match self.admit(None) {
-            Ok(()) => self.push(message, |m| seal_message::<C, M>(m, None, None, posted_at)),
+            Ok(()) => self.push(message, |m| seal_message::<C, M>(m, None, None, times)),
             Err(why) => Err((message, why)),
         };
-        offered.map_err(|(message, why)| SendError::new(why, message))
+        offered.map_err(|(message, why)| {
+            self.record.log_refused(logged, M::NAME, &why);
+            SendError::new(why, message)
+        })
     }
 
     /// Enqueues a request with the responder for its reply. A refusal resolves the responder, too.
@@ -532,14 +542,16 @@ impl<C: Component> ComponentCell<C> {
         C: Handle<M>,
     {
         let mut answer = Some(answer);
+        let logged = self.record.log_sent(M::NAME);
         let posted = match self.admit(id) {
             Ok(()) => {
-                let posted_at = enqueue_time::<M>();
-                self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, posted_at))
+                let times = Times { logged, ..enqueue_time::<M>().into() };
+                self.push(message, |m| seal_message::<C, M>(m, answer.take(), id, times))
             }
             Err(why) => Err((message, why)),
         };
         posted.map_err(|(message, why)| {
+            self.record.log_refused(logged, M::NAME, &why);
             if let DeliveryError::Quarantined { .. } = why {
                 self.record.record_dead_letter(M::NAME, &why);
             }

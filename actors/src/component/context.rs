@@ -3,8 +3,8 @@
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
 use crate::component::life::{IncarnationState, TimerId, TimerMode};
+use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
-use crate::liveness::activity::ActivityRecord;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::MessageSink;
@@ -102,37 +102,54 @@ impl<C: Component> Context<C> {
 
     /// Calls the closure every `interval` while the component is active. It takes its turn between
     /// messages; where it comes late, what was missed is skipped.
+    ///
+    /// # Panics
+    /// The component holds 1024 timers already: it has lost count of them.
+    #[track_caller]
     pub fn every(
         &mut self,
         interval: Duration,
         tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
-        self.timer(TimerMode::Every(interval), tick)
+        self.life.set_timer(TimerMode::Every(interval), Box::new(tick))
     }
 
     /// Calls the closure once, after `delay`.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn after(
         &mut self,
         delay: Duration,
         fire: impl FnOnce(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
         let mut fire = Some(fire);
-        self.timer(TimerMode::Once(delay), move |component, cx| {
+        let fire = move |component: &mut C, cx: &mut Context<C>| {
             if let Some(fire) = fire.take() {
                 fire(component, cx);
             }
-        })
+        };
+        self.life.set_timer(TimerMode::Once(delay), Box::new(fire))
     }
 
     /// Sends the component this message every `interval`, for work that awaits.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn tell_every<M: Contract + Clone>(&mut self, interval: Duration, message: M) -> TimerId
     where
         C: Handle<M>,
     {
-        self.timer(TimerMode::Every(interval), move |_, cx| cx.post_to_myself(message.clone()))
+        self.every(interval, move |_, cx| cx.post_to_myself(message.clone()))
     }
 
     /// Sends the component this message once, after `delay`.
+    ///
+    /// # Panics
+    /// As [`every`](Self::every).
+    #[track_caller]
     pub fn tell_after<M: Contract>(&mut self, delay: Duration, message: M) -> TimerId
     where
         C: Handle<M>,
@@ -150,19 +167,9 @@ impl<C: Component> Context<C> {
         }
     }
 
-    fn timer(
-        &mut self,
-        rhythm: TimerMode,
-        fire: impl FnMut(&mut C, &mut Context<C>) + 'static,
-    ) -> TimerId {
-        let id = self.life.next_timer();
-        self.life.defer(|wishes| wishes.timers.push((id, rhythm, Box::new(fire))));
-        id
-    }
-
-    /// Ends a timer.
+    /// Ends a timer, and drops its closure.
     pub fn cancel(&mut self, timer: TimerId) {
-        self.life.defer(|wishes| wishes.cancelled.push(timer));
+        self.life.cancel_timer(timer);
     }
 
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
@@ -185,10 +192,10 @@ impl<C: Component> Context<C> {
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
-    /// dropped, it is taken neither for hanging nor for silent before that.
+    /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
+    /// within one another the one that is to end last counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.life.stamp.allow(span);
-        LongOperation { stamp: self.life.stamp }
+        self.life.operations.begin(span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never.
@@ -304,18 +311,5 @@ impl<C: Component> Context<C> {
             }
         }
         Ok(())
-    }
-}
-
-/// Ends a long operation when dropped; see [`Context::long_operation`].
-#[derive(Debug)]
-#[must_use = "the operation counts as long only while this guard lives"]
-pub struct LongOperation {
-    stamp: &'static ActivityRecord,
-}
-
-impl Drop for LongOperation {
-    fn drop(&mut self) {
-        self.stamp.allow(Duration::ZERO);
     }
 }

@@ -10,6 +10,7 @@ use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Handle};
+use crate::messaging::message_log::LogId;
 use crate::messaging::reply::Responder;
 use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
@@ -34,13 +35,16 @@ pub(crate) struct EnvelopeHeader {
     pub(crate) max_age: Option<Duration>,
     /// A death of the receiver by this message is to be reported to its sender.
     pub(crate) is_followed: bool,
+    pub(crate) logged: Option<LogId>,
 }
 
-/// When a message was posted, and when the data in it was captured, where the sender has said so.
+/// When a message was posted, when the data in it was captured, where the sender has said so, and
+/// its id in the log, where one is kept.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Times {
     pub(crate) posted_at: Instant,
     pub(crate) captured_at: Option<Instant>,
+    pub(crate) logged: Option<LogId>,
 }
 
 impl Times {
@@ -54,7 +58,7 @@ impl Times {
 impl From<Instant> for Times {
     #[inline]
     fn from(posted_at: Instant) -> Self {
-        Times { posted_at, captured_at: None }
+        Times { posted_at, captured_at: None, logged: None }
     }
 }
 
@@ -98,6 +102,7 @@ struct Sealed<M: Contract, G> {
 struct Rare {
     id: Option<MessageId>,
     captured_at: Option<Instant>,
+    logged: Option<LogId>,
 }
 
 pin_project! {
@@ -130,6 +135,7 @@ where
             max_age: M::MAX_AGE,
             is_followed: self.contents.answer.is_some()
                 || self.rare.as_ref().is_some_and(|rare| rare.id.is_some()),
+            logged: self.rare.as_ref().and_then(|rare| rare.logged),
         }
     }
 
@@ -259,7 +265,7 @@ fn seal<C, M, G, F>(
     message: M,
     answer: Option<Responder<M>>,
     id: Option<MessageId>,
-    Times { posted_at, captured_at }: Times,
+    Times { posted_at, captured_at, logged }: Times,
 ) -> Sealed<M, G>
 where
     C: Component,
@@ -268,7 +274,7 @@ where
     F: Future<Output = M::Reply> + 'static,
 {
     let contents = Contents { message: Some(message), answer };
-    let is_rare = id.is_some() || captured_at.is_some();
-    let rare = is_rare.then(|| Box::new(Rare { id, captured_at }));
+    let is_rare = id.is_some() || captured_at.is_some() || logged.is_some();
+    let rare = is_rare.then(|| Box::new(Rare { id, captured_at, logged }));
     Sealed { make, contents, posted_at, rare }
 }

@@ -1,13 +1,16 @@
 //! What one life's context and its pump share, and what its threads are given.
 
 use crate::component::context::Context;
+use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
 use blastema_core::{Incarnation, Instant};
 use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -27,62 +30,106 @@ pub(crate) enum TimerMode {
     Every(Duration),
 }
 
+/// When an entry of the schedule is due, and which of those of one instant it is.
+pub(crate) type ScheduleEntry = (Instant, u64);
+
+/// Timers of one component at one time. Who has more has lost count of them.
+const TIMERS: usize = 1024;
+
+/// A timer that stands.
+pub(crate) struct Timer<C: Component> {
+    pub(crate) mode: TimerMode,
+    /// Its entry in the schedule, from when it was taken over until it is due for the last time.
+    pub(crate) entry: Option<ScheduleEntry>,
+    /// Lifted out while it runs.
+    pub(crate) action: Option<TimerAction<C>>,
+}
+
+/// The timers of one life, under their numbers: those that the schedule has taken over, and behind
+/// them those that were set since.
+pub(crate) struct TimerTable<C: Component> {
+    pub(crate) standing: RefCell<BTreeMap<u64, Timer<C>>>,
+    last: Cell<u64>,
+    /// The last one that was taken over.
+    taken: Cell<u64>,
+}
+
+impl<C: Component> Default for TimerTable<C> {
+    fn default() -> Self {
+        TimerTable { standing: RefCell::default(), last: Cell::new(0), taken: Cell::new(0) }
+    }
+}
+
+impl<C: Component> TimerTable<C> {
+    /// The numbers of those that were set since this was asked before.
+    pub(crate) fn take_new(&self) -> Vec<TimerId> {
+        let new = self.taken.replace(self.last.get()) + 1;
+        self.standing.borrow().range(new..).map(|(id, _)| TimerId(*id)).collect()
+    }
+}
+
 /// What a handler or hook asked of its host; the pump fulfils it when they have had their turn.
-pub(crate) struct DeferredCommands<C: Component> {
+#[derive(Default)]
+pub(crate) struct DeferredCommands {
     pub(crate) stop: bool,
     pub(crate) failure: Option<Failure>,
     pub(crate) tasks: Vec<ComponentFuture>,
-    pub(crate) timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
-    pub(crate) cancelled: Vec<TimerId>,
+    /// What the schedule has of timers that were cancelled.
+    pub(crate) cancelled: Vec<Option<ScheduleEntry>>,
     pub(crate) interval: Option<Option<Duration>>,
-}
-
-impl<C: Component> Default for DeferredCommands<C> {
-    fn default() -> Self {
-        DeferredCommands {
-            stop: false,
-            failure: None,
-            tasks: Vec::new(),
-            timers: Vec::new(),
-            cancelled: Vec::new(),
-            interval: None,
-        }
-    }
 }
 
 pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
     pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) operations: Arc<LongOperations>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     /// There only where something was asked for.
-    wishes: RefCell<Option<Box<DeferredCommands<C>>>>,
+    wishes: RefCell<Option<Box<DeferredCommands>>>,
     wished: Cell<bool>,
-    next_timer: Cell<u64>,
+    pub(crate) timers: Rc<TimerTable<C>>,
 }
 
 impl<C: Component> IncarnationState<C> {
     pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
+        let token: Arc<IncarnationToken> = Arc::default();
         IncarnationState {
             incarnation,
-            token: Arc::default(),
+            operations: Arc::new(LongOperations::new(stamp, token.clone())),
+            token,
             stamp,
             captured_at: Cell::new(None),
             wishes: RefCell::default(),
             wished: Cell::new(false),
-            next_timer: Cell::new(0),
+            timers: Rc::default(),
         }
     }
 
-    pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands<C>)) {
+    pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands)) {
         self.wished.set(true);
         make(self.wishes.borrow_mut().get_or_insert_default());
     }
 
-    pub(crate) fn next_timer(&self) -> TimerId {
-        self.next_timer.set(self.next_timer.get() + 1);
-        TimerId(self.next_timer.get())
+    #[track_caller]
+    pub(crate) fn set_timer(&self, mode: TimerMode, action: TimerAction<C>) -> TimerId {
+        let table = &self.timers;
+        let held = table.standing.borrow().len();
+        assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
+        table.last.set(table.last.get() + 1);
+        let timer = Timer { mode, entry: None, action: Some(action) };
+        table.standing.borrow_mut().insert(table.last.get(), timer);
+        self.wished.set(true);
+        TimerId(table.last.get())
+    }
+
+    pub(crate) fn cancel_timer(&self, id: TimerId) {
+        let timer = self.timers.standing.borrow_mut().remove(&id.0);
+        let Some(Timer { entry, .. }) = &timer else { return };
+        if id.0 <= self.timers.taken.get() {
+            self.defer(|wishes| wishes.cancelled.push(*entry));
+        }
     }
 
     /// Something was asked for.
@@ -91,7 +138,7 @@ impl<C: Component> IncarnationState<C> {
         self.wished.get()
     }
 
-    pub(crate) fn take_wishes(&self) -> DeferredCommands<C> {
+    pub(crate) fn take_wishes(&self) -> DeferredCommands {
         self.wished.set(false);
         self.wishes.take().map(|wishes| *wishes).unwrap_or_default()
     }

@@ -7,7 +7,8 @@
 
 use super::Component;
 use super::cell::{CellCore, ComponentCell};
-use super::envelope::BoxedEnvelope;
+use super::envelope::{BoxedEnvelope, EnvelopeHeader};
+use crate::messaging::message_log::{self, LogId};
 use crate::runtime::callbacks::{CallKind, CallOutcome};
 use blastema_core::{DeliveryError, FaultKind, Incarnation};
 use std::sync::Arc;
@@ -38,8 +39,11 @@ impl<C: Component> ComponentCell<C> {
 
     /// A message that is not going to be served.
     pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
-        let contract = mail.brief().name;
+        let EnvelopeHeader { name: contract, logged, .. } = mail.brief();
         self.record.record_dead_letter(contract, &why);
+        if let Some(id) = logged {
+            message_log::lost(id, contract, &self.record.name, &why);
+        }
         let give_back = move || {
             mail.give_back(why);
             drop(mail);
@@ -49,6 +53,20 @@ impl<C: Component> ComponentCell<C> {
 }
 
 impl CellCore {
+    /// A message is sent to the component: its id in the log, where one is kept.
+    #[inline]
+    pub(crate) fn log_sent(&self, contract: &'static str) -> Option<LogId> {
+        let from = || self.environment.watch_list.name_here();
+        message_log::sent(contract, &self.name, from)
+    }
+
+    /// It was not let in.
+    pub(crate) fn log_refused(&self, id: Option<LogId>, contract: &str, why: &DeliveryError) {
+        if let Some(id) = id {
+            message_log::refused(id, contract, &self.name, why);
+        }
+    }
+
     /// What became of the call that returns a message of this contract. `declared`: that it is
     /// late stands as a fault.
     fn handle_returned(&self, contract: &str, outcome: CallOutcome, declared: &AtomicBool) {

@@ -212,20 +212,29 @@ impl IncarnationLifecycle {
                 }
             }
             (Hook::Initialize | Hook::Reset, Err(failure)) => self.handle_fatal(failure.reason),
-            (Hook::Deactivated, result) => {
+            (Hook::Deactivated, Err(failure)) if self.end.is_none() => {
                 self.enter(Lifecycle::Initialized, None);
-                if let (Err(failure), None) = (result, self.end) {
-                    self.handle_failure(failure);
-                }
+                self.handle_failure(failure);
             }
-            (Hook::Aborting | Hook::Error, Err(failure)) if failure.fatal => {
+            (Hook::Deactivated, result) => {
+                self.enter(Lifecycle::Initialized, reason_of(hook, result));
+            }
+            (Hook::Aborting | Hook::Error, Err(failure)) if failure.fatal && self.end.is_none() => {
                 self.handle_fatal(failure.reason);
             }
-            (Hook::Finalize, _) => self.enter(Lifecycle::Finalized, None),
-            (Hook::Aborting | Hook::Error | Hook::Shutdown, _) => {}
+            (Hook::Finalize, result) => self.enter(Lifecycle::Finalized, reason_of(hook, result)),
             (_, Ok(())) => {}
+            (Hook::Aborting | Hook::Error | Hook::Shutdown, result) => {
+                self.enter(self.state, reason_of(hook, result));
+            }
             (_, Err(failure)) => self.handle_failure(failure),
         }
+    }
+
+    /// What runs was cut off: the life ends here.
+    pub(crate) fn handle_cut_off(&mut self, during: &str, within: Duration) {
+        let reason = format!("{during} was cut off: it had not stopped within {within:?}");
+        self.enter(self.state, Some(reason));
     }
 
     /// Something that the hook needs is not there yet.
@@ -386,6 +395,11 @@ impl IncarnationLifecycle {
         self.state = state;
         self.news.push(LifecycleReport::State(state, reason));
     }
+}
+
+/// Why a hook that brings the component to rest has failed.
+fn reason_of(hook: Hook, result: Result<(), Failure>) -> Option<String> {
+    result.err().map(|failure| format!("{} failed: {}", hook.name(), failure.reason))
 }
 
 #[cfg(test)]

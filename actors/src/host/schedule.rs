@@ -2,13 +2,15 @@
 //!
 //! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a
 //! time stands in one schedule, of which one sleeping future waits for the earliest entry: a timer
-//! costs its closure and an entry, and frees both as soon as it is cancelled. Rounds and timers
+//! costs its closure, which it frees as soon as it is cancelled, and an entry. Rounds and timers
 //! become due here and take their turn between messages; one that is due already is not made due
 //! again, so that nothing stale piles up while the component is busy.
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
-use crate::component::life::{ComponentFuture, TimerAction, TimerId, TimerMode};
+use crate::component::life::{
+    ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
+};
 use crate::platform;
 use blastema_core::Instant;
 use futures_util::stream::{FuturesUnordered, Stream};
@@ -22,8 +24,6 @@ use tokio::time::Sleep;
 
 /// Tasks of one component at one time. Who has more has lost count of them.
 const TASKS: usize = 1024;
-/// Timers of one component at one time, for the same reason.
-const TIMERS: usize = 1024;
 /// Tasks that may end in one poll; then the rest of the arbiter has its turn.
 const BUDGET: usize = 64;
 /// Ticks that are no later than this are made up for, so that the runtime's clock, which rounds up
@@ -43,17 +43,6 @@ pub(crate) enum DueWork {
     StopLimit,
     /// What was not there yet may be there now.
     Retry,
-}
-
-/// When an entry of the schedule is due, and which of those of one instant it is.
-type Entry = (Instant, u64);
-
-struct Timer<C: Component> {
-    every: Option<Duration>,
-    /// Its entry in the schedule, until it is due for the last time.
-    entry: Option<Entry>,
-    /// Lifted out while it runs.
-    action: Option<TimerAction<C>>,
 }
 
 /// A task of the component's own; it waits while the turn is over.
@@ -82,15 +71,17 @@ pub(crate) struct ScheduledWork<C: Component> {
     /// Something was started and has not been polled yet.
     fresh: bool,
     /// There only while it holds something: most components wait for messages and nothing else.
-    work: Option<Box<Work<C>>>,
+    work: Option<Box<Work>>,
+    /// Shared with the code that sets them.
+    timers: Rc<TimerTable<C>>,
 }
 
 /// What is planned, due and under way.
-struct Work<C: Component> {
+#[derive(Default)]
+struct Work {
     /// There only where the component has started a task.
     tasks: Option<FuturesUnordered<Spawned>>,
-    timers: BTreeMap<u64, Timer<C>>,
-    schedule: BTreeMap<Entry, DueWork>,
+    schedule: BTreeMap<ScheduleEntry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
     /// Sleeps until the earliest entry, or one before it.
@@ -100,29 +91,19 @@ struct Work<C: Component> {
     /// Limits that were reached and have not been asked for yet.
     reached: Vec<DueWork>,
     /// The entry of the next round.
-    round: Option<Entry>,
+    round: Option<ScheduleEntry>,
     /// When the last round was to be, since the component is active.
     last_round: Option<Instant>,
 }
 
 impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        ScheduledWork { interval: None, active: false, fresh: false, work: None }
-    }
-}
-
-impl<C: Component> Default for Work<C> {
-    fn default() -> Self {
-        Work {
-            tasks: None,
-            timers: BTreeMap::new(),
-            schedule: BTreeMap::new(),
-            next_entry: 0,
-            alarm: None,
-            due: VecDeque::new(),
-            reached: Vec::new(),
-            round: None,
-            last_round: None,
+        ScheduledWork {
+            interval: None,
+            active: false,
+            fresh: false,
+            work: None,
+            timers: Rc::default(),
         }
     }
 }
@@ -140,9 +121,9 @@ fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For a life that begins, with rounds at this interval.
-    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
-        *self = ScheduledWork { interval, ..ScheduledWork::default() };
+    /// For a life that begins, with rounds at this interval and these timers.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>, timers: Rc<TimerTable<C>>) {
+        *self = ScheduledWork { interval, timers, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -195,7 +176,7 @@ impl<C: Component> ScheduledWork<C> {
     }
 
     /// To have something entered.
-    fn planned(&mut self) -> &mut Work<C> {
+    fn planned(&mut self) -> &mut Work {
         self.fresh = true;
         self.work.get_or_insert_default()
     }
@@ -207,7 +188,7 @@ impl<C: Component> ScheduledWork<C> {
             return;
         }
         work.alarm = None;
-        let is_idle = work.due.is_empty() && work.reached.is_empty() && work.timers.is_empty();
+        let is_idle = work.due.is_empty() && work.reached.is_empty();
         if is_idle && !work.has_tasks() && self.interval.is_none() {
             self.work = None;
         }
@@ -217,8 +198,7 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn take_on(
         &mut self,
         tasks: Vec<ComponentFuture>,
-        timers: Vec<(TimerId, TimerMode, TimerAction<C>)>,
-        cancelled: &[TimerId],
+        cancelled: &[Option<ScheduleEntry>],
         budget: &Rc<TurnBudget>,
     ) {
         for task in tasks {
@@ -228,12 +208,16 @@ impl<C: Component> ScheduledWork<C> {
             tasks.push(Spawned { task, budget: budget.clone() });
         }
         if let Some(work) = &mut self.work {
-            cancelled.iter().for_each(|id| work.cancel(*id));
+            work.forget_cancelled(cancelled, &self.timers);
         }
-        if !timers.is_empty() {
-            let now = platform::now();
-            let timers = timers.into_iter().filter(|(id, ..)| !cancelled.contains(id));
-            timers.for_each(|timer| self.planned().set(timer, now));
+        let now = platform::now();
+        for id in self.timers.take_new() {
+            let mode = self.timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+            let Some(TimerMode::Once(delay) | TimerMode::Every(delay)) = mode else { continue };
+            let entry = self.planned().enter(now + delay, DueWork::Timer(id));
+            if let Some(timer) = self.timers.standing.borrow_mut().get_mut(&id.0) {
+                timer.entry = Some(entry);
+            }
         }
         self.tidy();
     }
@@ -266,7 +250,7 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
         self.fresh = false;
         let Some(work) = &mut self.work else { return };
-        work.poll_schedule(self.interval, cx);
+        work.poll_schedule(self.interval, &self.timers, cx);
         work.poll_tasks(cx);
     }
 
@@ -278,59 +262,59 @@ impl<C: Component> ScheduledWork<C> {
 
     /// The timer's action, to be run.
     pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
-        self.work.as_mut()?.timers.get_mut(&id.0)?.action.take()
+        self.timers.standing.borrow_mut().get_mut(&id.0)?.action.take()
     }
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
     pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
-        let Some(work) = &mut self.work else { return };
-        if let Some(timer) = work.timers.get_mut(&id.0).filter(|timer| timer.every.is_some()) {
-            timer.action = Some(action);
-            return;
+        let mut standing = self.timers.standing.borrow_mut();
+        match standing.get_mut(&id.0) {
+            Some(timer) if matches!(timer.mode, TimerMode::Every(_)) => {
+                timer.action = Some(action);
+                return;
+            }
+            _ => drop(standing.remove(&id.0)),
         }
-        work.timers.remove(&id.0);
+        drop(standing);
         self.tidy();
     }
 
     /// Ends everything, and hands out what is the user's, to be dropped one by one under a guard.
     pub(crate) fn clear(&mut self) -> (Vec<ComponentFuture>, Vec<TimerAction<C>>) {
-        let Some(work) = std::mem::take(self).work else { return Default::default() };
-        let Work { tasks, timers, .. } = *work;
-        let tasks = tasks.into_iter().flatten().map(|spawned| spawned.task);
-        let actions = timers.into_values().filter_map(|timer| timer.action);
+        let ScheduledWork { work, timers, .. } = std::mem::take(self);
+        let tasks = work.and_then(|work| work.tasks).into_iter().flatten();
+        let tasks = tasks.map(|spawned| spawned.task);
+        let actions = timers.standing.take().into_values().filter_map(|timer| timer.action);
         (tasks.collect(), actions.collect())
     }
 }
 
-impl<C: Component> Work<C> {
+impl Work {
     fn has_tasks(&self) -> bool {
         self.tasks.as_ref().is_some_and(|tasks| !tasks.is_empty())
     }
 
-    fn enter(&mut self, at: Instant, chore: DueWork) -> Entry {
+    fn enter(&mut self, at: Instant, chore: DueWork) -> ScheduleEntry {
         self.next_entry += 1;
         let entry = (at, self.next_entry);
         self.schedule.insert(entry, chore);
         entry
     }
 
-    fn set(&mut self, (id, rhythm, action): (TimerId, TimerMode, TimerAction<C>), now: Instant) {
-        let held = self.timers.len();
-        assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
-        let (delay, every) = match rhythm {
-            TimerMode::Once(delay) => (delay, None),
-            TimerMode::Every(interval) => (interval, Some(interval)),
-        };
-        let entry = Some(self.enter(now + delay, DueWork::Timer(id)));
-        self.timers.insert(id.0, Timer { every, entry, action: Some(action) });
-    }
-
-    fn cancel(&mut self, id: TimerId) {
-        let Some(timer) = self.timers.remove(&id.0) else { return };
-        if let Some(entry) = timer.entry {
-            self.schedule.remove(&entry);
+    fn forget_cancelled<C: Component>(
+        &mut self,
+        cancelled: &[Option<ScheduleEntry>],
+        timers: &TimerTable<C>,
+    ) {
+        if cancelled.is_empty() {
+            return;
         }
-        self.due.retain(|chore| *chore != DueWork::Timer(id));
+        for entry in cancelled.iter().flatten() {
+            self.schedule.remove(entry);
+        }
+        let standing = timers.standing.borrow();
+        let is_over = |id: &TimerId| !standing.contains_key(&id.0);
+        self.due.retain(|chore| !matches!(chore, DueWork::Timer(id) if is_over(id)));
     }
 
     fn poll_tasks(&mut self, cx: &mut Context<'_>) {
@@ -344,7 +328,12 @@ impl<C: Component> Work<C> {
     }
 
     /// Makes due what is, until everything lies ahead.
-    fn poll_schedule(&mut self, interval: Option<Duration>, cx: &mut Context<'_>) {
+    fn poll_schedule<C: Component>(
+        &mut self,
+        interval: Option<Duration>,
+        timers: &TimerTable<C>,
+        cx: &mut Context<'_>,
+    ) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
             let until = platform::timer_at(earliest);
             let (set_for, alarm) = self
@@ -361,17 +350,18 @@ impl<C: Component> Work<C> {
             while let Some(first) = self.schedule.first_entry().filter(|first| first.key().0 <= now)
             {
                 let ((at, _), chore) = first.remove_entry();
-                self.fall_due(chore, (at, now), interval);
+                self.fall_due(chore, (at, now), interval, timers);
             }
         }
         self.alarm = None;
     }
 
-    fn fall_due(
+    fn fall_due<C: Component>(
         &mut self,
         chore: DueWork,
         (at, now): (Instant, Instant),
         interval: Option<Duration>,
+        timers: &TimerTable<C>,
     ) {
         match chore {
             DueWork::Execute => {
@@ -380,10 +370,14 @@ impl<C: Component> Work<C> {
                 self.round = next.map(|next| self.enter(next, DueWork::Execute));
             }
             DueWork::Timer(id) => {
-                let every = self.timers.get(&id.0).and_then(|timer| timer.every);
-                let next = every.map(|every| next_tick(at, every, now));
-                let entry = next.map(|next| self.enter(next, chore));
-                if let Some(timer) = self.timers.get_mut(&id.0) {
+                let mode = timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+                let entry = match mode {
+                    Some(TimerMode::Every(every)) => {
+                        Some(self.enter(next_tick(at, every, now), chore))
+                    }
+                    Some(TimerMode::Once(_)) | None => None,
+                };
+                if let Some(timer) = timers.standing.borrow_mut().get_mut(&id.0) {
                     timer.entry = entry;
                 }
             }

@@ -5,7 +5,7 @@
 
 use super::activity::{ActivityRecord, ActivitySample};
 use super::label;
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use crate::arbiter::heartbeat::{self, ArbiterHeartbeat};
 use crate::arbiter::pool::ArbiterPool;
 use crate::platform;
 use crate::platform::processor_time::ThreadNumber;
@@ -145,6 +145,13 @@ impl SampledComponents {
 
     fn declaring(&self) -> MutexGuard<'_, Option<ObjectName>> {
         self.0.declaring.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The component that runs on this thread; empty if none of this node does.
+    pub(crate) fn name_here(&self) -> String {
+        let entries = self.lock();
+        let here = heartbeat::running_here().and_then(|slot| entries.get(&slot));
+        here.map_or_else(String::new, |watched| watched.object.to_string())
     }
 
     /// What every component is doing now.

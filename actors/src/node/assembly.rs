@@ -149,10 +149,10 @@ impl NodeAssembly {
         let own = parts.chain.arbiter.iter().cloned().collect();
         let plan = Arc::new(std::mem::take(&mut builder.plan));
         Ok(NodeAssembly {
-            environment: ComponentEnvironment {
+            environment: Arc::new(ComponentEnvironment {
                 watch_list: builder.watch_list.clone(),
                 ..environment(&parts, &node, &plan, arbiters.clone())
-            },
+            }),
             undone: StopOnFailure { arbiters, own, kept: false },
             placement: builder.placement,
             networks: None,
@@ -411,7 +411,7 @@ fn environment(
     node: &NodeName,
     plan: &Plan,
     arbiters: ArbiterPool,
-) -> Arc<ComponentEnvironment> {
+) -> ComponentEnvironment {
     let reports = reports(&parts.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
@@ -419,7 +419,7 @@ fn environment(
     let fault_codes = Arc::new(plan.codes());
     let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
     let callbacks = parts.chain.callbacks.clone();
-    Arc::new(ComponentEnvironment { registry, fault_codes, callbacks, ..general })
+    ComponentEnvironment { registry, fault_codes, callbacks, ..general }
 }
 
 fn enrolment(

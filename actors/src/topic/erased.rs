@@ -1,6 +1,7 @@
 //! A topic as those see it who do not know its type: the network, and the snapshot.
 
 use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
+use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use blastema_core::contract::codec;
@@ -112,7 +113,8 @@ impl<E: Event> AnyTopic for Topic<E> {
                 let captured_at = now.as_nanos().saturating_sub(nanos(age));
                 let captured_at = Some(Instant::from_nanos(captured_at));
                 self.traffic.count();
-                self.hand_out(event, Times { posted_at: now, captured_at }, true);
+                let logged = message_log::sent(E::NAME, &self.key.topic, String::new);
+                self.hand_out(event, Times { posted_at: now, captured_at, logged }, true);
                 Ok(())
             }
             Err(reason) => {

@@ -10,6 +10,7 @@ use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::envelope::Times;
 use crate::liveness::label::{CONDITION, label};
+use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -228,6 +229,13 @@ impl<E: Event> Topic<E> {
 }
 
 impl<E: Event> Topic<E> {
+    /// An event that the log knows does not come to its listeners.
+    pub(super) fn log_lost(&self, posted: &Posted<E>, why: &DeliveryError) {
+        if let Some(id) = posted.at.logged {
+            message_log::lost(id, E::NAME, &self.key.topic, why);
+        }
+    }
+
     /// What the topic keeps, for a listener that joins.
     pub(super) fn kept(&self, latch: &Latch<E>) -> Vec<Posted<E>> {
         let _guarded = PanicGuard::enter();
@@ -340,7 +348,10 @@ impl<E: Event> Hub<E> {
         begun.store(0, Relaxed);
         (serving.events, serving.only) = (events.clone(), only);
         drop(serving);
-        for _ in &stale {
+        for posted in &stale {
+            if let Some(topic) = self.topic.upgrade() {
+                topic.log_lost(posted, &DeliveryError::Expired);
+            }
             let concerned = ears.iter().filter(|ear| only.is_none_or(|only| only == ear.number));
             concerned.for_each(|ear| ear.listener.bury(&DeliveryError::Expired));
         }

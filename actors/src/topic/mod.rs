@@ -32,6 +32,7 @@ pub use traffic::TopicRow;
 use crate::arbiter::heartbeat;
 use crate::component::envelope::{Times, enqueue_time};
 use crate::messaging::dead_letters::DeadLetterLog;
+use crate::messaging::message_log;
 use crate::messaging::queue::Pushed;
 use crate::platform;
 use crate::platform::panics;
@@ -136,11 +137,12 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<E: Event> Topic<E> {
-    fn publish(&self, event: E, captured_at: Option<Instant>) {
+    fn publish(&self, event: E, captured_at: Option<Instant>, by: &str) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.
         let captured_at = captured_at.map(|at| at.min(platform::now()));
-        let times = Times { posted_at, captured_at };
+        let logged = message_log::sent(E::NAME, &self.key.topic, || by.to_owned());
+        let times = Times { posted_at, captured_at, logged };
         self.traffic.count();
         if self.traffic.is_to_be_measured() {
             self.measure(&event);
@@ -159,11 +161,21 @@ impl<E: Event> Topic<E> {
             return self.fan_out(event, times);
         }
         let mut latch = lock(&self.latch);
-        let kept = Latched { event: event.clone(), at: times, is_foreign };
-        let earlier = latch.replace(kept).map(|earlier| earlier.event);
+        let mut copies = Vec::new();
+        let kept = self.copy(&event, 1, &mut copies).then(|| copies.pop()).flatten();
+        let kept = kept.map(|event| Latched { event, at: times, is_foreign });
+        let earlier = std::mem::replace(&mut *latch, kept).map(|earlier| earlier.event);
         self.fan_out(event, times);
         drop(latch);
         self.discard(earlier);
+    }
+
+    /// Adds copies of an event, or says that it panics. To copy it is the publisher's code.
+    fn copy(&self, event: &E, wanted: usize, copies: &mut Vec<E>) -> bool {
+        let _guarded = PanicGuard::enter();
+        let copy = || copies.extend(std::iter::repeat_n(event, wanted).cloned());
+        let copied = catch_unwind(AssertUnwindSafe(copy));
+        copied.map_err(|payload| self.complain(payload)).is_ok()
     }
 
     /// Measures the size of an event, for the topic's row.
@@ -199,8 +211,11 @@ impl<E: Event> Topic<E> {
             let Some((last, others)) = hubs.list.split_last() else { return };
             if others.len() > copies.len() {
                 let wanted = others.len() - copies.len();
-                drop(hubs); // To copy an event is the publisher's code.
-                copies.extend(std::iter::repeat_n(&event, wanted).cloned());
+                drop(hubs);
+                if !self.copy(&event, wanted, &mut copies) {
+                    // As where all listeners share a hub, none of them gets it.
+                    return self.discard(copies.into_iter().chain([event]));
+                }
                 continue;
             }
             let mut pushed = Vec::new();
@@ -224,6 +239,7 @@ impl<E: Event> Topic<E> {
         }
         if let Some(displaced) = displaced {
             self.bury(&DeliveryError::Full);
+            self.log_lost(&displaced, &DeliveryError::Full);
             self.discard([displaced]);
         }
     }

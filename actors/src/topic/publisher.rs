@@ -95,7 +95,7 @@ impl<E: Event> Publisher<E> {
         match heartbeat::send_refusal().or_else(ended) {
             Some(why) => Err(SendError::new(why, event)),
             None => {
-                self.topic.publish(event, captured_at);
+                self.topic.publish(event, captured_at, &self.announced.by);
                 Ok(())
             }
         }

@@ -1,4 +1,5 @@
-//! What the network learns of listeners that come and go on several threads.
+//! What the network learns of listeners that come and go on several threads, and events that
+//! panic.
 
 use super::*;
 use std::sync::mpsc::channel;
@@ -51,4 +52,31 @@ fn what_is_known_of_interest_is_true_whatever_the_order_of_its_reports() {
     let settled: Vec<bool> =
         reported.try_iter().map(|key| !topics.settle_interest(&key.topic).is_empty()).collect();
     assert_eq!(settled, [false, false], "there is no listener");
+}
+
+/// Panics where it is copied, if it is told to.
+#[derive(crate::Event)]
+#[contract(latched)]
+struct Fragile {
+    breaks: bool,
+}
+
+impl Clone for Fragile {
+    fn clone(&self) -> Self {
+        assert!(!self.breaks, "no copy");
+        Fragile { breaks: false }
+    }
+}
+
+#[test]
+fn a_copy_that_panics_is_no_panic_of_the_publisher() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let publisher = topics.publisher::<Fragile>("fragile").unwrap();
+    let topic: Arc<Topic<Fragile>> = topics.topic("fragile", Location::caller()).unwrap();
+
+    for breaks in [false, true] {
+        publisher.publish(Fragile { breaks }).unwrap();
+        assert_eq!(lock(&topic.latch).is_none(), breaks, "what cannot be copied is not kept");
+        assert_eq!(topic.complained.load(Relaxed), breaks);
+    }
 }

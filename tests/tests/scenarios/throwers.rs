@@ -78,6 +78,24 @@ async fn a_component_that_panics_while_it_is_restarted_is_replaced() {
     }
 }
 
+#[blastema_testkit::test]
+async fn a_component_that_fails_to_come_to_rest_has_a_fault_that_is_over() {
+    for pull in [Pull::Fail("jammed"), Pull::Fatal("jammed"), Pull::Wait(Duration::from_secs(60))] {
+        let strings = Strings::default();
+        let node = TestNode::start(Node::builder("module1").child(strings.spec("hand"))).await;
+        strings.pull("hand", "on_deactivated", pull.clone());
+
+        node.shutdown().await;
+
+        let record = node.faults().await;
+        let [ref entry] = record.entries[..] else { panic!("{pull:?}: {record:?}") };
+        assert_eq!(entry.fault.kind, FaultKind::ErrorState, "{pull:?}");
+        assert!(entry.fault.detail.starts_with("on_deactivated "), "{}", entry.fault.detail);
+        assert_eq!(entry.status(), blastema::FaultStatus::Closed, "{pull:?}");
+        assert!(entry.decided.is_none(), "{pull:?}");
+    }
+}
+
 /// Explodes when it is dropped without having been defused.
 #[derive(Clone, Debug, Event)]
 #[contract(name = "test/bomb")]

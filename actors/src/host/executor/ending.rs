@@ -8,6 +8,7 @@ use crate::host::executor::outbox::DeferredReport;
 use crate::host::lifecycle::{EndReason, IncarnationLifecycle};
 use crate::liveness::label;
 use crate::messaging::death_watch::{Down, DownReason};
+use crate::messaging::message_log;
 use crate::platform;
 use crate::platform::panics;
 use blastema_contract::child::{ChildEvent, RestartGrant};
@@ -80,12 +81,17 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     /// What is being served ends with the life: its sender is told, and it is a dead letter.
-    pub(super) fn lose_message(&self) {
+    pub(super) fn lose_message(&mut self) {
         let Service::Message(_) = self.service else { return };
+        let logged = self.logged.take();
         let (record, incarnation) = (&self.anchor.record, self.life.incarnation);
         let contract = label::name(self.slot.stamp.read().during);
         record.record_fatal_message(incarnation);
-        record.record_dead_letter(contract, &DeliveryError::PeerDied { incarnation });
+        let why = DeliveryError::PeerDied { incarnation };
+        record.record_dead_letter(contract, &why);
+        if let Some((id, ..)) = logged {
+            message_log::lost(id, contract, &record.name, &why);
+        }
     }
 
     /// Draws on the standing order, if there is one.
@@ -185,9 +191,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.followed = false;
         self.dispose_service(blame);
         let record = &self.anchor.record;
-        let DeferredCommands { tasks, timers, .. } = self.life.take_wishes();
-        let fresh = timers.into_iter().map(|(_, _, action)| action);
-        fresh.for_each(|action| record.dispose(label::TIMER, action, blame));
+        let DeferredCommands { tasks, .. } = self.life.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.chores.clear();
         timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));

@@ -27,8 +27,9 @@ use crate::component::life::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{FACTORY, TIMER, label};
+use crate::liveness::label::{self, FACTORY, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
+use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
 use crate::platform;
 use crate::platform::panics::PanicGuard;
@@ -93,6 +94,8 @@ pub(crate) struct ComponentExecutor<C: Component> {
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
+    /// The message in service in the log: its id and contract, and whether a reply is wanted.
+    logged: Option<(LogId, &'static str, bool)>,
     /// The supervisor knows that the life did not come to work.
     start_failed: bool,
     /// This life is over, and none comes after it here.
@@ -128,6 +131,7 @@ impl<C: Component> ComponentExecutor<C> {
             seat,
             waker: None,
             followed: false,
+            logged: None,
             start_failed: false,
             over: false,
             deaths: VecDeque::new(),
@@ -155,7 +159,7 @@ impl<C: Component> ComponentExecutor<C> {
         let (seat, token) = (self.seat.clone(), self.life.token.clone());
         let seated = CurrentPlacement { seat, slot: self.place(), token };
         let is_newest = record.enter(self.life.incarnation, seated);
-        self.chores.begin(record.limits.interval);
+        self.chores.begin(record.limits.interval, self.life.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
         if self.course.is_starting() {
             self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
@@ -369,6 +373,11 @@ impl<C: Component> ComponentExecutor<C> {
     fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
         let Some(home) = &self.home else { return };
         self.life.captured_at.set(Some(brief.captured_at));
+        if let Some(id) = brief.logged {
+            self.logged = Some((id, brief.name, mail.revocable().is_some()));
+            let record = &self.anchor.record;
+            message_log::begun(id, brief.name, &record.name, self.life.incarnation);
+        }
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
             self.slot.stamp.begin(nested.label);
@@ -406,6 +415,9 @@ impl<C: Component> ComponentExecutor<C> {
                 if self.followed {
                     self.followed = false;
                     self.anchor.record.end_service();
+                }
+                if let Some((id, contract, replies)) = self.logged.take() {
+                    message_log::served(id, contract, &self.anchor.record.name, replies);
                 }
             }
             Service::Hook(hook, future) => {
@@ -452,7 +464,7 @@ impl<C: Component> ComponentExecutor<C> {
         if wishes.stop {
             self.course.handle_stop(EndReason::Returned);
         }
-        self.chores.take_on(wishes.tasks, wishes.timers, &wishes.cancelled, &self.budget);
+        self.chores.take_on(wishes.tasks, &wishes.cancelled, &self.budget);
         self.tell_news();
     }
 
@@ -492,6 +504,12 @@ impl<C: Component> ComponentExecutor<C> {
         if self.chores.take_limit(DueWork::StopLimit)
             && let Some(end) = self.course.end_reason()
         {
+            let within = self.anchor.record.limits.shutdown_within;
+            // Who gives it no time at all wants it cut off.
+            if !within.is_zero() {
+                self.course.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.tell_news();
+            }
             self.drop_service();
             self.end(end);
         }

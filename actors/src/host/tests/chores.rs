@@ -1,7 +1,9 @@
 //! Timers, tasks, threads and isolation.
 
 use super::{Log, Stage, logged, order};
-use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Sender};
+use crate::{
+    ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Ports, Request, Sender,
+};
 use blastema_doubles::{advance, paused, settle};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -355,5 +357,45 @@ fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
             matches!(&exits[..], [exited] if format!("{:?}", exited.exit).contains("1024 timers")),
             "{exits:?}"
         );
+        let end = format!("{:?}", exits[0].exit);
+        assert!(end.contains("chores.rs"), "where it was set one too many: {end}");
+    });
+}
+
+/// Sets a timer and cancels it, as often as that; says how many closures were held at most.
+#[derive(Clone, Debug, Request)]
+#[contract(reply = u64)]
+struct Churn(u32);
+
+impl Handle<Churn> for Keeper {
+    async fn handle(&mut self, Churn(times): Churn, cx: &mut Context<Self>) -> u64 {
+        let idle = Arc::strong_count(&self.0);
+        let mut most = 0;
+        for _ in 0..times {
+            let held = self.0.clone();
+            let timer = cx.after(Duration::from_secs(3600), move |_, _| drop(held));
+            most = most.max(Arc::strong_count(&self.0) - idle);
+            cx.cancel(timer);
+            cx.cancel(timer);
+        }
+        most as u64
+    }
+}
+
+#[test]
+fn a_timer_that_is_cancelled_in_the_handler_that_set_it_holds_nothing_from_then_on() {
+    paused(async {
+        let stage = Stage::new();
+        let held = Arc::new(());
+        let kept = held.clone();
+        let spec = ChildSpec::new("keeper", move || Keeper(kept.clone()));
+        let (_child, keeper) = stage.start(spec).await;
+
+        for _ in 0..2 {
+            assert_eq!(keeper.ask(Churn(100_000)).await.unwrap(), 1);
+        }
+
+        assert_eq!(Arc::strong_count(&held), 3, "the test, the factory and the component");
+        assert_eq!(stage.exits.drain(), []);
     });
 }

@@ -299,7 +299,35 @@ fn a_life_that_does_not_end_in_time_is_ended_out_of_order() {
         advance(Duration::from_millis(200)).await;
 
         assert_eq!(stage.reports.drain().pop().unwrap().event, ChildEvent::Stopped);
+        let cut_off = "on_deactivated was cut off: it had not stopped within 2s".to_owned();
+        assert!(states(&stage).contains(&(Lifecycle::Active, Some(cut_off))));
     });
+}
+
+#[test]
+fn each_hook_that_fails_while_a_life_ends_says_so() {
+    for outcome in [Outcome::Fail, Outcome::FailFatally] {
+        paused(async move {
+            let stage = Stage::new();
+            let (spec, diary) = diary();
+            let (mut child, _) = stage.start(spec).await;
+            settle().await;
+            diary.ran();
+            states(&stage);
+            let hooks = ["on_deactivated", "on_shutdown", "on_finalize"];
+            hooks.iter().for_each(|hook| diary.plan(hook, outcome));
+
+            child.stop();
+            settle().await;
+
+            assert_eq!(diary.ran(), hooks, "the others run all the same");
+            let told = states(&stage);
+            let reasons: Vec<_> = told.into_iter().filter_map(|(_, reason)| reason).collect();
+            let failed = hooks.map(|hook| format!("{hook} failed: {hook} failed"));
+            assert_eq!(reasons, failed);
+            assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
+        });
+    }
 }
 
 #[test]

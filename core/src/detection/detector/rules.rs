@@ -219,6 +219,10 @@ impl Detector {
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = std::mem::replace(&mut seen.state, state);
         seen.doomed |= state == Lifecycle::Fatal;
+        let on_the_way = matches!(state, Lifecycle::Initialized | Lifecycle::Finalized);
+        if let Some(reason) = reason.as_ref().filter(|_| on_the_way || before == state) {
+            self.note_failed_stop(scene, reason);
+        }
         if before == state {
             return;
         }
@@ -250,6 +254,16 @@ impl Detector {
                 self.end_all_at(scene, is_over, true);
             }
             Lifecycle::Created | Lifecycle::Initialized | Lifecycle::Finalized => {}
+        }
+    }
+
+    /// A hook that brings the component to rest has failed. Nobody recovers from that: what was to
+    /// end has ended, or is recovered from already.
+    fn note_failed_stop(&mut self, scene: &Scene, reason: &str) {
+        let known = self.chronicle.standing(&scene.place, &FaultKind::ErrorState);
+        if !known.is_some_and(|id| self.repeat(id, scene, reason)) {
+            let id = self.record(scene, FaultKind::ErrorState, reason.to_owned(), Cause::Itself);
+            self.repair(id, scene.at);
         }
     }
 

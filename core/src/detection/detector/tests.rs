@@ -128,7 +128,8 @@ fn panicked() -> ExitReason {
 }
 
 fn state(state: Lifecycle) -> Finding {
-    Finding::State { state, reason: Some("why".into()) }
+    let fails = matches!(state, Lifecycle::Error | Lifecycle::Fatal);
+    Finding::State { state, reason: fails.then(|| "why".into()) }
 }
 
 fn silent() -> Finding {

@@ -321,3 +321,39 @@ fn a_life_that_was_over_already_ends_without_a_second_fault() {
         assert_eq!(bench.fault(1).kind, FaultKind::InitializationFailed);
     }
 }
+
+#[test]
+fn a_hook_that_fails_while_a_life_ends_is_told_and_nobody_recovers_from_it() {
+    let failed = |state, why: &str| Finding::State { state, reason: Some(why.to_owned()) };
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    bench.said();
+
+    bench.see("arm", ONE, failed(Lifecycle::Initialized, "on_deactivated failed: jammed"));
+    assert_eq!(bench.said(), ["Found 1", "Cleared 1"]);
+    bench.see("arm", ONE, failed(Lifecycle::Initialized, "on_shutdown was cut off"));
+    assert_eq!(bench.said(), ["Found 2", "Cleared 2"]);
+    bench.see("arm", ONE, failed(Lifecycle::Finalized, "on_finalize failed: bent"));
+    assert_eq!(bench.said(), ["Found 3", "Cleared 3"]);
+    bench.see("arm", ONE, exited(ExitReason::Stopped));
+
+    assert!(bench.run_until(60_000).is_empty());
+    let fault = bench.fault(1);
+    assert_eq!(fault.kind, FaultKind::ErrorState);
+    assert_eq!(fault.detail, "on_deactivated failed: jammed");
+    assert!(bench.entries().iter().all(|entry| entry.status() == FaultStatus::Closed));
+}
+
+#[test]
+fn a_hook_that_fails_in_error_is_counted_with_that_error() {
+    let mut bench = Bench::new();
+    bench.see("arm", ONE, state(Lifecycle::Active));
+    bench.see("arm", ONE, state(Lifecycle::Error));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+
+    let reason = Some("on_aborting failed: jammed".to_owned());
+    bench.see("arm", ONE, Finding::State { state: Lifecycle::Error, reason });
+
+    assert_eq!(bench.said(), ["Repeated 1"]);
+    assert_eq!((bench.fault(1).count, &*bench.fault(1).detail), (2, "on_aborting failed: jammed"));
+}
