@@ -257,7 +257,7 @@ impl Detector {
         }
     }
 
-    /// A hook that brings the component to rest has failed. Nobody recovers from that: what was to
+    /// A hook that brings the component to rest has failed. The recoverer is not told: what was to
     /// end has ended, or is recovered from already.
     fn note_failed_stop(&mut self, scene: &Scene, reason: &str) {
         let known = self.chronicle.standing(&scene.place, &FaultKind::ErrorState);

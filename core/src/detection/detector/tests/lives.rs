@@ -323,7 +323,7 @@ fn a_life_that_was_over_already_ends_without_a_second_fault() {
 }
 
 #[test]
-fn a_hook_that_fails_while_a_life_ends_is_told_and_nobody_recovers_from_it() {
+fn a_hook_that_fails_while_a_life_ends_is_recorded_and_not_handed_over() {
     let failed = |state, why: &str| Finding::State { state, reason: Some(why.to_owned()) };
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
