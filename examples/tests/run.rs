@@ -285,7 +285,10 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
         "commander",
         &["-- the cable is cut", "the wheels turn at 0 m/s", "the console commands: 0.1 m/s"],
     );
-    check("commander", &["the planner hears: the commander holds no lease"]);
+    check(
+        "commander",
+        &["the planner hears: the commander holds no lease of the actuator, or no more: claim it"],
+    );
 }
 
 #[test]

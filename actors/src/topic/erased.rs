@@ -28,7 +28,7 @@ pub(super) trait AnyTopic: Send + Sync {
     fn has_listeners(&self) -> bool;
     /// The same. Without a listener it forgets the event of another node that it keeps. One that
     /// joins is counted under the same lock: it gets the event that is kept, and the other node
-    /// goes on, or the other node sends it anew.
+    /// goes on, or the other node sends it again.
     fn settle_interest(&self) -> bool;
     /// Gives it the event that the topic keeps for who joins.
     fn catch_up(&self, forward: &RemoteForward);

@@ -408,7 +408,16 @@ fn explains(cause: Cause, kind: &FaultKind) -> bool {
                 | Cause::Flood
                 | Cause::Consult
         ),
-        FaultKind::ErrorState => matches!(cause, Cause::Fail(_) | Cause::Unavailable),
+        // Also of the last hooks, which fail for good or are cut off.
+        FaultKind::ErrorState => matches!(
+            cause,
+            Cause::Fail(_)
+                | Cause::Fatal(_)
+                | Cause::Unavailable
+                | Cause::Wait(_)
+                | Cause::Hang
+                | Cause::Slow
+        ),
         FaultKind::InitializationFailed => matches!(
             cause,
             Cause::Fail("on_initialize")

@@ -151,6 +151,7 @@ async fn a_sibling_that_does_not_stop_is_given_up_after_its_time() {
     assert!(took >= Duration::from_secs(2) && took < Duration::from_secs(3), "{took:?}");
     assert_eq!((life(&node, "a").await, life(&node, "b").await), (2, 2));
     node.await_fault(FaultKind::Panic, "a").await;
+    node.await_fault(FaultKind::ErrorState, "b").await;
     node.expect_no_faults().await;
 }
 

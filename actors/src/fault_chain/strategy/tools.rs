@@ -132,9 +132,9 @@ impl StrategyContext {
         judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
     }
 
-    /// Puts an object to rest whose node is at rest, or ends. Nobody waits for that.
+    /// Puts an object to rest whose node is at rest, or ends. No sender waits for that.
     pub(crate) fn give_up_life(&self, fault: &Fault) {
-        // One that was removed meanwhile is nobody's.
+        // One that was removed meanwhile has no supervisor.
         if let Ok((object, keeper)) = self.keeper(&fault.place) {
             keeper.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
         }
