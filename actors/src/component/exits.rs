@@ -22,7 +22,8 @@ struct UntoldExit {
     restarted_as: Option<Incarnation>,
     /// The supervisor, where it is to be told as well.
     supervisor: Option<Arc<Recipient<ChildReport>>>,
-    /// What follows is decided: all of the above stays as it is.
+    /// What follows is decided, and nothing of the component is to be told before it: all of the
+    /// above stays as it is.
     is_settled: bool,
 }
 
@@ -31,7 +32,7 @@ struct UntoldExit {
 pub(crate) enum DueExits {
     /// Those of the incarnations up to this one.
     Until(Incarnation),
-    /// Those of which it is decided what follows.
+    /// Those of which it is decided what follows, and that are next.
     Settled,
 }
 
@@ -64,13 +65,15 @@ impl UntoldExits {
     }
 
     /// What follows this end is decided; the supervisor is to be told as well, where it is given.
+    /// Where it is the next report of its component, the watch may tell it.
     pub(crate) fn settle(
         &self,
         incarnation: Incarnation,
         supervisor: Option<&Arc<Recipient<ChildReport>>>,
+        is_next: bool,
     ) {
         self.change(incarnation, |exited| {
-            (exited.supervisor, exited.is_settled) = (supervisor.cloned(), true);
+            (exited.supervisor, exited.is_settled) = (supervisor.cloned(), is_next);
         });
     }
 

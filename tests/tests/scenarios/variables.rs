@@ -123,7 +123,7 @@ async fn what_is_no_variable_or_another_one_is_told_so() {
     assert!(matches!(there.variable::<Speed>("leg"), Err(DeliveryError::Unknown { .. })));
     for (node, name) in [(&there, "arm"), (&here, "module2:arm")] {
         let colour = node.variable::<Colour>(name).unwrap().read().await;
-        assert!(matches!(colour, Err(DeliveryError::Unknown { .. })), "{colour:?}");
+        assert!(matches!(colour, Err(DeliveryError::NoVariable { .. })), "{colour:?}");
         let speed = node.variable::<OtherSpeed>(name).unwrap();
         let Err(DeliveryError::ContractDiffers { difference }) = speed.read().await else {
             panic!("it is another one")

@@ -142,14 +142,15 @@ impl<C: Component> ComponentExecutor<C> {
                 None
             }
         };
-        record.exits.settle(incarnation, supervisor);
-        // It is told when the turn is over: the replacement's first reply does not wait for that.
-        // Where the replacement keeps its thread, the watch tells it meanwhile.
-        self.pulse.owe_exits(true);
         let exited = DeferredReport::Exited(incarnation);
         // A replacement's own news come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
+        // It is told when the turn is over: the replacement's first reply does not wait for that.
+        // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
+        // to be told before it, such as why the component could not go on.
+        record.exits.settle(incarnation, supervisor, place == 0);
+        self.pulse.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
         self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
