@@ -11,8 +11,8 @@
 //!
 //! Its fields are `node`, `place`, `object` (of faults of objects), `kind`, `code`, `severity`,
 //! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
-//! subscriber gets the steps of the first three rows on standard error, a line each; a fault that is
-//! found again is not printed again.
+//! subscriber gets the steps of the first three rows on standard error, a line each; a fault that
+//! is found again is not printed again.
 
 use blastema_contract::detector::FaultEvent;
 use blastema_core::detection::FaultTransition;

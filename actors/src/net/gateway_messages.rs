@@ -50,8 +50,8 @@ pub(super) struct LocalEvent {
     pub(super) credit: Credit,
 }
 
-/// A topic got its first listener here, or lost its last, or its contract is known now. Reports of several threads come in any
-/// order: the topic is asked what is so now.
+/// A topic got its first listener here, or lost its last, or its contract is known now. Reports
+/// of several threads come in any order: the topic is asked what is so now.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct TopicInterestChanged {

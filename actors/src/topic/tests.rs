@@ -2,6 +2,7 @@
 //! panic.
 
 use super::*;
+use std::panic::Location;
 use std::sync::mpsc::channel;
 use std::thread;
 

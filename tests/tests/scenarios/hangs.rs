@@ -253,7 +253,7 @@ fn victims_of_a_hang_whose_thread_returns_as_it_is_lost_suffer_nothing_else() {
 fn a_shutdown_waits_for_nobody_who_stands_still_behind_a_hang() {
     blastema::run(async {
         let strings = Strings::default();
-        // They share one thread: whoever is asked to stop does not hear it.
+        // They share one thread: a component that is asked to stop does not receive that.
         let patient = |name| strings.spec(name).shutdown_within(Duration::from_secs(3600));
         let pair = SupervisorSpec::new("pair", Strategy::OneForAll)
             .child(patient("c"))

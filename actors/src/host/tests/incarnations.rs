@@ -77,6 +77,11 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
             // Sooner or later than the panic, from round to round.
             (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());
             child.abandon();
+            // A component whose handlers keep four threads gets no more, and threads that the
+            // system does not run just then are kept.
+            while stage.environment.arbiters.check_share(child.name()).is_err() {
+                std::thread::yield_now();
+            }
             let known = Incarnation(1 + round);
             let begun = child.start(known, stage.reports.recipient().into());
             let answered = loop {

@@ -107,7 +107,7 @@ pub enum RecovererOutput {
         measure: RecoveryAction,
     },
     /// The node is in the safe state, or ends, and this life keeps its thread, or stands still
-    /// behind the one that does: have it given up, so that nobody who is being stopped waits for it.
+    /// behind the one that does: have it given up, so that no component that stops waits for it.
     GiveUpLife {
         /// Its hang.
         fault: Fault,

@@ -150,7 +150,11 @@ fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
         assert_eq!(bench.said(), [format!("Decided {id}")]);
     }
 
-    assert_eq!(bench.run_until(60_000), ["+20", "+20", "+20", "GaveUp 20"], "nobody answers now");
+    assert_eq!(
+        bench.run_until(60_000),
+        ["+20", "+20", "+20", "GaveUp 20"],
+        "no recoverer answers now"
+    );
 }
 
 #[test]

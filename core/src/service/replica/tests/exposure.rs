@@ -110,7 +110,7 @@ fn the_only_member_whose_hot_component_died_says_that_its_state_is_lost() {
     robot.lose(0);
 
     assert_eq!(robot.with(&FaultKind::StateLost), [0]);
-    assert_eq!(robot.with(&FaultKind::Unreplicated), [], "nobody else was to hold it");
+    assert_eq!(robot.with(&FaultKind::Unreplicated), [], "no other member was to hold it");
 }
 
 #[test]

@@ -1,0 +1,308 @@
+//! The topics of one node by their names, and what other nodes want of them.
+
+use super::erased::AnyTopic;
+use super::traffic::{TopicRow, Traffic};
+use super::{Hubs, InterestObserver, Publisher, RemoteForward, Topic, TopicKey, lock};
+use crate::messaging::dead_letters::DeadLetterLog;
+use crate::platform;
+use crate::registry::difference;
+use crate::runtime::reports::FaultReports;
+use blastema_core::{ContractIdentity, DeliveryError, Event, ObjectName, PeerIdentity, suggestion};
+use bytes::Bytes;
+use std::any::{Any, type_name};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::panic::Location;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Which type a topic was to carry, and where the program says so.
+#[derive(Clone, Copy)]
+struct Naming {
+    named: &'static str,
+    at: &'static Location<'static>,
+}
+
+impl fmt::Display for Naming {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} (by {}:{})", self.named, self.at.file(), self.at.line())
+    }
+}
+
+struct TopicEntry {
+    naming: Naming,
+    /// A `Topic<E>`.
+    typed: Arc<dyn Any + Send + Sync>,
+    erased: Arc<dyn AnyTopic>,
+}
+
+impl TopicEntry {
+    /// Names the contract that the topic carries and the one that another party means by it.
+    fn difference(&self, topic: &str, naming: Naming, wanted: &ContractIdentity) -> String {
+        let (known, first) = (self.erased.identity(), self.naming);
+        let what = if known.name == wanted.name {
+            difference(&known, wanted)
+        } else {
+            let (one, other) = (described(&known.brief()), described(&wanted.brief()));
+            format!("{one} and {other} are two contracts: give one of them another topic")
+        };
+        let users = match self.erased.users().join(", ") {
+            users if users.is_empty() => users,
+            users => format!("; the first is used by {users}"),
+        };
+        format!("the topic {topic:?} carries {first} and {naming}: {what}{users}")
+    }
+}
+
+/// A contract, as texts name it.
+pub(crate) fn described(contract: &PeerIdentity) -> String {
+    format!("`{}` version {}", contract.name, contract.version)
+}
+
+/// A forward, and the versions of a contract that its receiver understands. It counts, and gets
+/// events, only where the topic carries one of them.
+struct WantedForward {
+    wanted: Vec<PeerIdentity>,
+    forward: RemoteForward,
+}
+
+/// The topics by name.
+#[derive(Default)]
+pub(super) struct TopicTable {
+    /// As many as the program has publishers and listeners.
+    topics: BTreeMap<ObjectName, TopicEntry>,
+    /// Kept for topics that no object of this node has named yet.
+    forwards: BTreeMap<ObjectName, BTreeMap<u64, WantedForward>>,
+    next_forward: u64,
+}
+
+/// The topics of one node. Clones share them.
+#[derive(Clone)]
+pub(crate) struct Topics {
+    inner: Arc<Mutex<TopicTable>>,
+    interest: Arc<Mutex<Option<InterestObserver>>>,
+    dead_letters: DeadLetterLog,
+    reports: FaultReports,
+    /// When a listener joined a topic last, in nanoseconds.
+    joined: Arc<AtomicU64>,
+}
+
+impl Topics {
+    pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
+        let (inner, interest, joined) = Default::default();
+        Topics { inner, interest, dead_letters, reports, joined }
+    }
+
+    /// The topic of this name that carries `E`, as it is said to here. A topic carries one
+    /// contract: that of its first publisher or listener, for as long as the node runs.
+    ///
+    /// # Errors
+    /// [`DeliveryError::InvalidName`]; [`DeliveryError::ContractDiffers`] if it carries another
+    /// one.
+    pub(crate) fn topic<E: Event>(
+        &self,
+        name: &str,
+        at: &'static Location<'static>,
+    ) -> Result<Arc<Topic<E>>, DeliveryError> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let key = TopicKey::new(name, E::NAME)?;
+        let naming = Naming { named: type_name::<E>(), at };
+        let mut inner = lock(&self.inner);
+        if let Some(known) = inner.topics.get(&key.topic) {
+            return known.typed.clone().downcast().map_err(|_| {
+                let difference = known.difference(name, naming, &ContractIdentity::of::<E>());
+                DeliveryError::ContractDiffers { difference }
+            });
+        }
+        let topic = Arc::new(Topic::<E> {
+            key: key.clone(),
+            id: NEXT.fetch_add(1, Relaxed),
+            hubs: Mutex::new(Hubs { list: Arc::new([]), next: 0 }),
+            forwards: Mutex::new(Arc::new([])),
+            is_forwarded: AtomicBool::new(false),
+            listeners: AtomicU64::new(0),
+            latch: Mutex::default(),
+            traffic: Traffic::new(platform::now(), self.joined.clone()),
+            matched: watch::Sender::new(0),
+            all: Arc::downgrade(&self.inner),
+            dead_letters: self.dead_letters.clone(),
+            reports: self.reports.clone(),
+            complained: AtomicBool::new(false),
+            interest: self.interest.clone(),
+            former: E::previous_versions(),
+        });
+        let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
+        inner.topics.insert(key.topic.clone(), known);
+        let is_awaited = inner.renew_forwards(&key.topic);
+        drop(inner);
+        let interest = lock(&self.interest).clone();
+        if let Some(interest) = interest.filter(|_| is_awaited) {
+            // What other nodes listen to can be compared from now on.
+            interest(&key);
+        }
+        Ok(topic)
+    }
+
+    /// On how many arbiters a topic has listeners.
+    #[cfg(test)]
+    #[track_caller]
+    pub(crate) fn hubs<E: Event>(&self, topic: &str) -> usize {
+        let topic = self.topic::<E>(topic, Location::caller());
+        topic.map_or(0, |topic| lock(&topic.hubs).list.len())
+    }
+
+    /// A way to publish on the topic of this name.
+    #[track_caller]
+    #[cfg(test)]
+    pub(crate) fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
+        self.publisher_of(topic, "")
+    }
+
+    /// The same, for the object of this name.
+    #[track_caller]
+    pub(crate) fn publisher_of<E: Event>(
+        &self,
+        topic: &str,
+        object: &str,
+    ) -> Result<Publisher<E>, DeliveryError> {
+        Ok(Publisher::new(self.topic(topic, Location::caller())?, object))
+    }
+
+    /// The topics that objects of this node have named.
+    pub(crate) fn rows(&self) -> Vec<TopicRow> {
+        let topics: Vec<Arc<dyn AnyTopic>> =
+            lock(&self.inner).topics.values().map(|known| known.erased.clone()).collect();
+        let now = platform::now();
+        let row = |topic: &Arc<dyn AnyTopic>| {
+            let unheard = topic.is_unheard(now).then(|| lock(&self.inner).lonely_like(topic.key()));
+            TopicRow { similar: unheard.flatten().map(String::from), ..topic.row(now) }
+        };
+        topics.iter().map(row).collect()
+    }
+
+    /// Ships every event that is published here on this topic, from now on, also if the topic does
+    /// not exist yet; none if it carries no version that is `wanted`. Events that came in by
+    /// [`inject`](Self::inject) are not shipped.
+    pub(crate) fn forward(
+        &self,
+        key: &TopicKey,
+        wanted: Vec<PeerIdentity>,
+        forward: RemoteForward,
+    ) -> ForwardId {
+        let mut inner = lock(&self.inner);
+        let id = inner.next_forward;
+        inner.next_forward += 1;
+        let kept = WantedForward { wanted, forward: forward.clone() };
+        let topic = inner.topics.get(&key.topic).map(|known| known.erased.clone());
+        let topic = topic.filter(|topic| kept.is_understood_of(&topic.identity()));
+        inner.forwards.entry(key.topic.clone()).or_default().insert(id, kept);
+        inner.renew_forwards(&key.topic);
+        drop(inner);
+        self.joined.store(platform::now().as_nanos(), Relaxed);
+        if let Some(topic) = topic {
+            topic.catch_up(&forward);
+        }
+        ForwardId { topic: key.topic.clone(), id }
+    }
+
+    /// Ends a forward.
+    pub(crate) fn end_forward(&self, forward: &ForwardId) {
+        let mut inner = lock(&self.inner);
+        if let Some(forwards) = inner.forwards.get_mut(&forward.topic) {
+            forwards.remove(&forward.id);
+        }
+        inner.renew_forwards(&forward.topic);
+    }
+
+    /// Gives an event that came from another node to the listeners here, read by this version of
+    /// its contract, 0 for the present one; it took so long.
+    pub(crate) fn inject(
+        &self,
+        topic: &ObjectName,
+        form: usize,
+        event: &Bytes,
+        age: Duration,
+    ) -> Result<(), DeliveryError> {
+        let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
+        match known {
+            Some(known) => known.publish_remote(form, event, age),
+            None => Err(DeliveryError::Unknown { name: topic.to_string() }),
+        }
+    }
+
+    /// What this node listens to on a topic now: the contract that it carries and the earlier
+    /// versions that are understood, or nothing where it has no listener.
+    ///
+    /// Without a listener the topic forgets the event of another node that it keeps. So the caller,
+    /// which is what listens to other nodes, must end that, or find a listener the next time: other
+    /// nodes send their last event when it listens again.
+    pub(crate) fn settle_interest(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+        let known = lock(&self.inner).topics.get(topic).map(|known| known.erased.clone());
+        let listened = known.filter(|known| known.settle_interest());
+        listened.map_or(Vec::new(), |known| known.identities())
+    }
+
+    /// The contract that a topic carries, if an object here has named it, and the earlier versions
+    /// of it that are understood.
+    pub(crate) fn identities(&self, topic: &ObjectName) -> Vec<ContractIdentity> {
+        let inner = lock(&self.inner);
+        inner.topics.get(topic).map_or(Vec::new(), |known| known.erased.identities())
+    }
+
+    /// All topics that have listeners here, and what they carry.
+    pub(crate) fn listened(&self) -> Vec<(TopicKey, Vec<ContractIdentity>)> {
+        let inner = lock(&self.inner);
+        let listened = inner.topics.iter().filter(|(_, known)| known.erased.has_listeners());
+        let carried = |known: &TopicEntry| (known.erased.key().clone(), known.erased.identities());
+        listened.map(|(_, known)| carried(known)).collect()
+    }
+
+    /// Calls `interest` from now on.
+    pub(crate) fn on_interest(&self, interest: InterestObserver) {
+        *lock(&self.interest) = Some(interest);
+    }
+}
+
+impl TopicTable {
+    /// The topic of the most similar name that has listeners, here or on other nodes, and no
+    /// publisher.
+    pub(super) fn lonely_like(&self, key: &TopicKey) -> Option<Box<str>> {
+        let elsewhere = self.forwards.iter().filter(|(_, forwards)| !forwards.is_empty());
+        let here = self.topics.iter().filter(|(_, known)| known.erased.has_listeners());
+        let listened = elsewhere.map(|(topic, _)| topic).chain(here.map(|(topic, _)| topic));
+        let is_lonely = |other: &&ObjectName| {
+            let known = self.topics.get(*other);
+            **other != key.topic && known.is_none_or(|known| !known.erased.has_publishers())
+        };
+        let names = listened.filter(is_lonely).map(ObjectName::as_str);
+        suggestion::nearest(key.topic.as_str(), names).map(Box::from)
+    }
+
+    /// Says whether there are some.
+    fn renew_forwards(&self, topic: &ObjectName) -> bool {
+        let (Some(known), Some(forwards)) = (self.topics.get(topic), self.forwards.get(topic))
+        else {
+            return false;
+        };
+        let identity = known.erased.identity();
+        let understood = forwards.values().filter(|kept| kept.is_understood_of(&identity));
+        known.erased.forward_to(understood.map(|kept| kept.forward.clone()).collect());
+        !forwards.is_empty()
+    }
+}
+
+impl WantedForward {
+    fn is_understood_of(&self, carried: &ContractIdentity) -> bool {
+        self.wanted.iter().any(|wanted| carried.check(wanted).is_ok())
+    }
+}
+
+/// Names one forward.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ForwardId {
+    topic: ObjectName,
+    id: u64,
+}
