@@ -13,7 +13,7 @@
 //! Every claim that is granted has a greater epoch than any before; what comes under an older one
 //! is refused.
 
-use crate::{DeliveryError, Incarnation, Instant, Machine};
+use crate::{DeliveryError, Incarnation, Instant, Machine, ObjectName};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -89,6 +89,7 @@ pub enum LeaseOutput {
 /// The lease of one actuator.
 #[derive(Debug)]
 pub struct Lease {
+    actuator: ObjectName,
     span: Duration,
     last_epoch: u64,
     state: State,
@@ -111,10 +112,10 @@ struct Awaited {
 }
 
 impl Lease {
-    /// A lease without a holder. Epochs are above `last_epoch`; let it rise with every life of the
+    /// A lease of `actuator` without a holder. Epochs are above `last_epoch`; let it rise with every life of the
     /// node, so that commands from before are known as such.
-    pub fn new(span: Duration, last_epoch: u64) -> Self {
-        Lease { span, last_epoch, state: State::Free, outputs: VecDeque::new() }
+    pub fn new(actuator: ObjectName, span: Duration, last_epoch: u64) -> Self {
+        Lease { actuator, span, last_epoch, state: State::Free, outputs: VecDeque::new() }
     }
 
     /// Who holds the lease, and under which epoch.
@@ -157,7 +158,9 @@ impl Lease {
             State::Held { commander: holder, .. }
                 if holder.name != commander.name || holder.life > commander.life =>
             {
-                return Err(DeliveryError::Held { by: format!("{}{}", holder.name, holder.life) });
+                let by = format!("{}{}", holder.name, holder.life);
+                let actuator = self.actuator.to_string();
+                return Err(DeliveryError::Held { actuator, by });
             }
             State::Free | State::Held { .. } => {}
         }
@@ -180,7 +183,9 @@ impl Lease {
                 Ok(())
             }
             State::Held { .. } => Err(DeliveryError::Superseded { epoch: self.last_epoch }),
-            State::Free | State::Settling { .. } => Err(DeliveryError::LeaseEnded),
+            State::Free | State::Settling { .. } => {
+                Err(DeliveryError::LeaseEnded { actuator: self.actuator.to_string() })
+            }
         }
     }
 
@@ -279,10 +284,18 @@ mod tests {
     }
 
     fn held() -> (Lease, u64) {
-        let mut lease = Lease::new(SPAN, 7);
+        let mut lease = Lease::new(ObjectName::new("wheel").unwrap(), SPAN, 7);
         let grant = lease.handle_claim(who("planner", 1), ms(0)).unwrap();
         assert_eq!(grant, LeaseGrant { epoch: 8, span: SPAN });
         (lease, grant.epoch)
+    }
+
+    fn ended() -> Result<(), DeliveryError> {
+        Err(DeliveryError::LeaseEnded { actuator: "wheel".into() })
+    }
+
+    fn held_by(commander: &str) -> Result<LeaseGrant, DeliveryError> {
+        Err(DeliveryError::Held { actuator: "wheel".into(), by: commander.into() })
     }
 
     fn applied(lease: &mut Lease) -> Option<(LeaseEnd, bool)> {
@@ -316,20 +329,20 @@ mod tests {
 
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
         assert_eq!(lease.holder(), None);
-        assert_eq!(lease.handle_renewal(epoch, ms(161)), Err(DeliveryError::LeaseEnded));
+        assert_eq!(lease.handle_renewal(epoch, ms(161)), ended());
     }
 
     #[test]
     fn a_late_command_ends_the_lease_itself_where_the_timer_was_later_still() {
         let (mut lease, epoch) = held();
-        assert_eq!(lease.handle_renewal(epoch, ms(100)), Err(DeliveryError::LeaseEnded));
+        assert_eq!(lease.handle_renewal(epoch, ms(100)), ended());
         assert_eq!(applied(&mut lease), Some((LeaseEnd::Expired, false)));
     }
 
     #[test]
     fn a_second_commander_is_refused_while_the_lease_holds_and_until_all_is_safe() {
         let (mut lease, epoch) = held();
-        let held = Err(DeliveryError::Held { by: "planner#1".into() });
+        let held = held_by("planner#1");
         assert_eq!(lease.handle_claim(who("console", 1), ms(99)), held);
 
         let settling = lease.handle_claim(who("console", 1), ms(100));
@@ -375,7 +388,7 @@ mod tests {
             Err(DeliveryError::Superseded { epoch: grant.epoch })
         );
         let late = lease.handle_claim(who("planner", 1), ms(12));
-        assert_eq!(late, Err(DeliveryError::Held { by: "planner#2".into() }));
+        assert_eq!(late, held_by("planner#2"));
         assert_eq!(applied(&mut lease), None);
     }
 

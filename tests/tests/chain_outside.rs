@@ -3,6 +3,7 @@
 use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{ActuatorSpec, FaultTransition, NodeBuilder, RecoveryStrategy, StrategyContext};
+use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::mpsc::{Receiver, Sender as Hold, channel};
@@ -399,6 +400,11 @@ fn a_watchdog_that_cannot_be_used_is_refused_with_what_to_do() {
         );
         let refused = Node::builder("n").watchdog_device("watchdog").start().await.unwrap_err();
         assert!(refused.to_string().contains("absolute"), "{refused}");
+        for other in [Path::new("/dev/null"), folder.path()] {
+            let refused = Node::builder("n").watchdog_device(other).start().await.unwrap_err();
+            assert!(matches!(refused, StartError::ProcessWatchdog(_)), "{refused:?}");
+            assert!(refused.to_string().contains("is no watchdog"), "{refused}");
+        }
         let here = Node::builder("n").notify_systemd().on_this_thread().start().await;
         assert!(here.unwrap_err().to_string().contains("on_this_thread"));
     });

@@ -6,9 +6,10 @@ use blastema::core::recovery::{Backoff, RecoveryDone, RecoveryFailed, RecoveryOr
 use blastema::prelude::*;
 use blastema::{
     ActuatorSpec, ClaimPolicy, IsolateError, Link, MemoryMedium, Network, NodeBuilder,
-    RecoveryStrategy, SpecError, StrategyContext,
+    RecoveryStrategy, SpecError, StartError, StrategyContext,
 };
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -89,6 +90,8 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         refused(lamp().max_delay(Duration::ZERO), &["max_delay of lamp"]).await;
         refused(lamp().max_missed_rounds(0), &["max_missed_rounds of lamp"]).await;
         refused(lamp().max_missed_rounds(101), &["max_missed_rounds of lamp"]).await;
+        let rare = lamp().rate_hz(1.0).liveness(Liveness::push(100 * MS, 3));
+        refused(rare, &["the watch's interval of lamp", "every 1s", "rate_hz"]).await;
         let start_up = Push { start_up: Duration::ZERO, ..Push::default() };
         refused(lamp().liveness(Liveness::Push(start_up)), &["start_up of lamp"]).await;
 
@@ -96,6 +99,8 @@ fn spans_of_a_component_that_are_never_or_always_over_are_refused() {
         let for_ever = lamp().max_block(max).max_wait(max).ready_within(max).shutdown_within(max);
         taken(node().child(for_ever)).await;
         taken(node().child(lamp().shutdown_within(Duration::ZERO))).await;
+        let often = lamp().rate_hz(10.0).liveness(Liveness::push(50 * MS, 3));
+        taken(node().child(often)).await;
     });
 }
 
@@ -107,7 +112,13 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
         let same = "is taken by another object";
         refused(node().child(called("root")), &["root", same]).await;
         refused(node().child(called("leases")), &["leases", same]).await;
-        refused(node().child(called("net/claims")), &["net/claims", same]).await;
+        for reserved in ["net/claims", "net/gateway", "chain/of/my/own"] {
+            let error = node().child(called(reserved)).start().await.unwrap_err();
+            assert!(matches!(error, StartError::Spec(SpecError::Reserved { .. })), "{error}");
+            let error = node().supervisor(group(reserved)).start().await.unwrap_err();
+            assert!(matches!(error, StartError::Spec(SpecError::Reserved { .. })), "{error}");
+        }
+        taken(node().child(called("net"))).await;
         refused(node().supervisor(group("root")), &["root", same]).await;
         refused(node().supervisor(group("a")).supervisor(group("a")), &["a", same]).await;
         refused(node().child(lamp()).supervisor(group("lamp")), &["lamp", same]).await;
@@ -313,9 +324,19 @@ fn variables_are_kept_in_a_file_of_ours_and_nothing_else_is_moved_for_it() {
         let precious = folder.path().join("precious");
         std::fs::create_dir(&precious).unwrap();
 
-        refused(node().keep_variables("module1.variables"), &["give an absolute path"]).await;
-        refused(node().keep_variables(""), &["give an absolute path"]).await;
-        refused(node().keep_variables(&precious), &["there is a folder", "a file in it"]).await;
+        let here = std::env::current_dir().unwrap().join("module1.variables");
+        let absolute = here.to_str().unwrap();
+        refused(node().keep_variables("module1.variables"), &["absolute path", absolute]).await;
+        refused(node().keep_variables(""), &["absolute path"]).await;
+        refused(node().keep_variables(&precious), &["of a folder", "a file in it"]).await;
+        for wrong in ["module1.toml", precious.to_str().unwrap()] {
+            let error = node().parameters_from(wrong).start().await.unwrap_err();
+            let file = Some(PathBuf::from(wrong));
+            assert!(
+                matches!(&error, StartError::Parameters { file: named, .. } if *named == file),
+                "{error}"
+            );
+        }
 
         assert!(precious.is_dir(), "it was not set aside");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);

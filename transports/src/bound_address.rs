@@ -79,7 +79,8 @@ pub(crate) fn explain(
         }
         io::ErrorKind::Unsupported => "this system cannot bind to an interface: leave it out",
         io::ErrorKind::AddrInUse => {
-            "another process has taken this port: end it, or choose another port (0 takes a free one)"
+            "another process uses this port: end that process, or choose another port (0 takes a free \
+             one)"
         }
         io::ErrorKind::AddrNotAvailable => {
             "no interface of this machine has this address: check it, or connect the interface"

@@ -95,7 +95,7 @@ fn what_is_no_socket_or_is_another_programs_is_left_alone_and_named() {
         let reason = Node::at(&file).closed().await;
         assert!(reason.contains("there is a file that is no socket: remove it"), "{reason}");
         let reason = Node::at(&foreign).closed().await;
-        assert!(reason.contains("another process listens there"), "{reason}");
+        assert!(reason.contains("another process uses the socket"), "{reason}");
         let reason = Node::at(&folder.path("missing/x")).closed().await;
         assert!(reason.contains("its folder does not exist: create it"), "{reason}");
         let reason = Node::at(&folder.path(&"x".repeat(200))).closed().await;

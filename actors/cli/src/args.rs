@@ -1,6 +1,6 @@
 //! Parses the command line.
 
-use clap::{Args, Parser};
+use clap::{ArgGroup, Args, Parser};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -146,9 +146,10 @@ pub(crate) enum FaultJob {
 
 /// Which faults are to be shown, and how.
 #[derive(Args, Clone, Debug, PartialEq)]
+#[command(group(ArgGroup::new("source").required(true).args(["sockets", "journal"])))]
 pub(crate) struct FaultListOptions {
     /// The path of a running node's inspection socket; several are shown in one list
-    #[arg(value_name = "PATH", required_unless_present = "journal", conflicts_with = "journal")]
+    #[arg(value_name = "PATH")]
     pub(crate) sockets: Vec<PathBuf>,
     /// Show also what is over
     #[arg(long)]
@@ -343,7 +344,8 @@ mod tests {
             ..options(&[], Some("/j"))
         };
         assert_eq!(parse("blastema fault list --all --json --node m --journal /j"), list(rest));
-        assert!(parse("blastema fault list").is_err_and(|refusal| refusal.contains("PATH")));
+        let refusal = parse("blastema fault list").expect_err("no source is named");
+        assert!(refusal.contains("PATH") && refusal.contains("--journal"), "{refusal}");
         assert!(parse("blastema fault list /a --journal /j").is_err());
     }
 

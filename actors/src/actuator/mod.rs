@@ -100,6 +100,7 @@ pub struct Commander<M: Contract>(Arc<Helm>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
 struct Helm {
+    actuator: String,
     sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
     name: String,
@@ -135,6 +136,7 @@ pub(crate) fn commander<M: Contract>(
     (name, life): (String, Incarnation),
 ) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
     let helm = Arc::new(Helm {
+        actuator: actuator.to_owned(),
         sender: registry.sender::<ActuatorCommand>(actuator)?,
         identity: ContractIdentity::of::<M>().brief().encode(),
         name,
@@ -198,7 +200,9 @@ impl Helm {
         let Some(own) = held.as_mut().filter(|held| held.epoch == epoch) else { return };
         match result {
             Ok(()) => own.until = own.until.max(asked + own.span),
-            Err(DeliveryError::LeaseEnded | DeliveryError::Superseded { .. }) => *held = None,
+            Err(DeliveryError::LeaseEnded { .. } | DeliveryError::Superseded { .. }) => {
+                *held = None
+            }
             // It may have arrived all the same. What counts is when it was last known to.
             Err(_) if platform::now() >= own.until => *held = None,
             Err(_) => {}
@@ -291,8 +295,11 @@ impl<M: Contract> Commander<M> {
     /// while an earlier command is in service. Others as for any [request](crate::Sender::ask).
     pub async fn command(&self, message: M) -> Result<M::Reply, DeliveryError> {
         let now = platform::now();
-        let Held { epoch, span, .. } =
-            self.0.held().filter(|held| now < held.until).ok_or(DeliveryError::LeaseEnded)?;
+        let Held { epoch, span, .. } = self
+            .0
+            .held()
+            .filter(|held| now < held.until)
+            .ok_or_else(|| DeliveryError::LeaseEnded { actuator: self.0.actuator.clone() })?;
         let mut bytes = Vec::new();
         codec::encode(&message, &mut bytes)
             .map_err(|_| DeliveryError::TooLarge { limit: M::MAX_SIZE })?;

@@ -110,7 +110,7 @@ impl ActuatorTable {
     ) -> Result<ContractPort, DeliveryError> {
         for (DeclaredActuator { identity, span, safe, cut_off }, doorway) in declared {
             // Above every epoch of any earlier process of this node.
-            let lease = Lease::new(span, platform::node_incarnation().0 << 20);
+            let lease = Lease::new(object.clone(), span, platform::node_incarnation().0 << 20);
             let actuator = Actuator {
                 object: object.clone(),
                 identity: identity.clone(),

@@ -55,7 +55,7 @@ pub(crate) fn send_refusal() -> Option<DeliveryError> {
     let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
     match gate.unwrap_or(0) {
         0 => None,
-        MUTED => Some(DeliveryError::Isolated),
+        MUTED => Some(DeliveryError::SenderIsolated),
         _ => Some(DeliveryError::Fenced),
     }
 }
@@ -282,7 +282,7 @@ mod tests {
             assert_eq!(send_refusal(), None);
             let pulse = ArbiterHeartbeat::enrol_here();
             pulse.mute(true);
-            assert_eq!(send_refusal(), Some(DeliveryError::Isolated));
+            assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
             pulse.fence();
             assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
             pulse.mute(false);

@@ -278,7 +278,7 @@ impl CellCore {
     #[cold]
     fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<DeliveryError> {
         if gate & ISOLATED != 0 {
-            return Some(DeliveryError::Isolated);
+            return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
         let kills = lock(&self.quarantine).as_ref()?.refuses(id?)?;
         Some(DeliveryError::Quarantined { kills })

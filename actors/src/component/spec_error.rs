@@ -20,6 +20,14 @@ pub enum SpecError {
     /// middleware's own.
     #[error(transparent)]
     Taken(#[from] NameTaken),
+    /// Its name begins as those of the middleware's own objects do: `chain/` or `net/`.
+    #[error(
+        "the name {name} is reserved: those that begin with `chain/` or `net/` are the middleware's own"
+    )]
+    Reserved {
+        /// The name.
+        name: ObjectName,
+    },
     /// It listens to a topic that carries another contract of the same name.
     #[error("{name} cannot listen to a topic: {why}")]
     Topic {
@@ -95,7 +103,18 @@ pub enum SpecError {
     },
 }
 
+/// What the names of the middleware's own objects begin with, wherever more of them may come.
+const RESERVED: [&str; 2] = ["chain", "net"];
+
 impl SpecError {
+    /// Takes a name for an object of the application.
+    pub(crate) fn check_name(name: ObjectName) -> Result<ObjectName, Self> {
+        match name.as_str().split_once('/') {
+            Some((first, _)) if RESERVED.contains(&first) => Err(SpecError::Reserved { name }),
+            _ => Ok(name),
+        }
+    }
+
     pub(crate) fn setting(
         name: &str,
         setting: &'static str,

@@ -181,7 +181,8 @@ impl<C: Component> Child for ComponentChild<C> {
         self.anchor.isolate(isolated);
         if isolated && !self.is_alive() {
             // No incarnation lives for which the queue could be kept.
-            self.anchor.close(&DeliveryError::Isolated);
+            let object = self.anchor.record.name.to_string();
+            self.anchor.close(&DeliveryError::Isolated { object });
         }
     }
 

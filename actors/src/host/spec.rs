@@ -183,7 +183,7 @@ impl<C: Component> ChildSpec<C> {
                 "a queue holds a million messages at most",
             ));
         }
-        let name = ObjectName::new(&self.name)?;
+        let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
         let more_ports = self.more_ports;
         environment.watch_list.declare(Some(name.clone()));
         let declared = panics::caught(move || {

@@ -140,6 +140,10 @@ pub fn read(path: &Path) -> Result<Vec<JournalEntry>, ReadError> {
     if !path.exists() {
         return Err(ReadError::Missing { path: path.to_owned() });
     }
+    if path.is_dir() {
+        let reason = "it is a folder: give the path of the file in it".to_owned();
+        return Err(ReadError::NoJournal { path: path.to_owned(), reason });
+    }
     let unreadable = |error: rusqlite::Error| match error.sqlite_error_code() {
         Some(rusqlite::ErrorCode::NotADatabase) => {
             ReadError::NoJournal { path: path.to_owned(), reason: "it is no database".to_owned() }

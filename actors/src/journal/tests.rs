@@ -245,6 +245,8 @@ fn a_database_of_another_program_or_a_newer_one_is_left_alone() {
     fs::write(&path, "no database at all, but a text of some length").unwrap();
     assert!(matches!(read(&path), Err(ReadError::NoJournal { .. })));
     assert!(matches!(read(&path.join("x")), Err(ReadError::Missing { .. })));
+    let folder = read(path.parent().unwrap());
+    assert!(matches!(folder, Err(ReadError::NoJournal { .. })), "{folder:?}");
 }
 
 #[test]

@@ -166,16 +166,22 @@ impl ComponentLimits {
             return Err(LimitError::new("max_missed_rounds", value, cure));
         }
         match self.watch {
-            Liveness::Push(push) => check_push(push),
+            Liveness::Push(push) => check_push(push, self.interval),
             Liveness::Pull(pull) => check_pull(pull),
             _ => Ok(()),
         }
     }
 }
 
-fn check_push(push: Push) -> Result<(), LimitError> {
+fn check_push(push: Push, round: Option<Duration>) -> Result<(), LimitError> {
     let Push { interval, tolerance, start_up } = push;
     check_signs(interval, tolerance)?;
+    if let Some(round) = round.filter(|round| *round > interval.saturating_mul(tolerance)) {
+        let value =
+            format!("{interval:?} with {tolerance} missing, but its rounds come every {round:?}");
+        let cure = "write Liveness::push with the period of rate_hz, or a higher rate";
+        return Err(LimitError::new("the watch's interval", value, cure));
+    }
     if start_up < LEAST {
         let cure = "no life gives a sign at once: 1 ms at least";
         return Err(LimitError::new("the watch's start_up", format!("{start_up:?}"), cure));

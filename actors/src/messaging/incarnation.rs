@@ -34,7 +34,7 @@ impl IncarnationToken {
     pub(crate) fn forbidden(&self) -> Option<DeliveryError> {
         match (self.has_ended(), self.is_muted()) {
             (true, _) => Some(DeliveryError::Fenced),
-            (false, true) => Some(DeliveryError::Isolated),
+            (false, true) => Some(DeliveryError::SenderIsolated),
             (false, false) => None,
         }
     }

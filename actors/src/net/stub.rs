@@ -213,7 +213,7 @@ impl PeerSendState {
             return Err(DeliveryError::Stopped);
         }
         if self.is_isolated() {
-            return Err(DeliveryError::Isolated);
+            return Err(DeliveryError::Isolated { object: self.node.to_string() });
         }
         match self.condition() {
             PeerCondition::Unreachable => {

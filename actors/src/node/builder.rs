@@ -173,8 +173,8 @@ impl NodeBuilder {
     }
 
     /// Reads the [parameters](crate::manual::parameters) of components from this file at the start.
-    /// It is TOML, with one table for each component: `[arm]`, `["arm/left"]`. Of several files,
-    /// the later ones prevail.
+    /// The file is TOML, with one table for each component: `[arm]`, `["arm/left"]`. Of several
+    /// files, the later ones prevail. The path is absolute; any other is refused at start.
     pub fn parameters_from(mut self, file: impl Into<PathBuf>) -> Self {
         self.parameters.push(Configuration::File(file.into()));
         self
@@ -294,7 +294,8 @@ impl NodeBuilder {
     /// [`Node::shutdown`](crate::Node::shutdown) disarms it; where the process ends otherwise, or
     /// the fault chain stands, it restarts the computer.
     ///
-    /// The path is absolute; any other is refused at start, as is a device that cannot be opened.
+    /// The path is absolute; any other is refused at start, as is a device that cannot be opened or
+    /// is no watchdog. A regular file or a pipe takes the place of the device in a test.
     pub fn watchdog_device(mut self, path: impl Into<PathBuf>) -> Self {
         self.process_watchdogs.device = Some(path.into());
         self

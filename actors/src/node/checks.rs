@@ -1,6 +1,6 @@
 //! What can be known to be wrong with a description before anything is started.
 
-use super::builder::{ActorPlacement, NodeBuilder};
+use super::builder::{ActorPlacement, Configuration, NodeBuilder};
 use super::error::StartError;
 use super::network::Network;
 use super::tree::PreparedTree;
@@ -90,6 +90,7 @@ pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
         return wrong("recovery", format!("{name:?} twice"), cure);
     }
     builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
+    builder.parameters.iter().try_for_each(check_configuration)?;
     #[cfg(feature = "journal")]
     builder.journal.as_deref().map_or(Ok(()), check_journal)?;
     #[cfg(feature = "unix")]
@@ -108,36 +109,43 @@ fn check_watchdogs(builder: &NodeBuilder) -> Result<(), StartError> {
                 .into(),
         );
     }
-    match watchdogs.device.as_deref().filter(|path| !path.is_absolute()) {
-        Some(path) => wrong(format!(
-            "where {path:?} lies depends on where the program is started: give an absolute path, such as /dev/watchdog"
-        )),
-        None => Ok(()),
+    watchdogs.device.as_deref().map_or(Ok(()), check_absolute).or_else(wrong)
+}
+
+/// Refuses a relative path: the file that it names depends on the working directory.
+fn check_absolute(path: &Path) -> Result<(), String> {
+    if path.is_absolute() {
+        return Ok(());
+    }
+    let here = std::path::absolute(path).unwrap_or_else(|_| Path::new("/").join(path));
+    Err(format!(
+        "the path {path:?} depends on the folder in which the program is started: give the \
+         absolute path, which is {here:?} here"
+    ))
+}
+
+/// Refuses a path that is relative, or that of a folder.
+fn check_file(path: &Path) -> Result<(), String> {
+    check_absolute(path)?;
+    match path.is_dir() {
+        true => Err("the path is that of a folder: give the path of a file in it".to_owned()),
+        false => Ok(()),
     }
 }
 
-/// The file lies where it is said to lie, and what lies there can be one.
 fn check_kept_file(file: &Path) -> Result<(), StartError> {
-    let reason = if !file.is_absolute() {
-        "where it lies depends on where the program is started: give an absolute path, such as \
-         /var/lib/robot/module1.variables"
-    } else if file.is_dir() {
-        "there is a folder: choose the path of a file in it"
-    } else {
-        return Ok(());
-    };
-    Err(StartError::Variables { file: file.to_owned(), reason: reason.to_owned() })
+    check_file(file).map_err(|reason| StartError::Variables { file: file.to_owned(), reason })
 }
 
-/// The journal lies where it is said to lie, wherever the program is started.
+fn check_configuration(configuration: &Configuration) -> Result<(), StartError> {
+    let Configuration::File(file) = configuration else { return Ok(()) };
+    let wrong = |reason| StartError::Parameters { file: Some(file.clone()), reason };
+    check_file(file).map_err(wrong)
+}
+
 #[cfg(feature = "journal")]
 fn check_journal(file: &Path) -> Result<(), StartError> {
-    if file.is_absolute() {
-        return Ok(());
-    }
-    let reason = "where it lies depends on where the program is started: give an absolute path, \
-                  such as /var/lib/robot/module1.faults";
-    Err(StartError::Journal { file: file.to_owned(), reason: reason.to_owned() })
+    check_file(file).map_err(|reason| StartError::Journal { file: file.to_owned(), reason })
 }
 
 /// Refuses two objects of one name, whether components, supervisors or middleware objects.
@@ -151,16 +159,9 @@ pub(super) fn check_names<'a>(
     }
 }
 
-/// The path of the inspection socket does not depend on the directory of the process.
 #[cfg(feature = "unix")]
 fn check_socket(path: &Path) -> Result<(), StartError> {
-    if path.is_absolute() {
-        return Ok(());
-    }
-    Err(StartError::Shown(format!(
-        "where {path:?} lies depends on where the program is started: give an absolute path, such as \
-         /run/robot/module1.sock"
-    )))
+    check_absolute(path).map_err(StartError::Shown)
 }
 
 /// Every network and every neighbour there can be what it is said to be.

@@ -134,7 +134,11 @@ fn object(row: &MonitorRow) -> Value {
             ObjectKind::Node => "node",
         },
         "incarnation": row.incarnation.0,
-        "state": row.state.map(|state| state.to_string()),
+        "state": match &row.waiting_for {
+            Some(_) => Some("waiting".to_owned()),
+            None => row.state.map(|state| state.to_string()),
+        },
+        "waiting_for": row.waiting_for,
         "opinion": row.opinion.to_string(),
         "last_sign_ms": millis(row.last_sign),
         "restarts": row.restarts,
@@ -292,8 +296,24 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use blastema_core::{FaultLocation, Lifecycle, ObjectAddress};
     use blastema_doubles::paused;
     use std::future;
+
+    #[test]
+    fn a_component_that_waits_for_its_device_is_shown_as_waiting_and_for_what() {
+        let arm = ObjectAddress::new(NodeName::new("n").unwrap(), ObjectName::new("arm").unwrap());
+        let mut row = MonitorRow::blank(FaultLocation::Object(arm), ObjectKind::Component);
+        row.state = Some(Lifecycle::Created);
+        assert_eq!(object(&row)["state"], Lifecycle::Created.to_string());
+
+        row.waiting_for = Some("no such device".to_owned());
+        let shown = object(&row);
+        assert_eq!(
+            (&shown["state"], &shown["waiting_for"]),
+            (&json!("waiting"), &json!("no such device"))
+        );
+    }
 
     #[test]
     fn a_part_that_does_not_answer_is_not_known_and_one_that_is_empty_is() {

@@ -234,6 +234,7 @@ impl SupervisorSpec {
         harvest: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
+        let name = SpecError::check_name(name)?;
         self.check_intensity()?;
         let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
         for entry in self.children {

@@ -4,6 +4,7 @@
 use super::ProcessWatchdog;
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -24,11 +25,35 @@ impl WatchdogDevice {
     /// # Errors
     /// What stands in the way, and what to do.
     pub(crate) fn open(path: &Path) -> Result<Self, String> {
+        check(path)?;
         match OpenOptions::new().write(true).open(path) {
             Ok(file) => Ok(WatchdogDevice { file, path: path.to_owned() }),
             Err(error) => Err(explain(path, &error)),
         }
     }
+}
+
+/// Refuses a device of another kind, such as `/dev/null`, which would take the strokes and never
+/// restart the computer. A regular file or a pipe takes the place of a watchdog in a test.
+fn check(path: &Path) -> Result<(), String> {
+    // The attempt to open it reports what cannot be read here.
+    let Ok(metadata) = std::fs::metadata(path) else { return Ok(()) };
+    let kind = metadata.file_type();
+    if kind.is_file() || kind.is_fifo() || kind.is_char_device() && is_watchdog(metadata.rdev()) {
+        return Ok(());
+    }
+    let path = path.display();
+    Err(format!("{path} is no watchdog: `wdctl` lists the watchdogs of this computer"))
+}
+
+/// The kernel lists every character device under its number; the drivers of watchdogs call theirs
+/// `watchdog`, `watchdog0`, and so on. Where the list is not mounted, the number decides that
+/// `/dev/watchdog` has everywhere (Linux, admin-guide/devices.txt).
+fn is_watchdog(device: u64) -> bool {
+    let (major, minor) = (rustix::fs::major(device), rustix::fs::minor(device));
+    let listed = std::fs::read_link(format!("/sys/dev/char/{major}:{minor}"));
+    let name = listed.ok().and_then(|path| Some(path.file_name()?.to_str()?.to_owned()));
+    name.map_or((major, minor) == (10, 130), |name| name.starts_with("watchdog"))
 }
 
 fn explain(path: &Path, error: &io::Error) -> String {

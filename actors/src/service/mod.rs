@@ -266,5 +266,5 @@ fn read_why(bytes: &[u8]) -> DeliveryError {
 /// The component was stopped, isolated or removed, and not only restarted.
 fn takes_nothing(why: &DeliveryError) -> bool {
     use DeliveryError::{Isolated, NotServed, Stopped, Unknown};
-    matches!(why, Stopped | Isolated | Unknown { .. } | NotServed { .. })
+    matches!(why, Stopped | Isolated { .. } | Unknown { .. } | NotServed { .. })
 }

@@ -241,7 +241,8 @@ impl ReplicaBody {
             let from = self.carried.config.own.to_string();
             // One that cannot be reached now will be told again.
             let told = other.tell(ReplicaSays { from, message: message.into() });
-            let kept_out = told.is_err_and(|refused| refused.kind == DeliveryError::Isolated);
+            let kept_out =
+                told.is_err_and(|refused| matches!(refused.kind, DeliveryError::Isolated { .. }));
             self.machine.handle_sent(to, kept_out);
         }
     }
@@ -565,7 +566,7 @@ impl Handler<Done> for ReplicaBody {
                 return self.save(Some(Ok(reply)), context);
             }
             Done::Executed { result, .. } => {
-                if let Err(DeliveryError::Stopped | DeliveryError::Isolated) = result {
+                if let Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) = result {
                     self.look_again(context);
                 }
                 self.machine.handle_executed(result, None, now);

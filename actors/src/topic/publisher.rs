@@ -67,7 +67,7 @@ impl<E: Event> Publisher<E> {
     /// # Errors
     /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is
     /// fenced off, or the incarnation that made this publisher has ended;
-    /// [`DeliveryError::Isolated`](crate::DeliveryError::Isolated) if the component is isolated.
+    /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is isolated.
     /// The event comes back, and is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {

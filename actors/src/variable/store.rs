@@ -221,9 +221,10 @@ impl VariableStore {
         }
         drop(inner);
         let store = self.clone();
+        let isolated = DeliveryError::Isolated { object: object.to_string() };
         let serve = move |access: VariableRequest, answer: Responder<VariableRequest>| {
             match is_isolated() {
-                true => answer.give(VariableReply::refused(&DeliveryError::Isolated)),
+                true => answer.give(VariableReply::refused(&isolated)),
                 false => store.serve(access, answer),
             }
         };

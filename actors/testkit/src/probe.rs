@@ -103,7 +103,8 @@ impl<E: Event> Probe<E> {
 
 impl<E: Event> Probe<E> {
     /// An actuator in the place of a real one: it records the commands that its lease lets through,
-    /// and `safe` when its commander has gone.
+    /// and `safe` when its commander has gone. The lease lasts as long as that of an
+    /// [`ActuatorSpec`] does by default.
     pub fn actuator(&self, name: &str, safe: E) -> ChildSpec<Actuator<E>> {
         let record = self.0.clone();
         let spec = ChildSpec::new(name, move || Actuator { record: record.clone() });
@@ -114,6 +115,22 @@ impl<E: Event> Probe<E> {
 }
 
 impl<M: Request> Probe<M> {
+    /// An actuator whose commands have replies: as [`Probe::actuator`], and it answers as the
+    /// closure says, also `safe`.
+    pub fn answering_actuator(
+        &self,
+        name: &str,
+        safe: M,
+        answer: impl Fn(&M) -> M::Reply + Send + Sync + 'static,
+    ) -> ChildSpec<AnsweringActuator<M>> {
+        let (record, answer) = (self.0.clone(), Arc::new(answer));
+        let make =
+            move || AnsweringActuator(Server { record: record.clone(), answer: answer.clone() });
+        ChildSpec::new(name, make).with_ports(|ports| {
+            ports.actuator(ActuatorSpec::new(safe));
+        })
+    }
+
     /// A component that serves this request as the closure says. A closure that panics is a
     /// component that does.
     pub fn server(
@@ -200,10 +217,27 @@ impl<M: Request> Component for Server<M> {
     }
 }
 
-impl<M: Request> Handle<M> for Server<M> {
-    async fn handle(&mut self, request: M, _: &mut Context<Self>) -> M::Reply {
+impl<M: Request> Server<M> {
+    fn serve(&self, request: M) -> M::Reply {
         let reply = (self.answer)(&request);
         self.record.push(request);
         reply
+    }
+}
+
+impl<M: Request> Handle<M> for Server<M> {
+    async fn handle(&mut self, request: M, _: &mut Context<Self>) -> M::Reply {
+        self.serve(request)
+    }
+}
+
+/// The component of [`Probe::answering_actuator`].
+pub struct AnsweringActuator<M: Request>(Server<M>);
+
+impl<M: Request> Component for AnsweringActuator<M> {}
+
+impl<M: Request> Handle<M> for AnsweringActuator<M> {
+    async fn handle(&mut self, command: M, _: &mut Context<Self>) -> M::Reply {
+        self.0.serve(command)
     }
 }

@@ -16,6 +16,10 @@ struct Where;
 #[contract(name = "wheels/drive")]
 struct Drive(i32);
 
+#[derive(Clone, Debug, PartialEq, Request)]
+#[contract(name = "steering/turn", reply = i32)]
+struct Turn(i32);
+
 #[derive(Clone, Debug, PartialEq, Variable)]
 #[contract(name = "arm/limit")]
 struct Limit(u32);
@@ -153,6 +157,23 @@ async fn an_actuator_and_a_variable_have_doubles() {
     assert_eq!(drives.wait(|drive| *drive != Drive(0)).await, Drive(5));
     assert_eq!(drives.expect().await, Drive(0), "its commander has gone");
     assert_eq!(limit.read().await.unwrap().value, Limit(4));
+}
+
+#[blastema_testkit::test]
+async fn an_actuator_whose_commands_have_replies_has_a_double() {
+    let turns = Probe::<Turn>::new();
+    let steering = turns.answering_actuator("steering", Turn(0), |Turn(degrees)| 2 * degrees);
+    let node = TestNode::start(Node::builder("module1").child(steering)).await;
+
+    let commander = node.commander::<Turn>("steering", "test").unwrap();
+    let refused = commander.command(Turn(1)).await.unwrap_err();
+    assert_eq!(refused, DeliveryError::LeaseEnded { actuator: "steering".into() });
+    commander.claim().await.unwrap();
+    assert_eq!(commander.command(Turn(5)).await, Ok(10));
+    drop(commander);
+
+    assert_eq!(turns.wait(|turn| *turn != Turn(0)).await, Turn(5));
+    assert_eq!(turns.expect().await, Turn(0), "its commander has gone");
 }
 
 /// Names the hook that is to hang, in the program that a test starts for that.

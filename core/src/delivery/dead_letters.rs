@@ -92,7 +92,7 @@ impl From<&DeliveryError> for DeadReason {
             DeliveryError::Expired => DeadReason::Expired,
             DeliveryError::DeadlinePassed => DeadReason::DeadlinePassed,
             DeliveryError::Quarantined { .. } => DeadReason::Quarantined,
-            DeliveryError::Isolated => DeadReason::Isolated,
+            DeliveryError::Isolated { .. } | DeliveryError::SenderIsolated => DeadReason::Isolated,
             DeliveryError::ContractDiffers { .. } => DeadReason::ContractDiffers,
             DeliveryError::Unknown { .. }
             | DeliveryError::Misspelt { .. }
@@ -311,7 +311,8 @@ mod tests {
             (DeliveryError::Expired, DeadReason::Expired),
             (DeliveryError::DeadlinePassed, DeadReason::DeadlinePassed),
             (DeliveryError::Quarantined { kills: 3 }, DeadReason::Quarantined),
-            (DeliveryError::Isolated, DeadReason::Isolated),
+            (DeliveryError::Isolated { object: "arm".into() }, DeadReason::Isolated),
+            (DeliveryError::SenderIsolated, DeadReason::Isolated),
             (DeliveryError::Fenced, DeadReason::Refused),
         ];
         for (why, reason) in whys {

@@ -72,11 +72,12 @@ pub enum DeliveryError {
     /// The sender itself was given up and replaced; nothing it says gets out any more.
     #[error("the sender has been fenced off")]
     Fenced,
-    /// The receiver may neither send nor receive, or the sender may not.
-    #[error(
-        "the receiver, or the sender, is isolated or in its safe state: the fault list says why"
-    )]
-    Isolated,
+    /// The receiver, or its whole node, may neither send nor receive.
+    #[error("{object} is isolated, or in its safe state: the fault list says why")]
+    Isolated {
+        /// The object, or the node.
+        object: String,
+    },
     /// The message was older than its contract allows.
     #[error("the message is older than its contract allows")]
     Expired,
@@ -141,14 +142,19 @@ pub enum DeliveryError {
         reason: String,
     },
     /// Another commander holds the actuator. Claim it when that lease has ended.
-    #[error("the actuator is commanded by {by}")]
+    #[error("{actuator} is commanded by {by}")]
     Held {
+        /// The actuator.
+        actuator: String,
         /// Who does, and in which life.
         by: String,
     },
     /// The commander has not claimed the actuator, or its lease has ended. Claim it, again.
-    #[error("the commander holds no lease of the actuator, or no more: claim it")]
-    LeaseEnded,
+    #[error("the commander holds no lease of {actuator}, or no more: claim it")]
+    LeaseEnded {
+        /// The actuator.
+        actuator: String,
+    },
     /// Another commander or primary has taken over: messages of an older epoch are refused.
     #[error("superseded: epoch {epoch} holds now")]
     Superseded {
@@ -269,6 +275,9 @@ pub enum DeliveryError {
         /// The node.
         node: String,
     },
+    /// The sender itself is isolated, or in its safe state: nothing that it sends gets out.
+    #[error("the sender is isolated, or in its safe state: the fault list says why")]
+    SenderIsolated,
 }
 
 /// Prints the text of `Display`: a `main` that returns this error, and `unwrap`, print by `Debug`.
@@ -343,7 +352,7 @@ impl DeliveryError {
             | DeliveryError::Changed { .. }
             | DeliveryError::CheckFailed { .. }
             | DeliveryError::Held { .. }
-            | DeliveryError::LeaseEnded
+            | DeliveryError::LeaseEnded { .. }
             | DeliveryError::Superseded { .. }
             | DeliveryError::Unclaimed { .. }
             | DeliveryError::NameTaken { .. } => Outcome::NotTaken,
@@ -351,7 +360,8 @@ impl DeliveryError {
             // decoded may be the reply.
             DeliveryError::Stopped
             | DeliveryError::Fenced
-            | DeliveryError::Isolated
+            | DeliveryError::Isolated { .. }
+            | DeliveryError::SenderIsolated
             | DeliveryError::Undecodable { .. }
             | DeliveryError::DeadlinePassed
             | DeliveryError::PeerDied { .. }

@@ -99,7 +99,8 @@ mod tests {
             DeliveryError::DeadlinePassed,
             DeliveryError::Stopped,
             DeliveryError::Quarantined { kills: 3 },
-            DeliveryError::Isolated,
+            DeliveryError::Isolated { object: "arm".into() },
+            DeliveryError::SenderIsolated,
         ] {
             assert!(!again(&why, true), "{why} does not pass by itself");
         }

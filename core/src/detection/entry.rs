@@ -77,6 +77,12 @@ impl MonitoredObject {
         self.notes.push((cause, text));
     }
 
+    /// The note of this cause.
+    fn noted(&self, cause: &NoteCause) -> Option<String> {
+        let note = self.notes.iter().find(|(known, _)| known == cause);
+        note.map(|(_, text)| text.clone())
+    }
+
     /// The cause of a note is away.
     pub(super) fn erase(&mut self, cause: &NoteCause) {
         self.notes.retain(|(known, _)| known != cause);
@@ -107,6 +113,7 @@ impl MonitoredObject {
         MonitorRow {
             incarnation: self.incarnation,
             state: self.state,
+            waiting_for: self.noted(&NoteCause::Declared(FaultKind::Unavailable)),
             opinion: self.opinion(),
             last_sign: self.last_sign.map(|sign| now - sign),
             restarts: self.restarts,

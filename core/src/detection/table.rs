@@ -1,6 +1,8 @@
 //! The monitor's table, as it is read.
 
 use super::ObjectKind;
+#[cfg(doc)]
+use crate::FaultKind;
 use crate::{FaultLocation, Incarnation, Lifecycle};
 use std::fmt;
 use std::time::Duration;
@@ -22,6 +24,9 @@ pub struct MonitorRow {
     /// Where it stands in its life, as last reported; `None` for links, nodes and what has reported
     /// nothing yet.
     pub state: Option<Lifecycle>,
+    /// What it waits for before it can become active: the reason that its hook gave for being
+    /// [unavailable](FaultKind::Unavailable). The fault list has it too, as long.
+    pub waiting_for: Option<String>,
     /// What the monitor thinks of it.
     pub opinion: Opinion,
     /// How long ago it last gave a sign of life of whatever sort; `None` for never in this
@@ -57,6 +62,7 @@ impl MonitorRow {
             kind,
             incarnation: Incarnation::default(),
             state: None,
+            waiting_for: None,
             opinion: Opinion::Unheard,
             last_sign: None,
             restarts: 0,

@@ -225,7 +225,7 @@ impl Replica {
         let (result, state) = self.kept(result, state);
         match self.working.take() {
             Some(Job::Serve { id, settled, request, .. }) => match (&mut self.role, result) {
-                (_, Err(DeliveryError::Stopped | DeliveryError::Isolated)) => {
+                (_, Err(DeliveryError::Stopped | DeliveryError::Isolated { .. })) => {
                     self.handle_component_gone(now)
                 }
                 (Acting::Standby(_), _) if void => {}

@@ -161,7 +161,7 @@ async fn is_at_rest(seed: u64, node: &TestNode, strings: &Strings) {
         let refused = node.sender::<Do>(name).unwrap().ask(Do(Deed::Nothing)).await;
         let why = refused.expect_err("it rests").kind;
         assert!(
-            matches!(why, DeliveryError::Stopped | DeliveryError::Isolated),
+            matches!(why, DeliveryError::Stopped | DeliveryError::Isolated { .. }),
             "seed {seed}: {name}: {why}"
         );
     }

@@ -81,12 +81,17 @@ impl Robot {
     }
 }
 
+/// The answer to a command without a lease, as the commander, or the actuator's node, gives it.
+fn ended(actuator: &str) -> Result<f32, DeliveryError> {
+    Err(DeliveryError::LeaseEnded { actuator: actuator.to_owned() })
+}
+
 #[blastema_testkit::test]
 async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_back() {
     let robot = Robot::start().await;
     let commander = robot.commander("console");
 
-    assert_eq!(commander.command(Drive(1.0)).await, Err(DeliveryError::LeaseEnded));
+    assert_eq!(commander.command(Drive(1.0)).await, ended("module2:wheels"));
     commander.claim().await.unwrap();
     assert_eq!(commander.command(Drive(1.0)).await, Ok(1.0));
     robot.here.advance(10_000 * MS).await;
@@ -126,7 +131,7 @@ async fn a_cut_cable_stops_the_wheels_within_the_lease_and_one_beat() {
     assert_eq!(speed, 0.0);
     assert!(at - cut_at <= BOUND, "{:?}", at - cut_at);
     assert!(!commander.holds(), "it knows by itself");
-    assert_eq!(commander.command(Drive(2.0)).await, Err(DeliveryError::LeaseEnded));
+    assert_eq!(commander.command(Drive(2.0)).await, ended("module2:wheels"));
     robot.there.await_fault(FaultKind::CommanderGone, "wheels").await;
 
     robot.here.cable("ethernet").unwrap().restore();
@@ -178,14 +183,17 @@ async fn a_second_commander_is_refused_while_the_lease_holds_and_the_first_once_
     let (first, second) = (robot.commander("planner"), robot.commander("console"));
     let old = first.claim().await.unwrap();
 
-    assert_eq!(second.claim().await, Err(DeliveryError::Held { by: holder(&robot) }));
-    assert_eq!(second.command(Drive(2.0)).await, Err(DeliveryError::LeaseEnded));
+    assert_eq!(
+        second.claim().await,
+        Err(DeliveryError::Held { actuator: "wheels".into(), by: holder(&robot) })
+    );
+    assert_eq!(second.command(Drive(2.0)).await, ended("module2:wheels"));
     first.release().await.unwrap();
     robot.here.advance(10 * MS).await;
     let new = second.claim().await.unwrap();
 
     assert!(new > old);
-    assert_eq!(first.command(Drive(1.0)).await, Err(DeliveryError::LeaseEnded));
+    assert_eq!(first.command(Drive(1.0)).await, ended("module2:wheels"));
     assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));
     assert_eq!(robot.speeds(), [0.0, 2.0]);
 }
@@ -204,7 +212,8 @@ async fn two_of_one_name_fence_each_other_by_epoch() {
     // Its own renewal may have told it already.
     let refused = first.command(Drive(1.0)).await.unwrap_err();
     assert!(
-        refused == DeliveryError::Superseded { epoch } || refused == DeliveryError::LeaseEnded,
+        refused == DeliveryError::Superseded { epoch }
+            || matches!(refused, DeliveryError::LeaseEnded { .. }),
         "{refused}"
     );
     assert_eq!(second.command(Drive(2.0)).await, Ok(2.0));

@@ -51,6 +51,11 @@ impl Robot {
     }
 }
 
+/// The answer to a request to this node while it is isolated.
+fn isolated(node: &str) -> Result<u64, DeliveryError> {
+    Err(DeliveryError::Isolated { object: node.to_owned() })
+}
+
 #[blastema_testkit::test]
 async fn an_isolated_node_is_refused_by_everybody_until_it_is_admitted() {
     let strings = Strings::default();
@@ -61,7 +66,7 @@ async fn an_isolated_node_is_refused_by_everybody_until_it_is_admitted() {
     robot.nodes[0].advance(100 * MS).await;
 
     for other in [1, 2] {
-        assert_eq!(robot.asks(other, 3).await, Err(DeliveryError::Isolated));
+        assert_eq!(robot.asks(other, 3).await, isolated("module3"));
         let refused = robot.asks(3, other).await;
         assert!(refused.is_err(), "{refused:?}");
     }
@@ -109,7 +114,10 @@ async fn what_was_under_way_with_an_isolated_node_is_resolved() {
     };
     let (asked, ()) = tokio::join!(asking, isolate);
     let why = asked.expect_err("nobody listens there any more").kind;
-    assert!(matches!(why, DeliveryError::Isolated | DeliveryError::OutcomeUnknown { .. }), "{why}");
+    assert!(
+        matches!(why, DeliveryError::Isolated { .. } | DeliveryError::OutcomeUnknown { .. }),
+        "{why}"
+    );
 }
 
 #[blastema_testkit::test]
@@ -125,7 +133,7 @@ async fn a_node_that_was_away_is_told_who_is_isolated_when_it_is_back() {
     robot.nodes[0].advance(5000 * MS).await;
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));
-    assert_eq!(robot.asks(2, 3).await, Err(DeliveryError::Isolated));
+    assert_eq!(robot.asks(2, 3).await, isolated("module3"));
 }
 
 #[blastema_testkit::test]
@@ -137,7 +145,7 @@ async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_
     robot.nodes[0].advance(3000 * MS).await;
 
     assert_eq!(robot.asks(1, 2).await, Ok(1), "nobody has followed it");
-    assert_eq!(robot.asks(3, 1).await, Err(DeliveryError::Isolated), "it refuses them");
+    assert_eq!(robot.asks(3, 1).await, isolated("module1"), "it refuses them");
     assert!(robot.asks(2, 3).await.is_err(), "and cannot be reached");
 
     robot.nodes[2].admit("module1").unwrap();
@@ -148,15 +156,11 @@ async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_
 
     robot.nodes[0].isolate("module3").unwrap();
     robot.nodes[0].advance(1000 * MS).await;
-    assert_eq!(
-        robot.asks(1, 3).await,
-        Err(DeliveryError::Isolated),
-        "its own word holds for itself"
-    );
+    assert_eq!(robot.asks(1, 3).await, isolated("module3"), "its own word holds for itself");
     assert_eq!(robot.asks(2, 3).await, Ok(1));
     robot.nodes[1].isolate("module3").unwrap();
     robot.nodes[0].advance(1000 * MS).await;
-    assert_eq!(robot.asks(2, 3).await, Err(DeliveryError::Isolated));
+    assert_eq!(robot.asks(2, 3).await, isolated("module3"));
 }
 
 #[blastema_testkit::test]
@@ -208,7 +212,7 @@ async fn a_strategy_isolates_a_node_whose_ladder_says_so_and_its_return_changes_
 
     assert_eq!(robot.asks(1, 2).await, Ok(1));
     for own in [1, 2] {
-        assert_eq!(robot.asks(own, 3).await, Err(DeliveryError::Isolated));
+        assert_eq!(robot.asks(own, 3).await, isolated("module3"));
         let reason = robot.nodes[own - 1].faults().await;
         assert!(format!("{reason:?}").contains("node lost"), "the cause is told");
     }

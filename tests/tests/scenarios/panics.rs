@@ -174,7 +174,7 @@ async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
     let refused = ask(&node, "laser", Deed::Nothing).await.expect_err("it is at rest");
     assert!(
-        matches!(refused.kind, DeliveryError::Stopped | DeliveryError::Isolated),
+        matches!(refused.kind, DeliveryError::Stopped | DeliveryError::Isolated { .. }),
         "{}",
         refused.kind
     );

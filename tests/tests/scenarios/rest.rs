@@ -182,7 +182,7 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     assert_eq!(node.state(), NodeState::Running, "the rest of it works");
     assert_eq!(
         ask(&node, "motors", Deed::Nothing).await.unwrap_err().kind,
-        DeliveryError::Isolated
+        DeliveryError::Isolated { object: "motors".into() }
     );
 
     let restarted = node.restart_child("motors").await.unwrap();

@@ -147,7 +147,10 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
 
     assert!(reason.contains("isolate"), "{reason}");
     let refused = notes.tell(Note(1)).expect_err("nothing gets in");
-    assert_eq!((refused.kind, refused.message), (DeliveryError::Isolated, Note(1)));
+    assert_eq!(
+        (refused.kind, refused.message),
+        (DeliveryError::Isolated { object: "joint".into() }, Note(1))
+    );
     node.publisher::<News>("test/news").unwrap().publish(News(1)).unwrap();
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event, in or out");

@@ -147,7 +147,7 @@ fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
 pub fn explain(path: &Path, error: &io::Error) -> String {
     let advice = match error.kind() {
         io::ErrorKind::AddrInUse => {
-            "another node, or another process listens there: end it, or choose another path"
+            "another process uses the socket: end that process, or choose another path"
         }
         io::ErrorKind::AlreadyExists if path.is_dir() => {
             "there is a folder: choose the path of a file in it"

@@ -132,7 +132,7 @@ fn a_publisher_is_fenced_when_its_incarnation_is_given_up_or_stopped() {
         stage.begin(&mut *child, 2).await;
         assert_eq!(publish(1, 3), Ok(()));
         child.isolate(true);
-        assert_eq!(publish(1, 4), Err(DeliveryError::Isolated));
+        assert_eq!(publish(1, 4), Err(DeliveryError::SenderIsolated));
         child.isolate(false);
         child.stop();
         settle().await;

@@ -112,7 +112,8 @@ impl Handler<IsolationChanged> for GatewayActor {
         let (peer, _) = self.meet(&node);
         if isolated {
             // What is under way with it is resolved, and what it has here goes.
-            self.exchange.handle_ended(peer, &DeliveryError::Isolated);
+            let why = DeliveryError::Isolated { object: node.to_string() };
+            self.exchange.handle_ended(peer, &why);
             self.naming.handle_ended(peer);
             self.tell_envoys(&PeerStatusChanged::Ended { node });
         } else {

@@ -22,7 +22,9 @@ impl NodeAssembly {
         let lock = match self.lock(&path).await {
             Ok(lock) => lock,
             Err(LockError::InUse { by }) => {
-                let reason = format!("{by} writes it; give each node a journal of its own");
+                let reason = format!(
+                    "another process uses the file ({by}): end that process, or give this node another file"
+                );
                 return Err(StartError::Journal { file: path, reason });
             }
             Err(LockError::Io(error)) => {

@@ -383,8 +383,12 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     declare(&mut monitor, FaultKind::Unavailable, "no device");
     state(&mut monitor, Lifecycle::Initialized, None);
     assert_eq!(note(&monitor).as_deref(), Some("no device"), "another hook may wait for it");
+    declare(&mut monitor, FaultKind::CheckFailed, "it is dark");
+    assert_eq!(row(&monitor, "m:laser", 3).waiting_for.as_deref(), Some("no device"));
+    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
     state(&mut monitor, Lifecycle::Active, None);
     assert_eq!(note(&monitor), None);
+    assert_eq!(row(&monitor, "m:laser", 3).waiting_for, None);
 
     monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(4));
     declare(&mut monitor, FaultKind::CheckFailed, "its cut-off blocks");

@@ -127,7 +127,7 @@ impl Replica {
     ) {
         let loads = self.jobs.iter().any(|job| matches!(job, Job::Load { .. }));
         match result {
-            Err(DeliveryError::Stopped | DeliveryError::Isolated) => {
+            Err(DeliveryError::Stopped | DeliveryError::Isolated { .. }) => {
                 self.handle_component_gone(now)
             }
             // The primary could.
