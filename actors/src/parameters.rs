@@ -97,12 +97,12 @@ fn read(value: Value) -> Result<ParameterValue, &'static str> {
 
 /// The parameters `P` of a component.
 fn declare<C: Handle<P>, P: Parameters>(
-    anchor: &Arc<ComponentCell<C>>,
+    cell: &Arc<ComponentCell<C>>,
     configured: &Configured,
 ) -> Result<DeclaredVariable, ParameterError> {
-    let parameters = configured.parameters::<P>(&anchor.record.name)?;
+    let parameters = configured.parameters::<P>(&cell.record.name)?;
     let check = |parameters: &P| parameters.check().map_err(|error| error.to_string());
-    let owner = Arc::downgrade(anchor);
+    let owner = Arc::downgrade(cell);
     let changed = move |value: &[u8]| {
         if let (Some(owner), Ok(parameters)) = (owner.upgrade(), codec::decode::<P>(value)) {
             owner.queue_event(parameters, heartbeat::coarse_now());
@@ -177,6 +177,6 @@ impl<C: Component> Context<C> {
     /// # Errors
     /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
     pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
-        self.anchor.parameters()
+        self.cell.parameters()
     }
 }

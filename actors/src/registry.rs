@@ -69,7 +69,7 @@ pub(crate) trait Skeleton: Send + Sync {
     /// the error then repeats what it was told. Where it is not, and there is [`room`](Self::room)
     /// to wait for, a message that is refused as [`DeliveryError::Full`] or
     /// [`DeliveryError::Restarting`] remains the caller's: to be tried again, or
-    /// [buried](Self::bury).
+    /// [recorded](Self::record_dead_letter).
     fn deliver(
         &self,
         message: &Bytes,
@@ -83,7 +83,7 @@ pub(crate) trait Skeleton: Send + Sync {
     }
 
     /// Counts a message that was refused for want of room, and is given up.
-    fn bury(&self, _why: &DeliveryError) {}
+    fn record_dead_letter(&self, _why: &DeliveryError) {}
 
     /// The way for a sender with an earlier version of the contract, if it is understood.
     fn former(&self, _theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
@@ -133,33 +133,33 @@ pub(crate) struct ContractPort {
     named: &'static str,
     /// A `Sender<M>`.
     sender: Box<dyn Any + Send + Sync>,
-    doorway: Arc<dyn Skeleton>,
+    skeleton: Arc<dyn Skeleton>,
 }
 
 impl ContractPort {
-    /// A contract that is sent to here by `sender`, and from other nodes by way of `doorway`.
-    pub(crate) fn new<M: Contract>(sender: Sender<M>, doorway: Arc<dyn Skeleton>) -> Self {
+    /// A contract that is sent to here by `sender`, and from other nodes by way of `skeleton`.
+    pub(crate) fn new<M: Contract>(sender: Sender<M>, skeleton: Arc<dyn Skeleton>) -> Self {
         ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(sender),
-            doorway,
+            skeleton,
         }
     }
 
     /// A contract that only other nodes use.
-    pub(crate) fn of_doorway<M: Contract>(doorway: Arc<dyn Skeleton>) -> Self {
+    pub(crate) fn of_skeleton<M: Contract>(skeleton: Arc<dyn Skeleton>) -> Self {
         ContractPort {
             identity: ContractIdentity::of::<M>(),
             named: type_name::<M>(),
             sender: Box::new(()),
-            doorway,
+            skeleton,
         }
     }
 
     /// The way from outside.
-    pub(crate) fn into_doorway(self) -> Arc<dyn Skeleton> {
-        self.doorway
+    pub(crate) fn into_skeleton(self) -> Arc<dyn Skeleton> {
+        self.skeleton
     }
 }
 
@@ -445,7 +445,7 @@ impl Registry {
     }
 
     /// The way from outside into the object, for the contract of this name.
-    pub(crate) fn doorway(
+    pub(crate) fn skeleton(
         &self,
         object: &ObjectName,
         contract: &str,
@@ -458,7 +458,7 @@ impl Registry {
             Some(entry) => entry.not_served(object, contract),
             None => DeliveryError::Unknown { name: object.to_string() },
         })?;
-        Ok((port.identity.clone(), port.doorway.clone()))
+        Ok((port.identity.clone(), port.skeleton.clone()))
     }
 
     /// The node was shut down: whom an object is looked for is told so.
@@ -524,19 +524,19 @@ impl Registry {
         Ok(())
     }
 
-    /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
-    pub(crate) fn watch(&self, object: ObjectName, mourner: Watcher) {
+    /// Tells `watcher` whenever a life of this object ends, and at once if it does not live.
+    pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) {
         let inner = self.lock();
         let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
         let deaths = inner.deaths.clone();
         drop(inner);
         let unknown = match mortal {
-            Some(mortal) => return mortal.watch(mourner),
-            None => deaths.watch(&object, mourner),
+            Some(mortal) => return mortal.watch(watcher),
+            None => deaths.watch(&object, watcher),
         };
-        if let Some(mourner) = unknown {
+        if let Some(watcher) = unknown {
             let (incarnation, ending) = (Incarnation(0), DownReason::Unknown);
-            (mourner.tell)(Down { object, node: None, incarnation, ending });
+            (watcher.tell)(Down { object, node: None, incarnation, ending });
         }
     }
 

@@ -1,4 +1,4 @@
-//! What threads share state through, where the order of their steps matters: the lane, the reply
+//! What threads share state through, where the order of their steps matters: the queue, the reply
 //! slot, the token of an incarnation, the stamp. These files name it here, so that
 //! `tests/tests/interleavings` can build them with the types of a model checker instead.
 

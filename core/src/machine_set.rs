@@ -62,7 +62,7 @@ impl<K: Ord + Copy, M: Machine> MachineSet<K, M> {
         self.members.iter().map(|(key, member)| (*key, member))
     }
 
-    /// Who was being served when a panic interrupted the crowd.
+    /// Who was being served when a panic interrupted the machines.
     pub fn last(&self) -> Option<K> {
         self.last
     }
@@ -140,21 +140,21 @@ mod tests {
 
     #[test]
     fn each_member_is_woken_at_its_own_time_and_heard() {
-        let mut crowd = MachineSet::default();
+        let mut machines = MachineSet::default();
         for every in [2, 3] {
-            crowd.insert(every, Clock { every, next: Instant::ORIGIN, says: None });
+            machines.insert(every, Clock { every, next: Instant::ORIGIN, says: None });
         }
         let mut heard = vec![];
-        while crowd.poll_output().is_some() {}
+        while machines.poll_output().is_some() {}
         for now in 0..=6 {
-            crowd.handle_timeout(Instant::from_millis(now));
-            while let Some((key, says)) = crowd.poll_output() {
+            machines.handle_timeout(Instant::from_millis(now));
+            while let Some((key, says)) = machines.poll_output() {
                 assert_eq!(key, says);
                 heard.push((now, says));
             }
         }
         assert_eq!(heard, [(0, 2), (0, 3), (2, 2), (3, 3), (4, 2), (6, 2), (6, 3)]);
-        assert!(crowd.remove(2).is_some() && crowd.get(2).is_none());
-        assert_eq!(crowd.poll_timeout(), Some(Instant::from_millis(9)));
+        assert!(machines.remove(2).is_some() && machines.get(2).is_none());
+        assert_eq!(machines.poll_timeout(), Some(Instant::from_millis(9)));
     }
 }

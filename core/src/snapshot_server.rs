@@ -17,13 +17,13 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// A descriptor each, of which a process often has a thousand.
-const SEATS: usize = 64;
+const CLIENTS_MAX: usize = 64;
 /// A snapshot of ten thousand components has five megabytes, and lives as long as a client is given
 /// it.
 const PICTURES: usize = 8;
-/// A picture costs the node some milliseconds; strangers must not have it do nothing else.
+/// A snapshot costs the node some milliseconds; strangers must not have it do nothing else.
 const APART: Duration = Duration::from_millis(100);
-/// Those who come together are given one picture.
+/// Those who come together are given one snapshot.
 const TOGETHER: Duration = Duration::from_millis(10);
 /// A client that reads a large snapshot has read it by then, also on a busy machine.
 const ENOUGH: Duration = Duration::from_millis(200);
@@ -34,17 +34,17 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ClientId(u64);
 
-/// The n-th picture that was taken.
+/// The n-th snapshot that was taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SnapshotId(u64);
 
 /// The machine.
 #[derive(Debug, Default)]
 pub struct SnapshotServer {
-    seats: BTreeMap<ClientId, Seat>,
+    clients: BTreeMap<ClientId, ClientState>,
     came: u64,
     taken: u64,
-    /// When a picture was begun last.
+    /// When a snapshot was begun last.
     taken_at: Option<Instant>,
     /// Since when a client waits.
     waited_since: Option<Instant>,
@@ -52,16 +52,16 @@ pub struct SnapshotServer {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seat {
+enum ClientState {
     Waiting,
-    Posing { picture: SnapshotId },
-    Looking { picture: SnapshotId, since: Instant },
+    Posing { snapshot: SnapshotId },
+    Looking { snapshot: SnapshotId, since: Instant },
 }
 
 /// What is to be done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SnapshotServerOutput {
-    /// Take a picture, and say [when it is there](SnapshotServer::handle_taken).
+    /// Take a snapshot, and say [when it is there](SnapshotServer::handle_taken).
     Take(SnapshotId),
     /// Close his connection; he is gone.
     Close(ClientId),
@@ -70,57 +70,61 @@ pub enum SnapshotServerOutput {
 impl SnapshotServer {
     /// Whether one more may come in.
     pub fn is_open(&self) -> bool {
-        self.seats.len() < SEATS
+        self.clients.len() < CLIENTS_MAX
     }
 
     /// One more has come in.
     pub fn handle_arrival(&mut self, now: Instant) -> ClientId {
         self.came += 1;
-        let viewer = ClientId(self.came);
-        self.seats.insert(viewer, Seat::Waiting);
+        let client = ClientId(self.came);
+        self.clients.insert(client, ClientState::Waiting);
         self.waited_since.get_or_insert(now);
         self.handle_timeout(now);
-        viewer
+        client
     }
 
-    /// A picture is there. Answers who is to be given it.
-    pub fn handle_taken(&mut self, picture: SnapshotId, now: Instant) -> Vec<ClientId> {
-        let posing = |(_, seat): &(&ClientId, &mut Seat)| **seat == Seat::Posing { picture };
-        let looking = self.seats.iter_mut().filter(posing).map(|(viewer, seat)| {
-            *seat = Seat::Looking { picture, since: now };
-            *viewer
+    /// A snapshot is there. Answers who is to be given it.
+    pub fn handle_taken(&mut self, snapshot: SnapshotId, now: Instant) -> Vec<ClientId> {
+        let posing = |(_, client_state): &(&ClientId, &mut ClientState)| {
+            **client_state == ClientState::Posing { snapshot }
+        };
+        let looking = self.clients.iter_mut().filter(posing).map(|(client, client_state)| {
+            *client_state = ClientState::Looking { snapshot, since: now };
+            *client
         });
         looking.collect()
     }
 
     /// He has seen it, or has gone away.
-    pub fn handle_gone(&mut self, viewer: ClientId, now: Instant) {
-        self.seats.remove(&viewer);
+    pub fn handle_gone(&mut self, client: ClientId, now: Instant) {
+        self.clients.remove(&client);
         self.handle_timeout(now);
     }
 
-    fn pictures(&self) -> usize {
-        let pictures = self.seats.values().filter_map(|seat| match seat {
-            Seat::Waiting => None,
-            Seat::Posing { picture } | Seat::Looking { picture, .. } => Some(*picture),
+    fn snapshots(&self) -> usize {
+        let snapshots = self.clients.values().filter_map(|client_state| match client_state {
+            ClientState::Waiting => None,
+            ClientState::Posing { snapshot } | ClientState::Looking { snapshot, .. } => {
+                Some(*snapshot)
+            }
         });
-        pictures.collect::<BTreeSet<_>>().len()
+        snapshots.collect::<BTreeSet<_>>().len()
     }
 
     /// When the client that was given a snapshot longest ago is disconnected.
     fn oldest(&self) -> Option<(Instant, ClientId)> {
-        let full = !self.is_open() || self.pictures() >= PICTURES && self.waited_since.is_some();
+        let full = !self.is_open() || self.snapshots() >= PICTURES && self.waited_since.is_some();
         let most = if full { ENOUGH } else { PATIENCE };
-        let looking = self.seats.iter().filter_map(|(viewer, seat)| match seat {
-            Seat::Looking { since, .. } => Some((*since + most, *viewer)),
-            Seat::Waiting | Seat::Posing { .. } => None,
+        let looking = self.clients.iter().filter_map(|(client, client_state)| match client_state {
+            ClientState::Looking { since, .. } => Some((*since + most, *client)),
+            ClientState::Waiting | ClientState::Posing { .. } => None,
         });
         looking.min()
     }
 
-    /// When the next picture is to be taken.
+    /// When the next snapshot is to be taken.
     fn next_picture(&self) -> Option<Instant> {
-        let waited = self.waited_since.filter(|_| self.pictures() < PICTURES)? + TOGETHER;
+        let waited = self.waited_since.filter(|_| self.snapshots() < PICTURES)? + TOGETHER;
         Some(self.taken_at.map_or(waited, |at| waited.max(at + APART)))
     }
 }
@@ -138,18 +142,22 @@ impl Machine for SnapshotServer {
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        while let Some((_, viewer)) = self.oldest().filter(|(due, _)| *due <= now) {
-            self.seats.remove(&viewer);
-            self.outputs.push_back(SnapshotServerOutput::Close(viewer));
+        while let Some((_, client)) = self.oldest().filter(|(due, _)| *due <= now) {
+            self.clients.remove(&client);
+            self.outputs.push_back(SnapshotServerOutput::Close(client));
         }
         if self.next_picture().is_some_and(|due| due <= now) {
             self.taken += 1;
             (self.taken_at, self.waited_since) = (Some(now), None);
-            let picture = SnapshotId(self.taken);
-            for seat in self.seats.values_mut().filter(|seat| **seat == Seat::Waiting) {
-                *seat = Seat::Posing { picture };
+            let snapshot = SnapshotId(self.taken);
+            for client_state in self
+                .clients
+                .values_mut()
+                .filter(|client_state| **client_state == ClientState::Waiting)
+            {
+                *client_state = ClientState::Posing { snapshot };
             }
-            self.outputs.push_back(SnapshotServerOutput::Take(picture));
+            self.outputs.push_back(SnapshotServerOutput::Take(snapshot));
         }
     }
 }
@@ -158,13 +166,13 @@ impl Machine for SnapshotServer {
 mod tests {
     use super::*;
 
-    /// How long a picture takes here.
+    /// How long a snapshot takes here.
     const TAKING: u64 = 50;
 
     /// A room with a door, at which any number waits.
     #[derive(Default)]
     struct Room {
-        audience: SnapshotServer,
+        server: SnapshotServer,
         now: u64,
         /// Who waits at the door, and whether he will read.
         door: VecDeque<bool>,
@@ -172,7 +180,7 @@ mod tests {
         taking: Vec<(u64, SnapshotId)>,
         served: u64,
         closed: u64,
-        pictures: u64,
+        snapshots: u64,
         most_seats: usize,
         most_pictures: usize,
     }
@@ -182,35 +190,35 @@ mod tests {
         fn step(&mut self) {
             self.now += 1;
             let now = Instant::from_millis(self.now);
-            while self.audience.is_open() {
+            while self.server.is_open() {
                 let Some(reads) = self.door.pop_front() else { break };
-                let viewer = self.audience.handle_arrival(now);
-                self.readers.extend(reads.then_some(viewer));
+                let client = self.server.handle_arrival(now);
+                self.readers.extend(reads.then_some(client));
                 self.carry_out();
             }
             let ready: Vec<_> = self.taking.extract_if(.., |(at, _)| *at <= self.now).collect();
-            for (_, picture) in ready {
-                for viewer in self.audience.handle_taken(picture, now) {
-                    if self.readers.contains(&viewer) {
-                        self.audience.handle_gone(viewer, now);
+            for (_, snapshot) in ready {
+                for client in self.server.handle_taken(snapshot, now) {
+                    if self.readers.contains(&client) {
+                        self.server.handle_gone(client, now);
                         self.served += 1;
                     }
                 }
             }
-            if self.audience.poll_timeout().is_some_and(|due| due <= now) {
-                self.audience.handle_timeout(now);
+            if self.server.poll_timeout().is_some_and(|due| due <= now) {
+                self.server.handle_timeout(now);
             }
             self.carry_out();
-            self.most_seats = self.most_seats.max(self.audience.seats.len());
-            self.most_pictures = self.most_pictures.max(self.audience.pictures());
+            self.most_seats = self.most_seats.max(self.server.clients.len());
+            self.most_pictures = self.most_pictures.max(self.server.snapshots());
         }
 
         fn carry_out(&mut self) {
-            while let Some(output) = self.audience.poll_output() {
+            while let Some(output) = self.server.poll_output() {
                 match output {
-                    SnapshotServerOutput::Take(picture) => {
-                        self.taking.push((self.now + TAKING, picture));
-                        self.pictures += 1;
+                    SnapshotServerOutput::Take(snapshot) => {
+                        self.taking.push((self.now + TAKING, snapshot));
+                        self.snapshots += 1;
                     }
                     SnapshotServerOutput::Close(_) => self.closed += 1,
                 }
@@ -233,7 +241,7 @@ mod tests {
     fn whoever_comes_alone_is_served_at_once() {
         let mut room = Room::default();
         assert_eq!(room.look(), 1 + 10 + TAKING);
-        assert_eq!((room.audience.poll_timeout(), room.pictures), (None, 1));
+        assert_eq!((room.server.poll_timeout(), room.snapshots), (None, 1));
     }
 
     #[test]
@@ -243,8 +251,8 @@ mod tests {
 
         assert!(room.look() < 1_000, "{}", room.now);
 
-        assert_eq!((room.most_seats, room.served), (SEATS, 1));
-        assert!(room.pictures <= 6, "{}", room.pictures);
+        assert_eq!((room.most_seats, room.served), (CLIENTS_MAX, 1));
+        assert!(room.snapshots <= 6, "{}", room.snapshots);
     }
 
     #[test]
@@ -260,8 +268,8 @@ mod tests {
             let took = room.look();
             assert!(took <= 1_000, "wave {wave}: {took}");
         }
-        assert!(room.pictures <= room.now / 100 + 1, "{} in {}", room.pictures, room.now);
-        assert!(room.most_pictures <= PICTURES && room.most_seats <= SEATS);
+        assert!(room.snapshots <= room.now / 100 + 1, "{} in {}", room.snapshots, room.now);
+        assert!(room.most_pictures <= PICTURES && room.most_seats <= CLIENTS_MAX);
     }
 
     #[test]
@@ -286,6 +294,6 @@ mod tests {
         }
         assert_eq!(room.closed, 0);
         room.step();
-        assert_eq!((room.closed, room.audience.seats.len()), (1, 0));
+        assert_eq!((room.closed, room.server.clients.len()), (1, 0));
     }
 }

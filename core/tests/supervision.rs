@@ -59,7 +59,7 @@ struct World {
     open: BTreeSet<CallId>,
     ordered_restarts: Vec<Instant>,
     now: Instant,
-    tickets: u64,
+    calls: u64,
     escalated: bool,
     all_started: bool,
 }
@@ -97,7 +97,7 @@ impl World {
             open: BTreeSet::new(),
             ordered_restarts: Vec::new(),
             now,
-            tickets: 0,
+            calls: 0,
             escalated: false,
             all_started: false,
         }
@@ -142,19 +142,19 @@ impl World {
                 SupervisorOutput::StandingOrder { child, order: None } => {
                     self.orders.remove(&child);
                 }
-                SupervisorOutput::Recovered { ticket, child, incarnation } => {
-                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                SupervisorOutput::Recovered { call, child, incarnation } => {
+                    assert!(self.open.remove(&call), "{call:?} is answered twice");
                     if let Some(life) = incarnation {
                         assert_eq!(self.lives.get(&child).map(|&(life, _)| life), Some(life));
                     }
                 }
-                SupervisorOutput::Waits { ticket, child, incarnation } => {
-                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                SupervisorOutput::Waits { call, child, incarnation } => {
+                    assert!(self.open.remove(&call), "{call:?} is answered twice");
                     let life = self.lives.get(&child).map(|&(life, _)| life);
                     assert_eq!(life, Some(incarnation));
                 }
-                SupervisorOutput::GaveUp { ticket, .. } => {
-                    assert!(self.open.remove(&ticket), "{ticket:?} is answered twice");
+                SupervisorOutput::GaveUp { call, .. } => {
+                    assert!(self.open.remove(&call), "{call:?} is answered twice");
                 }
                 SupervisorOutput::Escalate { .. } => {
                     assert!(self.lives.is_empty(), "it escalates over living children");
@@ -177,16 +177,16 @@ impl World {
         }
     }
 
-    fn ticket(&mut self) -> CallId {
-        self.tickets += 1;
-        self.open.insert(CallId(self.tickets));
-        CallId(self.tickets)
+    fn call(&mut self) -> CallId {
+        self.calls += 1;
+        self.open.insert(CallId(self.calls));
+        CallId(self.calls)
     }
 
     fn restart(&mut self, name: &ObjectName, cause: ReplacementCause, struck: Incarnation) {
-        let ticket = self.ticket();
+        let call = self.call();
         let before = self.machine.restarts_left(self.now);
-        self.machine.handle_restart(name, ticket, cause, Some(struck), self.now);
+        self.machine.handle_restart(name, call, cause, Some(struck), self.now);
         if self.machine.restarts_left(self.now) < before {
             self.ordered_restarts.push(self.now);
         }
@@ -254,18 +254,12 @@ impl World {
                 }
             }
             Turn::Rest(at) => {
-                let (name, ticket) = (name(at), self.ticket());
-                self.machine.handle_rest(&name, ticket, ReplacementCause::Faulty, self.now);
+                let (name, call) = (name(at), self.call());
+                self.machine.handle_rest(&name, call, ReplacementCause::Faulty, self.now);
             }
             Turn::ByHand(at) => {
-                let (name, ticket) = (name(at), self.ticket());
-                self.machine.handle_restart(
-                    &name,
-                    ticket,
-                    ReplacementCause::Faulty,
-                    None,
-                    self.now,
-                );
+                let (name, call) = (name(at), self.call());
+                self.machine.handle_restart(&name, call, ReplacementCause::Faulty, None, self.now);
             }
             Turn::Time(millis) => {
                 self.now = self.now + Duration::from_millis(u64::from(millis));
@@ -313,13 +307,8 @@ impl World {
             }
             for child in self.machine.children().collect::<Vec<_>>() {
                 if child.state == ChildState::Failed && round >= 40 {
-                    let ticket = self.ticket();
-                    self.machine.handle_rest(
-                        &child.name,
-                        ticket,
-                        ReplacementCause::Faulty,
-                        self.now,
-                    );
+                    let call = self.call();
+                    self.machine.handle_rest(&child.name, call, ReplacementCause::Faulty, self.now);
                     self.look();
                 } else if child.state == ChildState::Failed {
                     self.take(Turn::Time(10_001));
@@ -431,9 +420,9 @@ proptest! {
         prop_assert!(world.all_started);
 
         let name = world.names[failed].clone();
-        let ticket = world.ticket();
+        let call = world.call();
         let struck = Some(Incarnation::FIRST);
-        world.machine.handle_restart(&name, ticket, ReplacementCause::Died, struck, world.now);
+        world.machine.handle_restart(&name, call, ReplacementCause::Died, struck, world.now);
         let (mut stops, mut starts) = (Vec::new(), Vec::new());
         while let Some(action) = world.machine.poll_output() {
             match action {

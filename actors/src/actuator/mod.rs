@@ -96,10 +96,10 @@ impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
 
 /// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
 /// component that commands lives and its thread turns; with the last clone it is given back.
-pub struct Commander<M: Contract>(Arc<Helm>, PhantomData<fn(M)>);
+pub struct Commander<M: Contract>(Arc<CommanderState>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
-struct Helm {
+struct CommanderState {
     actuator: String,
     sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
@@ -135,7 +135,7 @@ pub(crate) fn commander<M: Contract>(
     actuator: &str,
     (name, life): (String, Incarnation),
 ) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
-    let helm = Arc::new(Helm {
+    let state = Arc::new(CommanderState {
         actuator: actuator.to_owned(),
         sender: registry.sender::<ActuatorCommand>(actuator)?,
         identity: ContractIdentity::of::<M>().brief().encode(),
@@ -144,15 +144,15 @@ pub(crate) fn commander<M: Contract>(
         held: Mutex::default(),
         claimed: Notify::new(),
     });
-    let renewing = renew_lease(Arc::downgrade(&helm));
-    Ok((Commander(helm, PhantomData), renewing))
+    let renewing = renew_lease(Arc::downgrade(&state));
+    Ok((Commander(state, PhantomData), renewing))
 }
 
 /// Renews the lease, a quarter of it after the last time, so that three that are lost in a row are
 /// tolerated.
-async fn renew_lease(helm: Weak<Helm>) {
+async fn renew_lease(state: Weak<CommanderState>) {
     loop {
-        let Some(present) = helm.upgrade() else { return };
+        let Some(present) = state.upgrade() else { return };
         let held = present.held();
         match held {
             Some(Held { epoch, span, .. }) => {
@@ -172,7 +172,7 @@ async fn renew_lease(helm: Weak<Helm>) {
     }
 }
 
-impl Helm {
+impl CommanderState {
     fn lock(&self) -> MutexGuard<'_, Option<Held>> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -210,7 +210,7 @@ impl Helm {
     }
 }
 
-impl Drop for Helm {
+impl Drop for CommanderState {
     fn drop(&mut self) {
         if let Some(Held { epoch, .. }) = self.held() {
             let order = ActuatorCommand {
@@ -267,7 +267,7 @@ impl<M: Contract> Commander<M> {
     }
 
     async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
-        let Helm { name, life, .. } = &*self.0;
+        let CommanderState { name, life, .. } = &*self.0;
         let asked = platform::now();
         let wish = CommandKind::Claim { commander: name.clone(), life: life.0 };
         match self.0.send_command(wish, within).await? {

@@ -77,7 +77,7 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let table = environment.actuators();
         cell.record.listen(Withdrawal { table: table.clone(), owner: name.clone() });
         let declared = self.0.into_iter();
-        let declared = declared.map(|(declared, open)| (declared, open(cell).into_doorway()));
+        let declared = declared.map(|(declared, open)| (declared, open(cell).into_skeleton()));
         let refused = |why| SpecError::Actuator { name: name.clone(), why };
         let port = table.declare(name, declared.collect()).map_err(refused)?;
         environment.registry.open(name, port);
@@ -108,7 +108,7 @@ impl<C: Component> Context<C> {
         &mut self,
         actuator: &str,
     ) -> Result<Commander<M>, DeliveryError> {
-        let environment = &self.anchor.record.environment;
+        let environment = &self.cell.record.environment;
         let own = environment.registry.full_name(self.name());
         let who = (own, self.incarnation());
         let (commander, renewing) = super::commander(&environment.registry, actuator, who)?;

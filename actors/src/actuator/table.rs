@@ -56,7 +56,7 @@ struct Actuator {
     lease: Mutex<Lease>,
     safe: Bytes,
     cut_off: Option<SafeOutputFn>,
-    doorway: Arc<dyn Skeleton>,
+    skeleton: Arc<dyn Skeleton>,
     /// Its commander is gone, and no other has claimed it since.
     lost: AtomicBool,
     /// A command has been handed over and not been answered.
@@ -82,7 +82,7 @@ pub(crate) struct ActuatorTable {
 }
 
 impl ActuatorTable {
-    /// A yard whose cut-offs are called so.
+    /// A table whose cut-offs are called so.
     pub(crate) fn new(callbacks: Callbacks) -> Self {
         ActuatorTable { callbacks, ..ActuatorTable::default() }
     }
@@ -94,10 +94,10 @@ impl ActuatorTable {
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Recipient<AreYouAlive> {
-        let yard = self.clone();
-        let make = move |_: &mut Context<Timekeeper>| Timekeeper { yard, armed: None };
+        let table = self.clone();
+        let make = move |_: &mut Context<Timekeeper>| Timekeeper { table, armed: None };
         let timekeeper = guardian.start(name, arbiter, make);
-        // A yard is started once, with its node.
+        // A table is started once, with its node.
         let _ = self.timekeeper.set(timekeeper.clone().recipient());
         timekeeper.recipient()
     }
@@ -108,7 +108,7 @@ impl ActuatorTable {
         object: &ObjectName,
         declared: Vec<(DeclaredActuator, Arc<dyn Skeleton>)>,
     ) -> Result<ContractPort, DeliveryError> {
-        for (DeclaredActuator { identity, span, safe, cut_off }, doorway) in declared {
+        for (DeclaredActuator { identity, span, safe, cut_off }, skeleton) in declared {
             // Above every epoch of any earlier process of this node.
             let lease = Lease::new(object.clone(), span, platform::node_incarnation().0 << 20);
             let actuator = Actuator {
@@ -117,18 +117,18 @@ impl ActuatorTable {
                 lease: Mutex::new(lease),
                 safe: safe?,
                 cut_off,
-                doorway,
+                skeleton,
                 lost: AtomicBool::default(),
                 busy: Arc::default(),
             };
             let key = (object.clone(), identity.name);
             lock(&self.actuators).insert(key, Arc::new(actuator));
         }
-        let (yard, object) = (self.clone(), object.clone());
+        let (table, object) = (self.clone(), object.clone());
         let serve = move |order: ActuatorCommand, answer: Responder<ActuatorCommand>| {
-            yard.serve(&object, order, answer)
+            table.serve(&object, order, answer)
         };
-        Ok(ContractPort::of_desk(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
+        Ok(ContractPort::of_service_fn(ServiceFn::<ActuatorCommand>(Arc::new(serve))))
     }
 
     /// The object is gone, and its actuators with it.
@@ -225,7 +225,7 @@ impl ActuatorTable {
         }
         let done = match wish {
             // Its first command would wait, perhaps for longer than the lease.
-            CommandKind::Claim { .. } if !actuator.doorway.is_at_work() => {
+            CommandKind::Claim { .. } if !actuator.skeleton.is_at_work() => {
                 Err(DeliveryError::Restarting)
             }
             CommandKind::Claim { commander, life } => {
@@ -266,7 +266,7 @@ impl ActuatorTable {
             let waits =
                 |other: &Arc<Actuator>| other.object == actuator.object && other.lost.load(Relaxed);
             if !lock(&self.actuators).values().any(waits) {
-                actuator.doorway.mend(FaultKind::CommanderGone);
+                actuator.skeleton.mend(FaultKind::CommanderGone);
             }
         }
     }
@@ -303,20 +303,23 @@ impl ActuatorTable {
                     LeaseEnd::Expired => {
                         warn!(%object, who, %life, epoch, "commander gone: safe outputs applied");
                         let detail = format!("its commander {who}{life} has gone");
-                        actuator.doorway.declare(FaultKind::CommanderGone, detail);
+                        actuator.skeleton.declare(FaultKind::CommanderGone, detail);
                         actuator.lost.store(true, Relaxed);
                     }
                 }
                 self.cut_off(actuator);
             }
-            let (yard, applied_at) = (self.clone(), actuator.clone());
+            let (table, applied_at) = (self.clone(), actuator.clone());
             let applied: ReplyTo = Box::new(move |result: Result<GatherBuffer, DeliveryError>| {
                 lock(&applied_at.lease).handle_applied(result.is_ok(), platform::now());
-                yard.look();
+                table.look();
             });
             // What came of it is told to the closure in every case.
-            let _ =
-                actuator.doorway.deliver(&actuator.safe, MessageMetadata::default(), Some(applied));
+            let _ = actuator.skeleton.deliver(
+                &actuator.safe,
+                MessageMetadata::default(),
+                Some(applied),
+            );
         }
     }
 
@@ -338,7 +341,7 @@ impl ActuatorTable {
                 let detail = match outcome {
                     CallOutcome::Done => return,
                     CallOutcome::ReturnedLate => {
-                        return actuator.doorway.mend(FaultKind::CheckFailed);
+                        return actuator.skeleton.mend(FaultKind::CheckFailed);
                     }
                     CallOutcome::Panicked(text) => format!("the cut-off panicked: {text}"),
                     CallOutcome::Blocked(limit) => {
@@ -350,7 +353,7 @@ impl ActuatorTable {
                     }
                 };
                 error!(object = %actuator.object, "{detail}");
-                actuator.doorway.declare(FaultKind::CheckFailed, detail);
+                actuator.skeleton.declare(FaultKind::CheckFailed, detail);
             },
         );
     }
@@ -372,7 +375,7 @@ impl Actuator {
             });
         });
         // What came of it is told to the closure in every case.
-        let _ = self.doorway.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
+        let _ = self.skeleton.deliver(&message.into(), MessageMetadata::default(), Some(reply_to));
     }
 }
 
@@ -383,14 +386,14 @@ struct Look;
 
 /// Sees that leases end in time.
 struct Timekeeper {
-    yard: ActuatorTable,
+    table: ActuatorTable,
     armed: Option<(Instant, SpawnHandle)>,
 }
 
 impl Timekeeper {
     fn look(&mut self, context: &mut Context<Self>) {
         let now = platform::now();
-        let Some(due) = self.yard.advance(now) else { return };
+        let Some(due) = self.table.advance(now) else { return };
         match &self.armed {
             // Renewals push the end of a lease out: the timer is left standing, and looks again.
             Some((armed, _)) if *armed <= due && *armed > now => return,

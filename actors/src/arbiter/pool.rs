@@ -117,7 +117,7 @@ struct Inner {
 
 #[derive(Default)]
 struct Pool {
-    seats: Vec<ArbiterSlot>,
+    slots: Vec<ArbiterSlot>,
     next: usize,
     /// Threads that components have for themselves, to be ended with the node.
     own: Vec<ArbiterSlot>,
@@ -133,16 +133,16 @@ struct Pool {
 struct KeptThread {
     culprit: ObjectName,
     /// Where it is one of these; what the fault chain called, and blocks, is elsewhere.
-    seat: Option<ArbiterSlot>,
+    slot: Option<ArbiterSlot>,
 }
 
 impl KeptThread {
     fn is_kept(&self) -> bool {
-        self.seat.as_ref().is_none_or(|seat| seat.pulse.is_fenced() && seat.handle.alive())
+        self.slot.as_ref().is_none_or(|slot| slot.pulse.is_fenced() && slot.handle.alive())
     }
 
     fn is_lost(&self) -> bool {
-        self.seat.as_ref().is_none_or(|seat| seat.pulse.is_lost() && seat.handle.alive())
+        self.slot.as_ref().is_none_or(|slot| slot.pulse.is_lost() && slot.handle.alive())
     }
 }
 
@@ -158,8 +158,8 @@ impl Pool {
     /// Forgets threads that came back, or are lost, as places.
     fn tidy(&mut self) {
         self.kept.retain(KeptThread::is_kept);
-        for seats in [&mut self.seats, &mut self.own] {
-            seats.retain(|seat| !seat.pulse.is_lost() && seat.handle.alive());
+        for slots in [&mut self.slots, &mut self.own] {
+            slots.retain(|slot| !slot.pulse.is_lost() && slot.handle.alive());
         }
     }
 
@@ -220,18 +220,18 @@ impl ArbiterPool {
         }
         pool.tidy();
         if own_thread {
-            let seat = self.start(true)?;
-            pool.own.push(seat.clone());
-            return Ok(seat);
+            let slot = self.start(true)?;
+            pool.own.push(slot.clone());
+            return Ok(slot);
         }
         let now = platform::now();
-        let turning = || pool.seats.iter().filter(|seat| !seat.pulse.is_fenced());
-        let answering: Vec<&ArbiterSlot> = turning().filter(|seat| seat.answers(now)).collect();
+        let turning = || pool.slots.iter().filter(|slot| !slot.pulse.is_fenced());
+        let answering: Vec<&ArbiterSlot> = turning().filter(|slot| slot.answers(now)).collect();
         let wanted = self.0.shared + if answering.is_empty() { SPARE } else { 0 };
         if turning().count() < wanted {
-            let seat = self.start(false)?;
-            pool.seats.push(seat.clone());
-            return Ok(seat);
+            let slot = self.start(false)?;
+            pool.slots.push(slot.clone());
+            return Ok(slot);
         }
         let among = if answering.is_empty() { turning().collect() } else { answering };
         pool.next += 1;
@@ -253,17 +253,17 @@ impl ArbiterPool {
         Err(io::Error::other(reason))
     }
 
-    /// Has a life begin on `seat`; on another shared thread if that one does not answer.
-    pub(crate) fn board(&self, seat: ArbiterSlot, life: Boarding) {
+    /// Has a life begin on `slot`; on another shared thread if that one does not answer.
+    pub(crate) fn board(&self, slot: ArbiterSlot, life: Boarding) {
         let waiting = Arc::new(Mutex::new(Some(life)));
-        if !seat.own_thread && self.0.shared > 0 {
-            self.pool_of().boarding.push((seat.clone(), Arc::downgrade(&waiting)));
+        if !slot.own_thread && self.0.shared > 0 {
+            self.pool_of().boarding.push((slot.clone(), Arc::downgrade(&waiting)));
         }
-        let handle = seat.handle.clone();
+        let handle = slot.handle.clone();
         handle.spawn_fn(move || {
             let life = waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
             if let Some(life) = life {
-                life(seat);
+                life(slot);
             }
         });
     }
@@ -276,23 +276,23 @@ impl ArbiterPool {
         }
         let waiting = std::mem::take(&mut pool.boarding);
         let mut moved = Vec::new();
-        for (seat, life) in waiting {
+        for (slot, life) in waiting {
             let Some(kept) = life.upgrade() else { continue };
             let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
             if kept.is_none() {
                 continue;
             }
-            if seat.answers(now) {
-                pool.boarding.push((seat, life));
+            if slot.answers(now) {
+                pool.boarding.push((slot, life));
                 continue;
             }
             match self.place_in(&mut pool, false) {
                 Ok(other) => moved.extend(kept.take().map(|life| (other, life))),
-                Err(_) => pool.boarding.push((seat, life)),
+                Err(_) => pool.boarding.push((slot, life)),
             }
         }
         drop(pool);
-        moved.into_iter().for_each(|(seat, life)| self.board(seat, life));
+        moved.into_iter().for_each(|(slot, life)| self.board(slot, life));
     }
 
     fn start(&self, own_thread: bool) -> io::Result<ArbiterSlot> {
@@ -310,13 +310,13 @@ impl ArbiterPool {
     }
 
     /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.
-    pub(crate) fn fence(&self, seat: &ArbiterSlot, culprit: &ObjectName) {
+    pub(crate) fn fence(&self, slot: &ArbiterSlot, culprit: &ObjectName) {
         let mut pool = self.pool_of();
         // One that came back and is kept again has one culprit.
-        let is_another = |kept: &ArbiterSlot| kept.pulse.id() != seat.pulse.id();
-        pool.kept.retain(|thread| thread.seat.as_ref().is_none_or(is_another));
-        seat.pulse.fence();
-        pool.kept.push(KeptThread { culprit: culprit.clone(), seat: Some(seat.clone()) });
+        let is_another = |kept: &ArbiterSlot| kept.pulse.id() != slot.pulse.id();
+        pool.kept.retain(|thread| thread.slot.as_ref().is_none_or(is_another));
+        slot.pulse.fence();
+        pool.kept.push(KeptThread { culprit: culprit.clone(), slot: Some(slot.clone()) });
     }
 
     /// The grace time of this arbiter is over. Says whether it is really lost, or has just come
@@ -332,14 +332,14 @@ impl ArbiterPool {
     /// One more thread is abandoned that is none of these, because the fault chain called what
     /// blocks it.
     pub(crate) fn note_abandoned(&self, culprit: &ObjectName) {
-        self.pool_of().kept.push(KeptThread { culprit: culprit.clone(), seat: None });
+        self.pool_of().kept.push(KeptThread { culprit: culprit.clone(), slot: None });
         self.tell_abandoned();
     }
 
     /// Such a thread has come back.
     pub(crate) fn note_returned(&self, culprit: &ObjectName) {
         let kept = &mut self.pool_of().kept;
-        let is_its = |thread: &KeptThread| thread.seat.is_none() && thread.culprit == *culprit;
+        let is_its = |thread: &KeptThread| thread.slot.is_none() && thread.culprit == *culprit;
         if let Some(at) = kept.iter().position(is_its) {
             kept.swap_remove(at);
         }
@@ -361,11 +361,11 @@ impl ArbiterPool {
     pub(crate) fn threads(&self) -> Vec<ArbiterThread> {
         let mut pool = self.pool_of();
         pool.tidy();
-        let usable = pool.seats.iter().chain(&pool.own).map(|seat| (seat, None));
+        let usable = pool.slots.iter().chain(&pool.own).map(|slot| (slot, None));
         let lost = pool.kept.iter().filter(|thread| thread.is_lost());
-        let lost = lost.filter_map(|lost| Some((lost.seat.as_ref()?, Some(lost.culprit.clone()))));
-        let thread = |(seat, lost_to): (&ArbiterSlot, _)| {
-            let (kind, pulse) = (seat.kind(), seat.pulse.clone());
+        let lost = lost.filter_map(|lost| Some((lost.slot.as_ref()?, Some(lost.culprit.clone()))));
+        let thread = |(slot, lost_to): (&ArbiterSlot, _)| {
+            let (kind, pulse) = (slot.kind(), slot.pulse.clone());
             ArbiterThread { kind, pulse, lost_to }
         };
         usable.chain(lost).map(thread).collect()
@@ -391,9 +391,9 @@ impl ArbiterPool {
     pub(crate) fn stop(&self) {
         let ended = Pool { stopped: true, ..Pool::default() };
         let pool = std::mem::replace(&mut *self.pool_of(), ended);
-        let kept = pool.kept.iter().filter_map(|thread| thread.seat.as_ref());
-        for seat in pool.seats.iter().chain(&pool.own).chain(kept) {
-            seat.handle.stop();
+        let kept = pool.kept.iter().filter_map(|thread| thread.slot.as_ref());
+        for slot in pool.slots.iter().chain(&pool.own).chain(kept) {
+            slot.handle.stop();
         }
     }
 }
@@ -415,10 +415,10 @@ mod tests {
     }
 
     /// Keeps a thread until the sender is dropped.
-    fn keep(seat: &ArbiterSlot) -> Sender<()> {
+    fn keep(slot: &ArbiterSlot) -> Sender<()> {
         let (hold, held) = channel::<()>();
         let (begun, begins) = channel();
-        seat.handle.spawn_fn(move || {
+        slot.handle.spawn_fn(move || {
             begun.send(()).unwrap();
             let _ = held.recv();
         });
@@ -427,16 +427,16 @@ mod tests {
     }
 
     /// Boards a life that says on which thread it begins.
-    fn board(arbiters: &ArbiterPool, seat: &ArbiterSlot) -> Receiver<u64> {
+    fn board(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
         let (begun, begins) = channel();
-        let life = move |seat: ArbiterSlot| begun.send(seat.pulse.id()).unwrap();
-        arbiters.board(seat.clone(), Box::new(life));
+        let life = move |slot: ArbiterSlot| begun.send(slot.pulse.id()).unwrap();
+        arbiters.board(slot.clone(), Box::new(life));
         begins
     }
 
     /// Waits until the thread does not answer any more.
-    async fn until_silent(seat: &ArbiterSlot) {
-        while seat.answers(platform::now()) {
+    async fn until_silent(slot: &ArbiterSlot) {
+        while slot.answers(platform::now()) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }
@@ -461,10 +461,10 @@ mod tests {
             let mut holds = Vec::new();
             let mut ids = Vec::new();
             for _ in 0..=SPARE {
-                let seat = place(&arbiters);
-                holds.push(keep(&seat));
-                until_silent(&seat).await;
-                ids.push(seat.pulse.id());
+                let slot = place(&arbiters);
+                holds.push(keep(&slot));
+                until_silent(&slot).await;
+                ids.push(slot.pulse.id());
             }
             assert!(ids.is_sorted_by(|a, b| a < b), "each on a fresh thread: {ids:?}");
 
@@ -479,20 +479,20 @@ mod tests {
     fn a_life_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
         System::new().block_on(async {
             let arbiters = ArbiterPool::pool(1);
-            let seat = place(&arbiters);
-            let hold = keep(&seat);
-            let begins = board(&arbiters, &seat);
-            arbiters.move_boarding(seat.pulse.last_beat().expect("it has beaten"));
-            until_silent(&seat).await;
+            let slot = place(&arbiters);
+            let hold = keep(&slot);
+            let begins = board(&arbiters, &slot);
+            arbiters.move_boarding(slot.pulse.last_beat().expect("it has beaten"));
+            until_silent(&slot).await;
             assert!(begins.try_recv().is_err(), "it waits");
 
             arbiters.move_boarding(platform::now());
 
             let begun = begins.recv_timeout(PATIENCE).expect("it begins");
-            assert_ne!(begun, seat.pulse.id());
+            assert_ne!(begun, slot.pulse.id());
             drop(hold);
-            let after = board(&arbiters, &seat);
-            assert_eq!(after.recv_timeout(PATIENCE), Ok(seat.pulse.id()));
+            let after = board(&arbiters, &slot);
+            assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.pulse.id()));
             assert!(begins.try_recv().is_err(), "once");
             arbiters.stop();
         });
@@ -505,16 +505,16 @@ mod tests {
             let (arm, leg) = (name("arm"), name("leg"));
             let mut holds = Vec::new();
             for _ in 0..THREADS_OF_ONE {
-                let seat = arbiters.place(&arm, true).expect("a thread");
-                holds.push(keep(&seat));
-                arbiters.fence(&seat, &arm);
+                let slot = arbiters.place(&arm, true).expect("a thread");
+                holds.push(keep(&slot));
+                arbiters.fence(&slot, &arm);
                 assert_eq!(arbiters.abandoned(), 0, "it may come back");
             }
 
             let refused = arbiters.place(&arm, true).err().expect("it keeps its share");
             assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
-            let seat = arbiters.place(&leg, true).expect("a thread for another");
-            arbiters.fence(&seat, &leg);
+            let slot = arbiters.place(&leg, true).expect("a thread for another");
+            arbiters.fence(&slot, &leg);
             let kept: Vec<_> = arbiters.pool_of().own.iter().map(|s| s.pulse.clone()).collect();
             assert!(kept.iter().filter(|pulse| arbiters.mark_lost(pulse)).count() >= 4);
             assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
@@ -522,7 +522,7 @@ mod tests {
             holds.clear();
             while arbiters.lost().contains_key(&arm) {
                 let kept = &arbiters.pool_of().kept;
-                kept.iter().filter_map(|kept| kept.seat.as_ref()).for_each(|s| s.return_late());
+                kept.iter().filter_map(|kept| kept.slot.as_ref()).for_each(|s| s.return_late());
                 std::thread::yield_now();
             }
             arbiters.place(&arm, true).expect("its threads came back");

@@ -49,7 +49,7 @@ const ISOLATED: u8 = 1;
 const QUARANTINE: u8 = 2;
 
 pub(crate) struct ComponentCell<C: Component> {
-    pub(crate) lane: BoundedQueue<BoxedEnvelope<C>>,
+    pub(crate) queue: BoundedQueue<BoxedEnvelope<C>>,
     pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
     control: Mutex<Option<Recipient<HostCommand>>>,
@@ -61,7 +61,7 @@ pub(crate) struct CellCore {
     pub(crate) name: ObjectName,
     pub(crate) limits: SharedLimits,
     pub(crate) environment: Arc<ComponentEnvironment>,
-    pub(crate) mourners: Watchers,
+    pub(crate) watchers: Watchers,
     pub(crate) injected: InjectionState,
     gate: AtomicU8,
     state: Mutex<CellStatus>,
@@ -80,19 +80,19 @@ struct CellStatus {
     state: Lifecycle,
     /// A hook waits for what is not there yet: since when, and why.
     unavailable: Option<Box<(Instant, String)>>,
-    seat: Option<CurrentPlacement>,
+    arbiter: Option<CurrentPlacement>,
 }
 
 /// One life's place.
 #[derive(Clone)]
 pub(crate) struct CurrentPlacement {
-    pub(crate) seat: ArbiterSlot,
+    pub(crate) arbiter: ArbiterSlot,
     pub(crate) slot: ActivitySlotRef,
     pub(crate) token: Arc<IncarnationToken>,
 }
 
-/// Who is to be told if the message in service brings death. It stands here and not with the pump,
-/// so that a hung callee cannot keep it.
+/// Who is to be told if the message in service brings death. It stands here and not with the
+/// executor, so that a hung callee cannot keep it.
 #[derive(Default)]
 pub(crate) struct MessageInService {
     asker: Option<Arc<dyn Cancel>>,
@@ -122,13 +122,13 @@ impl CellCore {
             name,
             limits: limits.into(),
             environment,
-            mourners: Watchers::default(),
+            watchers: Watchers::default(),
             injected: InjectionState::default(),
             gate: AtomicU8::new(0),
             state: Mutex::new(CellStatus {
                 state: Lifecycle::Created,
                 unavailable: None,
-                seat: None,
+                arbiter: None,
             }),
             incarnation: AtomicU64::new(0),
             service: Mutex::default(),
@@ -160,12 +160,12 @@ impl CellCore {
     }
 
     /// A life is in its place. False if a later one has begun elsewhere, whose place stays known.
-    pub(crate) fn enter(&self, incarnation: Incarnation, seated: CurrentPlacement) -> bool {
+    pub(crate) fn enter(&self, incarnation: Incarnation, placement: CurrentPlacement) -> bool {
         let mut standing = lock(&self.state);
         let is_newest = incarnation >= self.incarnation();
         if is_newest {
             self.set_incarnation(incarnation);
-            standing.seat = Some(seated);
+            standing.arbiter = Some(placement);
         }
         is_newest
     }
@@ -197,12 +197,12 @@ impl CellCore {
         Some(Unavailable { reason, lasts: platform::now() - since })
     }
 
-    pub(crate) fn seat(&self) -> Option<CurrentPlacement> {
-        lock(&self.state).seat.clone()
+    pub(crate) fn arbiter(&self) -> Option<CurrentPlacement> {
+        lock(&self.state).arbiter.clone()
     }
 
-    pub(crate) fn take_seat(&self) -> Option<CurrentPlacement> {
-        lock(&self.state).seat.take()
+    pub(crate) fn take_placement(&self) -> Option<CurrentPlacement> {
+        lock(&self.state).arbiter.take()
     }
 
     pub(crate) fn order(&self) -> Option<RestartGrant> {
@@ -215,13 +215,13 @@ impl CellCore {
 
     /// Notes the end of a life whose panic still unwinds on its thread: what the handler had may
     /// block there when it is dropped. Its guard reports it where it catches it before.
-    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, seated: &CurrentPlacement) {
-        let pulse = &seated.seat.pulse;
-        if pulse.running() != Some(seated.slot.index) || pulse.is_here() {
+    pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
+        let pulse = &placement.arbiter.pulse;
+        if pulse.running() != Some(placement.slot.index) || pulse.is_here() {
             return;
         }
         if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
-            let during = label::name(seated.slot.stamp.read().during);
+            let during = label::name(placement.slot.stamp.read().during);
             self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
     }
@@ -341,7 +341,7 @@ impl<C: Component> ComponentCell<C> {
         factory: Box<dyn Fn() -> C + Send + Sync>,
     ) -> Self {
         ComponentCell {
-            lane: BoundedQueue::new(queue.0, queue.1),
+            queue: BoundedQueue::new(queue.0, queue.1),
             record,
             factory,
             control: Mutex::default(),
@@ -372,10 +372,10 @@ impl<C: Component> ComponentCell<C> {
         } else {
             self.record.gate.fetch_and(!ISOLATED, Relaxed);
         }
-        if let Some(seated) = self.record.seat() {
-            seated.token.mute(isolated);
+        if let Some(placement) = self.record.arbiter() {
+            placement.token.mute(isolated);
         }
-        self.lane.hold(isolated);
+        self.queue.hold(isolated);
     }
 
     #[inline]
@@ -397,7 +397,7 @@ impl<C: Component> ComponentCell<C> {
             None => down.object.to_string(),
         };
         let notice = seal_message::<C, Down>(down, None, None, heartbeat::coarse_now());
-        drop(self.lane.notify(watcher, &about, notice));
+        drop(self.queue.notify(watcher, &about, notice));
     }
 
     /// An event for a component that is busy, or has just been.
@@ -427,10 +427,10 @@ impl<C: Component> AliveSource for ComponentCell<C> {
     }
 
     fn queue(&self) -> QueueReading {
-        let queued = self.lane.depth();
+        let queued = self.queue.depth();
         let posted_at = match queued {
             0 => None,
-            _ => self.lane.with_oldest(|mail| mail.brief().posted_at),
+            _ => self.queue.with_oldest(|mail| mail.brief().posted_at),
         };
         let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
         QueueReading { queued, oldest }
@@ -454,7 +454,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
     }
 
     fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        Box::pin(self.lane.room())
+        Box::pin(self.queue.room())
     }
 
     fn receiver(&self) -> Option<Receiver> {
@@ -462,7 +462,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
             node: self.record.environment.registry.node(),
             object: self.record.name.clone(),
             contract: M::NAME,
-            queue: Some(self.lane.capacity()),
+            queue: Some(self.queue.capacity()),
             unavailable: self.record.unavailable(),
             deadline: None,
         })
@@ -500,7 +500,7 @@ impl<C: Component> ComponentCell<C> {
                 kind: why @ (DeliveryError::Full | DeliveryError::Restarting),
                 message,
                 ..
-            }) if self.lane.policy() == WhenFull::DropNewest => {
+            }) if self.queue.policy() == WhenFull::DropNewest => {
                 self.record.record_dead_letter(M::NAME, &why);
                 drop(message);
                 Ok(())
@@ -569,7 +569,7 @@ impl<C: Component> ComponentCell<C> {
         message: M,
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
-        if let Some(oldest) = self.lane.push_with(message, seal)? {
+        if let Some(oldest) = self.queue.push_with(message, seal)? {
             self.return_mail(oldest, DeliveryError::Full);
         }
         Ok(())

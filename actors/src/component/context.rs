@@ -30,7 +30,7 @@ use std::time::Duration;
 /// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
 /// panics, the component has panicked.
 pub struct Context<C: Component> {
-    pub(crate) anchor: Arc<ComponentCell<C>>,
+    pub(crate) cell: Arc<ComponentCell<C>>,
     pub(crate) life: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
     pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
@@ -39,13 +39,13 @@ pub struct Context<C: Component> {
 }
 
 impl<C: Component> Context<C> {
-    pub(crate) fn new(anchor: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
-        Context { anchor, life, publishers: RefCell::default(), far_watches: Vec::new() }
+    pub(crate) fn new(cell: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
+        Context { cell, life, publishers: RefCell::default(), far_watches: Vec::new() }
     }
 
     /// The component's name.
     pub fn name(&self) -> &ObjectName {
-        &self.anchor.record.name
+        &self.cell.record.name
     }
 
     /// Which of the component's lives this is.
@@ -55,7 +55,7 @@ impl<C: Component> Context<C> {
 
     /// Where the component stands.
     pub fn state(&self) -> Lifecycle {
-        self.anchor.record.state()
+        self.cell.record.state()
     }
 
     /// Where messages can be sent to the object of this name, `arm/left` here or
@@ -66,7 +66,7 @@ impl<C: Component> Context<C> {
     /// [`DeliveryError::NotServed`] if it does not serve the contract,
     /// [`DeliveryError::ContractDiffers`] if it knows another contract by this name.
     pub fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
-        self.anchor.record.environment.registry.sender(name)
+        self.cell.record.environment.registry.sender(name)
     }
 
     /// A sender for threads and blocking tasks that this life starts: what they still send after
@@ -162,8 +162,8 @@ impl<C: Component> Context<C> {
         C: Handle<M>,
     {
         // A refusal is the queue's decision and counted there.
-        if let Err(refused) = MessageSink::tell(&*self.anchor, message) {
-            self.anchor.record.record_dead_letter(M::NAME, &refused.kind);
+        if let Err(refused) = MessageSink::tell(&*self.cell, message) {
+            self.cell.record.record_dead_letter(M::NAME, &refused.kind);
         }
     }
 
@@ -175,7 +175,7 @@ impl<C: Component> Context<C> {
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
     #[inline]
     pub fn alive(&self) {
-        if !self.anchor.record.injected.is_silent() {
+        if !self.cell.record.injected.is_silent() {
             self.life.stamp.give_sign();
         }
     }
@@ -183,12 +183,12 @@ impl<C: Component> Context<C> {
     /// What a test has each handler and hook await before it begins.
     #[inline]
     pub(crate) fn before(&self) -> Option<Pin<Box<dyn Future<Output = ()>>>> {
-        self.anchor.record.injected.before()
+        self.cell.record.injected.before()
     }
 
     /// Whether a test has this initialisation fail.
     pub(crate) fn fails_initialization(&self) -> bool {
-        self.anchor.record.injected.fails_initialization()
+        self.cell.record.injected.fails_initialization()
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is
@@ -213,9 +213,9 @@ impl<C: Component> Context<C> {
         }
         let mut detail = detail.into();
         if let FaultKind::Custom(code) = &kind {
-            detail = self.anchor.record.environment.checked_detail(code, detail);
+            detail = self.cell.record.environment.checked_detail(code, detail);
         }
-        if let Some(faults) = &self.anchor.record.environment.reports.faults {
+        if let Some(faults) = &self.cell.record.environment.reports.faults {
             faults.do_send(FaultDeclared {
                 object: self.name().clone(),
                 incarnation: self.incarnation(),
@@ -276,7 +276,7 @@ impl<C: Component> Context<C> {
     where
         C: Handle<Down>,
     {
-        let registry = self.anchor.record.environment.registry.clone();
+        let registry = self.cell.record.environment.registry.clone();
         let (node, object) = match name.contains(':') {
             true => {
                 let ObjectAddress { node, object } = name.parse()?;
@@ -285,7 +285,7 @@ impl<C: Component> Context<C> {
             false => (None, ObjectName::new(name)?),
         };
         // Two that watch each other do not keep each other.
-        let (watcher, incarnation) = (Arc::downgrade(&self.anchor), self.life.incarnation);
+        let (watcher, incarnation) = (Arc::downgrade(&self.cell), self.life.incarnation);
         let tell = move |down| {
             if let Some(watcher) = watcher.upgrade() {
                 watcher.notify(incarnation, down);

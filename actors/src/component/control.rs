@@ -2,7 +2,7 @@
 
 use actix::Message;
 
-/// What the framework tells a host, on the control lane.
+/// What the framework tells a host, on the control queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub(crate) enum HostCommand {

@@ -1,10 +1,10 @@
 //! A message on its way, type-erased towards its receiver.
 //!
 //! A letter is plain data and crosses threads sealed. Its handler's future is built on the
-//! receiving thread, in a nest: a pinned place that is kept per component and contract and filled
-//! again and again, so that a message costs one allocation, the letter. The future owns a share of
-//! the component's home and borrows the component for as long as it runs. The guard owns the other
-//! share, so that an unwinding handler never drops the component.
+//! receiving thread, in a future slot: a pinned place that is kept per component and contract and
+//! filled again and again, so that a message costs one allocation, the letter. The future owns a
+//! share of the component's slot and borrows the component for as long as it runs. The guard owns
+//! the other share, so that an unwinding handler never drops the component.
 
 use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
@@ -25,7 +25,7 @@ use std::time::Duration;
 
 pub(crate) type BoxedEnvelope<C> = Box<dyn Envelope<C> + Send>;
 
-/// What the pump must know of a letter before it opens it.
+/// What the executor must know of a letter before it opens it.
 pub(crate) struct EnvelopeHeader {
     pub(crate) contract: TypeId,
     pub(crate) name: &'static str,
@@ -71,16 +71,16 @@ pub(crate) trait Envelope<C: Component> {
     fn revocable(&self) -> Option<Arc<dyn Cancel>>;
     /// Tells the asker that the message was not taken up, and gives it back.
     fn give_back(&mut self, why: DeliveryError);
-    /// A nest for futures of this contract, filled with this message.
-    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
-    /// Where a nest of this contract finds the message.
+    /// A future_slot for futures of this contract, filled with this message.
+    fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
+    /// Where a future_slot of this contract finds the message.
     fn contents(&mut self) -> &mut dyn Any;
 }
 
 /// A pinned place, on the arbiter only, in which one contract's handler futures run one after
 /// another.
 pub(crate) trait FutureSlot<C: Component> {
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool;
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool;
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
 }
 
@@ -158,10 +158,11 @@ where
         }
     }
 
-    fn nest(&mut self, home: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
+    fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
         let make = self.make;
-        let mut nest = Box::pin(Brood { make, answer: None, future: None::<F> });
-        FutureSlot::<C>::refill(nest.as_mut(), &mut self.contents, home).then_some(nest as _)
+        let mut future_slot = Box::pin(Brood { make, answer: None, future: None::<F> });
+        FutureSlot::<C>::refill(future_slot.as_mut(), &mut self.contents, slot)
+            .then_some(future_slot as _)
     }
 
     fn contents(&mut self) -> &mut dyn Any {
@@ -177,12 +178,12 @@ where
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, home: &Rc<ComponentSlot<C>>) -> bool {
+    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool {
         let mut this = self.project();
         let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
         let Some(message) = contents.message.take() else { return false };
         *this.answer = contents.answer.take();
-        this.future.set(Some((this.make)(home.clone(), message)));
+        this.future.set(Some((this.make)(slot.clone(), message)));
         true
     }
 
@@ -239,7 +240,7 @@ pub(crate) fn seal_event<C: Handle<M>, M: Contract>(message: M, times: Times) ->
 #[inline]
 #[expect(
     clippy::await_holding_refcell_ref,
-    reason = "messages wait while one is served; the control lane does not borrow"
+    reason = "messages wait while one is served; the control queue does not borrow"
 )]
 fn sealed<C: Handle<M>, M: Contract>(
     message: M,
@@ -247,9 +248,9 @@ fn sealed<C: Handle<M>, M: Contract>(
     id: Option<MessageId>,
     times: Times,
 ) -> impl Envelope<C> + Send {
-    let make = |home: Rc<ComponentSlot<C>>, message: M| async move {
-        let mut seat = home.seat.borrow_mut();
-        let (component, cx) = seat.both();
+    let make = |slot: Rc<ComponentSlot<C>>, message: M| async move {
+        let mut contents = slot.contents.borrow_mut();
+        let (component, cx) = contents.both();
         if let Some(injected) = cx.before() {
             injected.await;
         }

@@ -1,4 +1,4 @@
-//! What one life's context and its pump share, and what its threads are given.
+//! What one life's context and its executor share, and what its threads are given.
 
 use crate::component::context::Context;
 use crate::component::long_operation::LongOperations;
@@ -68,7 +68,7 @@ impl<C: Component> TimerTable<C> {
     }
 }
 
-/// What a handler or hook asked of its host; the pump fulfils it when they have had their turn.
+/// What a handler or hook asked of its host; the executor fulfils it when they have had their turn.
 #[derive(Default)]
 pub(crate) struct DeferredCommands {
     pub(crate) stop: bool,

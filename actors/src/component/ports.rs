@@ -58,9 +58,9 @@ impl<C: Component> Ports<C> {
     /// The doors by which others find the component, by contract.
     pub(crate) fn doors(
         &self,
-        anchor: &Arc<ComponentCell<C>>,
+        cell: &Arc<ComponentCell<C>>,
     ) -> BTreeMap<&'static str, ContractPort> {
-        self.open.iter().map(|open| open(anchor)).map(|port| (port.identity.name, port)).collect()
+        self.open.iter().map(|open| open(cell)).map(|port| (port.identity.name, port)).collect()
     }
 
     /// What the component declares of one feature.

@@ -21,7 +21,7 @@ impl<C: Component> ComponentCell<C> {
     /// the user's and may block, and the caller is a supervisor.
     pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
         let record = &self.record;
-        for mail in self.lane.stop() {
+        for mail in self.queue.stop() {
             let contract = mail.brief().name;
             let (cell, why) = (self.clone(), why.clone());
             let give_back = move || cell.return_mail(mail, why);
@@ -33,7 +33,7 @@ impl<C: Component> ComponentCell<C> {
 
     /// The same, by the life that ends; without effect when it was given up and another has begun.
     pub(crate) fn close_by(&self, incarnation: Incarnation) {
-        let left = self.lane.stop_by(incarnation);
+        let left = self.queue.stop_by(incarnation);
         left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
     }
 

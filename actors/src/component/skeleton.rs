@@ -15,15 +15,15 @@ use std::sync::Arc;
 
 impl ContractPort {
     /// The port of a component for one contract.
-    pub(crate) fn open<C: Handle<M>, M: Contract>(anchor: &Arc<ComponentCell<C>>) -> Self {
-        let skeleton = LocalSkeleton::<C, M> { anchor: anchor.clone(), former: None };
-        ContractPort::new::<M>(Sender(anchor.clone()), Arc::new(skeleton))
+    pub(crate) fn open<C: Handle<M>, M: Contract>(cell: &Arc<ComponentCell<C>>) -> Self {
+        let skeleton = LocalSkeleton::<C, M> { cell: cell.clone(), former: None };
+        ContractPort::new::<M>(Sender(cell.clone()), Arc::new(skeleton))
     }
 }
 
 /// The skeleton of one contract of a component of this node.
 struct LocalSkeleton<C: Handle<M>, M: Contract> {
-    anchor: Arc<ComponentCell<C>>,
+    cell: Arc<ComponentCell<C>>,
     /// The version that the sender holds, where it is an earlier one.
     former: Option<Arc<PreviousVersion<M>>>,
 }
@@ -39,30 +39,28 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
             // Its sender is elsewhere, and has been told that it was sent.
             None => {
                 let posted_at = arrived_posting_time::<M>(age);
-                self.anchor.tell_at(message, posted_at).map_err(
-                    |SendError { kind: why, .. }| {
-                        // For want of room it may wait.
-                        if !matches!(why, DeliveryError::Full | DeliveryError::Restarting) {
-                            self.anchor.record.record_dead_letter(M::NAME, &why);
-                        }
-                        why
-                    },
-                )
+                self.cell.tell_at(message, posted_at).map_err(|SendError { kind: why, .. }| {
+                    // For want of room it may wait.
+                    if !matches!(why, DeliveryError::Full | DeliveryError::Restarting) {
+                        self.cell.record.record_dead_letter(M::NAME, &why);
+                    }
+                    why
+                })
             }
             Some(reply_to) => {
-                let (former, anchor) = (self.former.clone(), self.anchor.clone());
+                let (former, cell) = (self.former.clone(), self.cell.clone());
                 let callback = move |result: Result<M::Reply, DeliveryError>| {
                     // The asker is not to wait for its deadline where the conversion panics.
                     let converted = |reply| {
                         let what = || format!("the conversion of a reply to {}", M::NAME);
                         let encode = || encoded_reply(reply, former.as_deref());
-                        let encoded = anchor.record.guard(what, encode);
+                        let encoded = cell.record.guard(what, encode);
                         encoded.unwrap_or_else(|reason| Err(DeliveryError::Undecodable { reason }))
                     };
                     reply_to(result.and_then(converted));
                 };
                 let answer = Responder::called_back(Box::new(callback), until);
-                self.anchor.post(message, answer, id).map_err(|error| error.kind)
+                self.cell.post(message, answer, id).map_err(|error| error.kind)
             }
         }
     }
@@ -81,12 +79,12 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
             None => codec::decode_shared::<M>(message),
             Some(former) => former.read(message),
         };
-        let read = self.anchor.record.guard(what, read);
+        let read = self.cell.record.guard(what, read);
         match read.and_then(|read| read.map_err(|error| error.to_string())) {
             Ok(message) => self.hand_over(message, postmark, reply_to),
             Err(reason) => {
                 let why = DeliveryError::Undecodable { reason };
-                self.anchor.record.record_dead_letter(M::NAME, &why);
+                self.cell.record.record_dead_letter(M::NAME, &why);
                 if let Some(reply_to) = reply_to {
                     reply_to(Err(why.clone()));
                 }
@@ -96,30 +94,30 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
     }
 
     fn room(&self) -> Option<CapacityFuture> {
-        let anchor = self.anchor.clone();
-        Some(Box::pin(async move { anchor.lane.room().await }))
+        let cell = self.cell.clone();
+        Some(Box::pin(async move { cell.queue.room().await }))
     }
 
-    fn bury(&self, why: &DeliveryError) {
-        self.anchor.record.record_dead_letter(M::NAME, why);
+    fn record_dead_letter(&self, why: &DeliveryError) {
+        self.cell.record.record_dead_letter(M::NAME, why);
     }
 
     fn former(&self, theirs: &PeerIdentity) -> Option<Arc<dyn Skeleton>> {
         let mut former = M::previous_versions().into_iter();
         let former = former.find(|former| former.identity().check(theirs).is_ok())?;
-        let (anchor, former) = (self.anchor.clone(), Some(Arc::new(former)));
-        Some(Arc::new(LocalSkeleton::<C, M> { anchor, former }))
+        let (cell, former) = (self.cell.clone(), Some(Arc::new(former)));
+        Some(Arc::new(LocalSkeleton::<C, M> { cell, former }))
     }
 
     fn is_at_work(&self) -> bool {
-        self.anchor.record.state() == Lifecycle::Active
+        self.cell.record.state() == Lifecycle::Active
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {
-        self.anchor.record.declare(kind, detail);
+        self.cell.record.declare(kind, detail);
     }
 
     fn mend(&self, kind: FaultKind) {
-        self.anchor.record.clear(kind);
+        self.cell.record.clear(kind);
     }
 }

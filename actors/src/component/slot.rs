@@ -7,12 +7,12 @@ use std::cell::RefCell;
 /// Where the component lives. A running handler borrows it for as long as it runs; since the guard
 /// holds the other `Rc`, a handler that unwinds never drops the component.
 pub(crate) struct ComponentSlot<C: Component> {
-    pub(crate) seat: RefCell<ComponentAndContext<C>>,
+    pub(crate) contents: RefCell<ComponentAndContext<C>>,
 }
 
 impl<C: Component> ComponentSlot<C> {
     pub(crate) fn new(component: C, cx: Context<C>) -> Self {
-        ComponentSlot { seat: RefCell::new(ComponentAndContext { component, cx }) }
+        ComponentSlot { contents: RefCell::new(ComponentAndContext { component, cx }) }
     }
 }
 

@@ -7,12 +7,12 @@ use std::sync::Arc;
 /// A component's subscription to one topic, for all its lives.
 pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
-    fn attach(&self, anchor: &Arc<ComponentCell<C>>);
+    fn attach(&self, cell: &Arc<ComponentCell<C>>);
     /// Another incarnation of the component has begun where the one before it ended: it is given
     /// what the topic keeps for those who join.
-    fn catch_up(&self, anchor: &Arc<ComponentCell<C>>);
+    fn catch_up(&self, cell: &Arc<ComponentCell<C>>);
     /// From now on none are.
-    fn end(&self, anchor: &ComponentCell<C>);
+    fn end(&self, cell: &ComponentCell<C>);
 }
 
 /// A component's subscriptions.

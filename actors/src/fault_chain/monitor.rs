@@ -27,7 +27,7 @@ pub(crate) struct MonitorActor {
     wake: WakeTimer,
     detector: Recipient<Observed>,
     /// Where objects answer; no more than the machine's table has rows.
-    inquiries: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
+    pings: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
 }
 
 impl MonitorActor {
@@ -38,14 +38,14 @@ impl MonitorActor {
         detector: Recipient<Observed>,
     ) -> Self {
         let machine = detection::Monitor::new(node, limits, platform::now());
-        MonitorActor { machine, wake: WakeTimer::default(), detector, inquiries: BTreeMap::new() }
+        MonitorActor { machine, wake: WakeTimer::default(), detector, pings: BTreeMap::new() }
     }
 
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {
-        let Some(inquiries) = self.inquiries.get(&object) else {
+        let Some(pings) = self.pings.get(&object) else {
             return self.machine.handle_unanswered(&object, platform::now());
         };
-        let answer = wrap_future::<_, Self>(inquiries.send(AreYouAlive));
+        let answer = wrap_future::<_, Self>(pings.send(AreYouAlive));
         context.spawn(answer.map(move |answer, monitor, context| {
             let now = platform::now();
             match answer {
@@ -113,14 +113,14 @@ impl Handler<Register> for MonitorActor {
     type Result = Result<Confirmed, RegistrationError>;
 
     fn handle(&mut self, message: Register, context: &mut Context<Self>) -> Self::Result {
-        let Register { enrolment, inquiries } = message;
+        let Register { enrolment, pings } = message;
         let object = enrolment.object.clone();
-        if matches!(enrolment.watch, Liveness::Pull(_)) && inquiries.is_none() {
+        if matches!(enrolment.watch, Liveness::Pull(_)) && pings.is_none() {
             return Err(RegistrationError::NowhereToAsk { object });
         }
         self.machine.enrol(enrolment, platform::now())?;
-        if let Some(inquiries) = inquiries {
-            self.inquiries.insert(object, inquiries);
+        if let Some(pings) = pings {
+            self.pings.insert(object, pings);
         }
         self.drive(context);
         Ok(Confirmed)
@@ -132,7 +132,7 @@ impl Handler<Unregister> for MonitorActor {
 
     fn handle(&mut self, message: Unregister, context: &mut Context<Self>) {
         let Unregister { object } = message;
-        self.inquiries.remove(&object);
+        self.pings.remove(&object);
         self.machine.dismiss(&object, platform::now());
         self.drive(context);
     }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  chain-watch ─ every 10 ms ─► callbacks: which take longer than they may?
-//!       │      ─ are you alive ─► notifier, detector, monitor, recoverer, keeper, one after the
+//!       │      ─ are you alive ─► notifier, detector, monitor, recoverer, controller, one after the
 //! other
 //!       │      ◄─ all answered ─┘
 //!       └─ stroke ─► systemd, /dev/watchdog
@@ -47,7 +47,7 @@ const END_WITHIN: Duration = Duration::from_secs(1);
 pub(crate) struct OutsideSetup {
     pub(crate) callbacks: Callbacks,
     /// The actors of the chain.
-    pub(crate) inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
+    pub(crate) pings: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     pub(crate) watchdogs: Vec<Box<dyn ProcessWatchdog>>,
     /// Whether the chain stands.
     pub(crate) stands: watch::Sender<bool>,
@@ -185,12 +185,12 @@ impl Watching {
 
     /// Completes when each actor of the chain has answered.
     fn round_trip(&self) -> Pin<Box<dyn Future<Output = ()>>> {
-        let inquiries = self.setup.inquiries.clone();
+        let pings = self.setup.pings.clone();
         let asked = self.asked.clone();
         Box::pin(async move {
-            for (number, (_, inquiries)) in inquiries.into_iter().enumerate() {
+            for (number, (_, pings)) in pings.into_iter().enumerate() {
                 asked.store(number, Relaxed);
-                if inquiries.send(AreYouAlive).await.is_err() {
+                if pings.send(AreYouAlive).await.is_err() {
                     // It has ended, and nothing starts it again.
                     return pending().await;
                 }
@@ -202,7 +202,7 @@ impl Watching {
         if !self.silence.handle_silent(since) {
             return;
         }
-        let (name, _) = &self.setup.inquiries[self.asked.load(Relaxed)];
+        let (name, _) = &self.setup.pings[self.asked.load(Relaxed)];
         let reason =
             format!("the fault chain has not answered for {ANSWER_WITHIN:?} (asked was {name})");
         self.setup.stands.send_replace(true);
@@ -324,13 +324,13 @@ mod tests {
     fn watchdogs_are_stroked_while_each_actor_of_the_chain_answers_and_closed_at_an_orderly_end() {
         System::new().block_on(async {
             let (seen, stuck) = (Seen::default(), Arc::new(AtomicBool::new(false)));
-            let inquiries = ["first", "second"].map(|name| {
+            let pings = ["first", "second"].map(|name| {
                 let stuck = if name == "second" { stuck.clone() } else { Arc::default() };
                 (name.parse().unwrap(), Link { stuck }.start().recipient())
             });
             let setup = OutsideSetup {
                 callbacks: Callbacks::default(),
-                inquiries: inquiries.into(),
+                pings: pings.into(),
                 watchdogs: vec![Box::new(Counting(seen.clone()))],
                 stands: watch::channel(false).0,
                 last_resort: Box::new(|_| {}),

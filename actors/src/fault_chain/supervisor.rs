@@ -58,7 +58,7 @@ pub(crate) struct SupervisorActor {
     children: BTreeMap<ObjectName, Box<dyn Child>>,
     /// Who waits for the outcome of a request; bounded by the machine.
     waiting: BTreeMap<CallId, oneshot::Sender<RecoveryResult>>,
-    tickets: u64,
+    calls: u64,
     parent: Option<Arc<Recipient<ChildReport>>>,
     /// Where its children report: all to the same, since each copy of a recipient costs memory.
     reports: Option<Arc<Recipient<ChildReport>>>,
@@ -100,7 +100,7 @@ impl SupervisorActor {
             wake: WakeTimer::default(),
             children: BTreeMap::new(),
             waiting: BTreeMap::new(),
-            tickets: 0,
+            calls: 0,
             parent: None,
             reports: None,
             monitor,
@@ -133,19 +133,19 @@ impl SupervisorActor {
         object: ObjectName,
         input: impl FnOnce(&mut Supervisor, &ObjectName, CallId, Instant),
     ) -> ResponseFuture<RecoveryResult> {
-        self.tickets += 1;
-        let ticket = CallId(self.tickets);
+        self.calls += 1;
+        let call = CallId(self.calls);
         let (answer, outcome) = oneshot::channel();
-        self.waiting.insert(ticket, answer);
-        input(&mut self.machine, &object, ticket, platform::now());
+        self.waiting.insert(call, answer);
+        input(&mut self.machine, &object, call, platform::now());
         self.drive(context);
         Box::pin(async move {
             outcome.await.unwrap_or(Err(GaveUp { object, why: GiveUpReason::Forgotten }))
         })
     }
 
-    fn answer(&mut self, ticket: CallId, outcome: RecoveryResult) {
-        if let Some(waiting) = self.waiting.remove(&ticket) {
+    fn answer(&mut self, call: CallId, outcome: RecoveryResult) {
+        if let Some(waiting) = self.waiting.remove(&call) {
             // The caller may have stopped waiting; the order is carried out all the same.
             let _ = waiting.send(outcome);
         }
@@ -248,15 +248,15 @@ impl MachineActor for SupervisorActor {
                     child.standing_order(order);
                 }
             }
-            SupervisorOutput::Recovered { ticket, child, incarnation } => {
-                self.answer(ticket, Ok(Recovered { object: child, incarnation, waits: false }));
+            SupervisorOutput::Recovered { call, child, incarnation } => {
+                self.answer(call, Ok(Recovered { object: child, incarnation, waits: false }));
             }
-            SupervisorOutput::Waits { ticket, child, incarnation } => {
+            SupervisorOutput::Waits { call, child, incarnation } => {
                 let incarnation = Some(incarnation);
-                self.answer(ticket, Ok(Recovered { object: child, incarnation, waits: true }));
+                self.answer(call, Ok(Recovered { object: child, incarnation, waits: true }));
             }
-            SupervisorOutput::GaveUp { ticket, child, why } => {
-                self.answer(ticket, Err(GaveUp { object: child, why }));
+            SupervisorOutput::GaveUp { call, child, why } => {
+                self.answer(call, Err(GaveUp { object: child, why }));
             }
             SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
@@ -458,8 +458,8 @@ impl Handler<RestartChild> for SupervisorActor {
         let RestartChild { object, fault } = message;
         let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
         let struck = fault.map(|fault| fault.incarnation);
-        self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_restart(object, ticket, cause, struck, now);
+        self.ask(context, object, |machine, object, call, now| {
+            machine.handle_restart(object, call, cause, struck, now);
         })
     }
 }
@@ -478,8 +478,8 @@ impl Handler<IsolateChild> for SupervisorActor {
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
         let IsolateChild { object, isolated } = message;
-        self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_isolate(object, isolated, ticket, now);
+        self.ask(context, object, |machine, object, call, now| {
+            machine.handle_isolate(object, isolated, call, now);
         })
     }
 }
@@ -522,7 +522,7 @@ impl SupervisorChild {
     }
 
     /// Where it answers the monitor.
-    pub(crate) fn inquiries(&self) -> Recipient<AreYouAlive> {
+    pub(crate) fn pings(&self) -> Recipient<AreYouAlive> {
         self.address.clone().recipient()
     }
 

@@ -88,7 +88,7 @@ impl Chain {
     }
 
     fn enrol(&self, enrolment: Registration) {
-        self.monitor.do_send(Register { enrolment, inquiries: None });
+        self.monitor.do_send(Register { enrolment, pings: None });
     }
 
     fn silence(&self, name: &str) {
@@ -157,13 +157,13 @@ fn an_object_that_is_asked_and_answers_is_trusted() {
             Probe::replying(|_: &AreYouAlive| Alive { incarnation: ONE, state: Lifecycle::Active });
         let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
         let refused =
-            chain.monitor.send(Register { enrolment: enrolment.clone(), inquiries: None }).await;
+            chain.monitor.send(Register { enrolment: enrolment.clone(), pings: None }).await;
         assert_eq!(
             refused.expect("the monitor lives"),
             Err(RegistrationError::NowhereToAsk { object: object("arm") })
         );
 
-        chain.monitor.do_send(Register { enrolment, inquiries: Some(arm.recipient()) });
+        chain.monitor.do_send(Register { enrolment, pings: Some(arm.recipient()) });
         advance(Duration::from_millis(950)).await;
 
         assert_eq!(arm.recorded(), 10);
@@ -178,8 +178,8 @@ fn one_that_never_answers_is_asked_once_and_found_silent() {
     paused(async {
         let chain = Chain::start();
         let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
-        let inquiries = Some(Mute(0).start().recipient());
-        chain.monitor.do_send(Register { enrolment, inquiries });
+        let pings = Some(Mute(0).start().recipient());
+        chain.monitor.do_send(Register { enrolment, pings });
 
         advance(Duration::from_secs(5)).await;
 
@@ -194,7 +194,7 @@ fn a_stall_of_the_whole_process_condemns_nobody() {
         let arm =
             Probe::replying(|_: &AreYouAlive| Alive { incarnation: ONE, state: Lifecycle::Active });
         let enrolment = Registration::new(object("arm")).watch(Liveness::pull(TENTH, TENTH));
-        chain.monitor.do_send(Register { enrolment, inquiries: Some(arm.recipient()) });
+        chain.monitor.do_send(Register { enrolment, pings: Some(arm.recipient()) });
         settle().await;
 
         // The clock jumps: every timer is late at once, before anything can answer.
@@ -318,7 +318,7 @@ fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
         let monitor = MonitorActor::new(node("m"), MonitorLimits::default(), detector).start();
         for name in ["a", "b"] {
             let enrolment = Registration::new(object(name));
-            monitor.do_send(Register { enrolment, inquiries: None });
+            monitor.do_send(Register { enrolment, pings: None });
         }
 
         advance(Duration::from_secs(60)).await;

@@ -76,7 +76,7 @@ pub(crate) struct GlobalNamesActor {
 /// Where the body is told and asked.
 pub(crate) struct GlobalNamesRecipients {
     pub(crate) peers: Recipient<PeerStatusChanged>,
-    pub(crate) inquiries: Recipient<AreYouAlive>,
+    pub(crate) pings: Recipient<AreYouAlive>,
     #[cfg(test)]
     panic: Recipient<InjectPanic>,
 }
@@ -112,7 +112,7 @@ impl GlobalNamesActor {
             #[cfg(test)]
             panic: body.clone().recipient(),
             peers: body.clone().recipient(),
-            inquiries: body.recipient(),
+            pings: body.recipient(),
         }
     }
 

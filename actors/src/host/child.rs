@@ -22,11 +22,11 @@ const CONTROL: usize = 16;
 
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
-    anchor: Arc<ComponentCell<C>>,
+    cell: Arc<ComponentCell<C>>,
     report: Option<Arc<Recipient<ChildReport>>>,
     /// Where the last life was. The next one stays there if it can, so that what is spread over the
     /// arbiters stays so, and events keep their order.
-    seat: Option<ArbiterSlot>,
+    arbiter: Option<ArbiterSlot>,
     /// It was moved, or began so.
     own_thread: bool,
     /// The last life was given up while it kept its thread: the next one has a thread for itself,
@@ -35,26 +35,26 @@ pub(crate) struct ComponentChild<C: Component> {
 }
 
 impl<C: Component> ComponentChild<C> {
-    pub(crate) fn new(anchor: Arc<ComponentCell<C>>) -> Self {
+    pub(crate) fn new(cell: Arc<ComponentCell<C>>) -> Self {
         crate::platform::panics::install_hook();
-        let own_thread = anchor.record.limits.own_thread;
-        ComponentChild { anchor, report: None, seat: None, own_thread, kept_thread: false }
+        let own_thread = cell.record.limits.own_thread;
+        ComponentChild { cell, report: None, arbiter: None, own_thread, kept_thread: false }
     }
 
     /// A life is there, or on its way.
     fn is_alive(&self) -> bool {
-        self.anchor.lane.owner().is_some()
+        self.cell.queue.owner().is_some()
     }
 
     fn order(&self, control: HostCommand) {
-        if let Some(host) = self.anchor.control() {
+        if let Some(host) = self.cell.control() {
             host.do_send(control);
         }
     }
 
     fn tell(&self, incarnation: Incarnation, event: ChildEvent) {
         if let Some(report) = &self.report {
-            let object = self.anchor.record.name.clone();
+            let object = self.cell.record.name.clone();
             report.do_send(ChildReport { object, incarnation, event });
         }
     }
@@ -62,7 +62,7 @@ impl<C: Component> ComponentChild<C> {
 
 impl<C: Component> Child for ComponentChild<C> {
     fn name(&self) -> &ObjectName {
-        &self.anchor.record.name
+        &self.cell.record.name
     }
 
     fn start(
@@ -72,15 +72,15 @@ impl<C: Component> Child for ComponentChild<C> {
     ) -> Incarnation {
         self.abandon();
         self.report = Some(report.clone());
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         record.set_state(Lifecycle::Created);
         let apart =
             std::mem::take(&mut self.kept_thread) && !record.environment.arbiters.are_here();
-        let known = self.seat.take().filter(|seat| !apart && seat.is_usable());
+        let known = self.arbiter.take().filter(|arbiter| !apart && arbiter.is_usable());
         let arbiters = &record.environment.arbiters;
         let place = || arbiters.place(&record.name, self.own_thread || apart);
-        let seat = match known.map_or_else(place, Ok) {
-            Ok(seat) => seat,
+        let arbiter = match known.map_or_else(place, Ok) {
+            Ok(arbiter) => arbiter,
             Err(error) => {
                 record.set_incarnation(incarnation);
                 let reason = format!("it was given no thread: {error}");
@@ -89,21 +89,21 @@ impl<C: Component> Child for ComponentChild<C> {
                 return incarnation;
             }
         };
-        let incarnation = self.anchor.lane.begin(incarnation);
+        let incarnation = self.cell.queue.begin(incarnation);
         record.set_incarnation(incarnation);
         // Until this incarnation is in its place it has none: that of the one before is another's.
-        drop(record.take_seat());
+        drop(record.take_placement());
         let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
-        self.anchor.set_control(Some(Addr::new(sender).recipient()));
-        let boarding = PendingStart { anchor: Some(self.anchor.clone()), incarnation, report };
-        self.seat = Some(seat.clone());
-        let life = move |seat| {
-            if let Some(pump) = boarding.enter(seat) {
+        self.cell.set_control(Some(Addr::new(sender).recipient()));
+        let boarding = PendingStart { cell: Some(self.cell.clone()), incarnation, report };
+        self.arbiter = Some(arbiter.clone());
+        let life = move |arbiter| {
+            if let Some(executor) = boarding.enter(arbiter) {
                 let context = actix::Context::with_receiver(receiver);
-                actix_rt::spawn(context.into_future(Host::new(pump)));
+                actix_rt::spawn(context.into_future(Host::new(executor)));
             }
         };
-        arbiters.board(seat, Box::new(life));
+        arbiters.board(arbiter, Box::new(life));
         incarnation
     }
 
@@ -111,61 +111,62 @@ impl<C: Component> Child for ComponentChild<C> {
         if self.is_alive() {
             return self.order(HostCommand::Stop);
         }
-        self.anchor.end();
-        self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
+        self.cell.end();
+        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
     }
 
     fn make_way(&mut self) {
         if self.is_alive() {
             return self.order(HostCommand::MakeWay);
         }
-        self.tell(self.anchor.record.incarnation(), ChildEvent::Stopped);
+        self.tell(self.cell.record.incarnation(), ChildEvent::Stopped);
     }
 
     fn retire(&mut self) {
-        self.anchor.end();
+        self.cell.end();
     }
 
     fn abandon(&mut self) {
-        let record = &self.anchor.record;
-        let Some(incarnation) = self.anchor.lane.owner() else { return };
-        self.anchor.lane.leave(incarnation);
-        let seated = record.take_seat();
-        if let Some(seated) = &seated {
-            record.keep_unwinding(incarnation, seated);
+        let record = &self.cell.record;
+        let Some(incarnation) = self.cell.queue.owner() else { return };
+        self.cell.queue.leave(incarnation);
+        let placement = record.take_placement();
+        if let Some(placement) = &placement {
+            record.keep_unwinding(incarnation, placement);
         }
         record.tell_exits(incarnation);
-        if let Some(seated) = seated {
-            seated.token.end();
-            record.environment.watch_list.leave(seated.slot.index);
-            let reading = seated.slot.stamp.read();
+        if let Some(placement) = placement {
+            placement.token.end();
+            record.environment.watch_list.leave(placement.slot.index);
+            let reading = placement.slot.stamp.read();
             let during = label::name(reading.during);
             if reading.turn % 2 == 1 && is_message(during) {
                 record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
             record.record_fatal_message(incarnation);
-            let pulse = &seated.seat.pulse;
-            if pulse.running() == Some(seated.slot.index) && !pulse.is_here() {
-                record.environment.arbiters.fence(&seated.seat, &record.name);
+            let pulse = &placement.arbiter.pulse;
+            if pulse.running() == Some(placement.slot.index) && !pulse.is_here() {
+                record.environment.arbiters.fence(&placement.arbiter, &record.name);
                 self.kept_thread = true;
             }
         }
-        // A handler that awaits is dropped by its own pump, which sees that it has been given up.
+        // A handler that awaits is dropped by its own executor, which sees that it has been given
+        // up.
         self.order(HostCommand::Wake);
-        self.anchor.set_control(None);
+        self.cell.set_control(None);
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
-        record.mourners.tell(|| Down { object, node: None, incarnation, ending });
+        record.watchers.tell(|| Down { object, node: None, incarnation, ending });
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
         if self.own_thread {
             return Err("it has a thread of its own already");
         }
-        if self.anchor.record.environment.arbiters.are_here() {
+        if self.cell.record.environment.arbiters.are_here() {
             return Err("the whole node lives on one thread");
         }
-        (self.own_thread, self.seat) = (true, None);
+        (self.own_thread, self.arbiter) = (true, None);
         Ok(())
     }
 
@@ -174,28 +175,28 @@ impl<C: Component> Child for ComponentChild<C> {
             return self.order(HostCommand::Reset);
         }
         let reason = "it is not alive".to_owned();
-        self.tell(self.anchor.record.incarnation(), ChildEvent::ResetFailed { reason });
+        self.tell(self.cell.record.incarnation(), ChildEvent::ResetFailed { reason });
     }
 
     fn isolate(&mut self, isolated: bool) {
-        self.anchor.isolate(isolated);
+        self.cell.isolate(isolated);
         if isolated && !self.is_alive() {
             // No incarnation lives for which the queue could be kept.
-            let object = self.anchor.record.name.to_string();
-            self.anchor.close(&DeliveryError::Isolated { object });
+            let object = self.cell.record.name.to_string();
+            self.cell.close(&DeliveryError::Isolated { object });
         }
     }
 
     fn standing_order(&mut self, order: Option<RestartGrant>) {
-        self.anchor.record.set_order(order);
+        self.cell.record.set_order(order);
     }
 }
 
 impl<C: Component> Drop for ComponentChild<C> {
     fn drop(&mut self) {
         self.abandon();
-        self.anchor.end();
-        let record = &self.anchor.record;
+        self.cell.end();
+        let record = &self.cell.record;
         // Before the name is free for another component.
         record.announce(|listener| listener.removed());
         record.environment.registry.unregister(&record.name);
@@ -211,7 +212,7 @@ impl<C: Component> ComponentCell<C> {
 
     /// The same, by the life that ends in order.
     pub(crate) fn end_by(&self, incarnation: Incarnation) {
-        if self.lane.owner() == Some(incarnation) {
+        if self.queue.owner() == Some(incarnation) {
             self.close_by(incarnation);
             self.subscriptions().iter().for_each(|subscription| subscription.end(self));
         }
@@ -236,11 +237,11 @@ impl<C: Component> Watchable for ComponentCell<C> {
         }
     }
 
-    fn watch(&self, mourner: Watcher) {
-        let mourner = Arc::new(mourner);
-        self.record.mourners.join(mourner.clone());
-        if self.lane.owner().is_none() {
-            (mourner.tell)(Down {
+    fn watch(&self, watcher: Watcher) {
+        let watcher = Arc::new(watcher);
+        self.record.watchers.join(watcher.clone());
+        if self.queue.owner().is_none() {
+            (watcher.tell)(Down {
                 object: self.record.name.clone(),
                 node: None,
                 incarnation: self.record.incarnation(),
@@ -252,27 +253,27 @@ impl<C: Component> Watchable for ComponentCell<C> {
 
 /// A life on its way to its arbiter. If that goes away first, the supervisor is told.
 struct PendingStart<C: Component> {
-    anchor: Option<Arc<ComponentCell<C>>>,
+    cell: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
     report: Arc<Recipient<ChildReport>>,
 }
 
 impl<C: Component> PendingStart<C> {
-    /// The pump of the life, unless that has been given up meanwhile.
-    fn enter(mut self, seat: ArbiterSlot) -> Option<SharedExecutor<C>> {
-        let anchor = self.anchor.take()?;
-        if anchor.lane.owner() != Some(self.incarnation) {
-            seat.vacate();
+    /// The executor of the life, unless that has been given up meanwhile.
+    fn enter(mut self, arbiter: ArbiterSlot) -> Option<SharedExecutor<C>> {
+        let cell = self.cell.take()?;
+        if cell.queue.owner() != Some(self.incarnation) {
+            arbiter.vacate();
             return None;
         }
-        for subscription in anchor.subscriptions().iter() {
-            subscription.attach(&anchor);
+        for subscription in cell.subscriptions().iter() {
+            subscription.attach(&cell);
         }
         let incarnation = self.incarnation;
         Some(SharedExecutor::new(ComponentExecutor::new(
-            anchor,
+            cell,
             incarnation,
-            seat,
+            arbiter,
             self.report.clone(),
         )))
     }
@@ -280,10 +281,10 @@ impl<C: Component> PendingStart<C> {
 
 impl<C: Component> Drop for PendingStart<C> {
     fn drop(&mut self) {
-        let Some(anchor) = self.anchor.take() else { return };
-        if anchor.lane.leave(self.incarnation) {
+        let Some(cell) = self.cell.take() else { return };
+        if cell.queue.leave(self.incarnation) {
             let reason = "its arbiter went away before it was there".to_owned();
-            let object = anchor.record.name.clone();
+            let object = cell.record.name.clone();
             let event = ChildEvent::StartFailed { reason };
             self.report.do_send(ChildReport { object, incarnation: self.incarnation, event });
         }

@@ -1,7 +1,7 @@
-//! The course of one life: which hook comes next, and what is told about it.
+//! The lifecycle of one life: which hook comes next, and what is told about it.
 //!
-//! A pure machine. The pump runs the hooks that it names and says how they ended; orders come in
-//! between.
+//! A pure machine. The executor runs the hooks that it names and says how they ended; orders come
+//! in between.
 
 use crate::component::Failure;
 use crate::liveness::label::{CONDITION, FACTORY, TIMER};
@@ -92,7 +92,7 @@ pub(crate) enum EndReason {
     Fatal,
 }
 
-/// What the pump is to do next.
+/// What the executor is to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LifecycleStep {
     Run(Hook),
@@ -142,7 +142,7 @@ pub(crate) struct IncarnationLifecycle {
     /// A hook found that something is not there yet.
     retried: Option<Retried>,
     end: Option<EndReason>,
-    news: Vec<LifecycleReport>,
+    reports: Vec<LifecycleReport>,
 }
 
 impl IncarnationLifecycle {
@@ -155,7 +155,7 @@ impl IncarnationLifecycle {
             awaited: announced.then_some(Awaited::Start),
             retried: None,
             end: None,
-            news: vec![LifecycleReport::State(Lifecycle::Created, None)],
+            reports: vec![LifecycleReport::State(Lifecycle::Created, None)],
         }
     }
 
@@ -179,8 +179,8 @@ impl IncarnationLifecycle {
         self.end.is_some()
     }
 
-    pub(crate) fn poll_news(&mut self) -> Vec<LifecycleReport> {
-        std::mem::take(&mut self.news)
+    pub(crate) fn poll_reports(&mut self) -> Vec<LifecycleReport> {
+        std::mem::take(&mut self.reports)
     }
 
     /// What is to be done next. A hook that is named here counts as begun.
@@ -244,10 +244,11 @@ impl IncarnationLifecycle {
         self.retried = Some(Retried { hook, attempts, waits: true });
         // A caller that waited for the start, or the reset, waits for the start from now on.
         self.awaited = Some(Awaited::Start);
-        self.news.push(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
+        self.reports
+            .push(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
         // The first attempt was made at once; what it waits before the second is the first wait.
         let retry_in = UNAVAILABLE.delay(attempts.saturating_add(1), u64::from(attempts));
-        self.news.push(LifecycleReport::Unavailable { reason, retry_in });
+        self.reports.push(LifecycleReport::Unavailable { reason, retry_in });
     }
 
     /// The time has come to call the hook again; says whether that is still so.
@@ -267,8 +268,8 @@ impl IncarnationLifecycle {
             return;
         }
         match self.awaited.take() {
-            Some(Awaited::Start) => self.news.push(LifecycleReport::Child(ChildEvent::Started)),
-            Some(Awaited::Reset) => self.news.push(LifecycleReport::Child(ChildEvent::Reset)),
+            Some(Awaited::Start) => self.reports.push(LifecycleReport::Child(ChildEvent::Started)),
+            Some(Awaited::Reset) => self.reports.push(LifecycleReport::Child(ChildEvent::Reset)),
             None => {}
         }
     }
@@ -315,10 +316,10 @@ impl IncarnationLifecycle {
         let reason = reason.to_owned();
         match self.awaited.take() {
             Some(Awaited::Start) => {
-                self.news.push(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
+                self.reports.push(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
             }
             Some(Awaited::Reset) => {
-                self.news.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
+                self.reports.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
             None => {}
         }
@@ -361,10 +362,12 @@ impl IncarnationLifecycle {
                 self.hooks.push_back(Hook::Reset);
                 self.awaited = Some(Awaited::Reset);
             }
-            (Lifecycle::Active, None) => self.news.push(LifecycleReport::Child(ChildEvent::Reset)),
+            (Lifecycle::Active, None) => {
+                self.reports.push(LifecycleReport::Child(ChildEvent::Reset))
+            }
             (state, _) => {
                 let reason = format!("it is {state}; only a component in error can be reset");
-                self.news.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
+                self.reports.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
         }
     }
@@ -393,7 +396,7 @@ impl IncarnationLifecycle {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.state = state;
-        self.news.push(LifecycleReport::State(state, reason));
+        self.reports.push(LifecycleReport::State(state, reason));
     }
 }
 

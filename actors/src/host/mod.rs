@@ -41,13 +41,13 @@ use std::rc::Rc;
 
 /// The actix actor behind a component, for one placement on one arbiter.
 pub(crate) struct Host<C: Component> {
-    pump: Rc<RefCell<ComponentExecutor<C>>>,
+    executor: Rc<RefCell<ComponentExecutor<C>>>,
     entering: Option<SharedExecutor<C>>,
 }
 
 impl<C: Component> Host<C> {
-    pub(crate) fn new(pump: SharedExecutor<C>) -> Self {
-        Host { pump: pump.0.clone(), entering: Some(pump) }
+    pub(crate) fn new(executor: SharedExecutor<C>) -> Self {
+        Host { executor: executor.0.clone(), entering: Some(executor) }
     }
 }
 
@@ -55,10 +55,10 @@ impl<C: Component> Actor for Host<C> {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Self::Context) {
-        if let Some(pump) = self.entering.take() {
+        if let Some(executor) = self.entering.take() {
             let served =
-                wrap_future::<_, Self>(pump).map(|(), host, context: &mut Context<Self>| {
-                    host.pump.borrow().vacate();
+                wrap_future::<_, Self>(executor).map(|(), host, context: &mut Context<Self>| {
+                    host.executor.borrow().vacate();
                     context.stop();
                 });
             context.spawn(served);
@@ -70,16 +70,16 @@ impl<C: Component> Handler<HostCommand> for Host<C> {
     type Result = ();
 
     fn handle(&mut self, control: HostCommand, _: &mut Self::Context) {
-        let mut pump = self.pump.borrow_mut();
+        let mut executor = self.executor.borrow_mut();
         match control {
-            HostCommand::Stop => pump.stop(EndReason::Stopped),
-            HostCommand::MakeWay => pump.stop(EndReason::Replaced),
-            HostCommand::Reset => pump.reset(),
-            HostCommand::Activate(active) => pump.activate(active),
-            // Whatever arrives here, the pump is polled next.
+            HostCommand::Stop => executor.stop(EndReason::Stopped),
+            HostCommand::MakeWay => executor.stop(EndReason::Replaced),
+            HostCommand::Reset => executor.reset(),
+            HostCommand::Activate(active) => executor.activate(active),
+            // Whatever arrives here, the executor is polled next.
             HostCommand::Wake => {}
             HostCommand::Panic => {
-                drop(pump.die_of(Box::new("it was told to panic"), "an injected fault"));
+                drop(executor.die_of(Box::new("it was told to panic"), "an injected fault"));
             }
         }
     }

@@ -131,13 +131,13 @@ impl<C: Component> ActorRef<C> {
 
     /// How many messages wait.
     pub fn queued(&self) -> usize {
-        self.0.lane.depth()
+        self.0.queue.depth()
     }
 }
 
 impl<C: Component> Context<C> {
     /// A reference to this component, which outlives its restarts.
     pub fn me(&self) -> ActorRef<C> {
-        ActorRef(self.anchor.clone())
+        ActorRef(self.cell.clone())
     }
 }

@@ -1,10 +1,10 @@
 //! What a life has to do beside messages: its rounds, its timers, its tasks, and two limits.
 //!
-//! All of it is polled by the pump, under the guard, and ends with the life. Everything that has a
-//! time stands in one schedule, of which one sleeping future waits for the earliest entry: a timer
-//! costs its closure, which it frees as soon as it is cancelled, and an entry. Rounds and timers
-//! become due here and take their turn between messages; one that is due already is not made due
-//! again, so that nothing stale piles up while the component is busy.
+//! All of it is polled by the executor, under the guard, and ends with the life. Everything that
+//! has a time stands in one schedule, of which one sleeping future waits for the earliest entry: a
+//! timer costs its closure, which it frees as soon as it is cancelled, and an entry. Rounds and
+//! timers become due here and take their turn between messages; one that is due already is not made
+//! due again, so that nothing stale piles up while the component is busy.
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
@@ -144,7 +144,7 @@ impl<C: Component> ScheduledWork<C> {
         self.active = active;
         if let Some(work) = &mut self.work {
             work.last_round = None;
-            work.due.retain(|chore| *chore != DueWork::Execute);
+            work.due.retain(|work| *work != DueWork::Execute);
         }
         self.plan_round();
     }
@@ -294,10 +294,10 @@ impl Work {
         self.tasks.as_ref().is_some_and(|tasks| !tasks.is_empty())
     }
 
-    fn enter(&mut self, at: Instant, chore: DueWork) -> ScheduleEntry {
+    fn enter(&mut self, at: Instant, work: DueWork) -> ScheduleEntry {
         self.next_entry += 1;
         let entry = (at, self.next_entry);
-        self.schedule.insert(entry, chore);
+        self.schedule.insert(entry, work);
         entry
     }
 
@@ -314,7 +314,7 @@ impl Work {
         }
         let standing = timers.standing.borrow();
         let is_over = |id: &TimerId| !standing.contains_key(&id.0);
-        self.due.retain(|chore| !matches!(chore, DueWork::Timer(id) if is_over(id)));
+        self.due.retain(|work| !matches!(work, DueWork::Timer(id) if is_over(id)));
     }
 
     fn poll_tasks(&mut self, cx: &mut Context<'_>) {
@@ -349,8 +349,8 @@ impl Work {
             let now = platform::now().max(earliest);
             while let Some(first) = self.schedule.first_entry().filter(|first| first.key().0 <= now)
             {
-                let ((at, _), chore) = first.remove_entry();
-                self.fall_due(chore, (at, now), interval, timers);
+                let ((at, _), work) = first.remove_entry();
+                self.fall_due(work, (at, now), interval, timers);
             }
         }
         self.alarm = None;
@@ -358,12 +358,12 @@ impl Work {
 
     fn fall_due<C: Component>(
         &mut self,
-        chore: DueWork,
+        work: DueWork,
         (at, now): (Instant, Instant),
         interval: Option<Duration>,
         timers: &TimerTable<C>,
     ) {
-        match chore {
+        match work {
             DueWork::Execute => {
                 self.last_round = Some(at);
                 let next = interval.map(|interval| next_tick(at, interval, now));
@@ -373,7 +373,7 @@ impl Work {
                 let mode = timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
                 let entry = match mode {
                     Some(TimerMode::Every(every)) => {
-                        Some(self.enter(next_tick(at, every, now), chore))
+                        Some(self.enter(next_tick(at, every, now), work))
                     }
                     Some(TimerMode::Once(_)) | None => None,
                 };
@@ -382,11 +382,11 @@ impl Work {
                 }
             }
             DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {
-                return self.reached.push(chore);
+                return self.reached.push(work);
             }
         }
-        if !self.due.contains(&chore) {
-            self.due.push_back(chore);
+        if !self.due.contains(&work) {
+            self.due.push_back(work);
         }
     }
 }

@@ -196,12 +196,12 @@ impl<C: Component> ChildSpec<C> {
             declared.map_err(|panicked| SpecError::Ports { name: name.clone(), panicked })?;
         ports.check(&name)?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
-        let anchor = Arc::new(ComponentCell::new(record, self.queue, self.factory));
-        environment.registry.register(&name, ports.doors(&anchor), anchor.clone())?;
+        let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
+        environment.registry.register(&name, ports.doors(&cell), cell.clone())?;
         // From here on the child gives the name back when it is dropped.
-        let child = ComponentChild::new(anchor.clone());
-        ports.bind(&anchor)?;
-        Ok((Box::new(child), ActorRef(anchor)))
+        let child = ComponentChild::new(cell.clone());
+        ports.bind(&cell)?;
+        Ok((Box::new(child), ActorRef(cell)))
     }
 
     fn interval(&self) -> Result<Option<Duration>, SpecError> {

@@ -10,7 +10,7 @@ use blastema_core::detection::hang::ActivityMark;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What a component's pump says. A cache line each, so that two arbiters do not share one.
+/// What a component's executor says. A cache line each, so that two arbiters do not share one.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct ActivityRecord {
@@ -162,7 +162,7 @@ pub(crate) struct ActivitySlotRef {
     pub(crate) stamp: &'static ActivityRecord,
 }
 
-/// A place in the table; given back when dropped, which a pump that hangs does not do.
+/// A place in the table; given back when dropped, which an executor that hangs does not do.
 pub(crate) struct ActivitySlot {
     pub(crate) index: u32,
     pub(crate) stamp: &'static ActivityRecord,

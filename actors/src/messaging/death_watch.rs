@@ -88,25 +88,25 @@ pub(crate) struct Watcher {
 pub(crate) struct Watchers(Mutex<Vec<Arc<Watcher>>>);
 
 impl Watchers {
-    pub(crate) fn join(&self, mourner: Arc<Watcher>) {
-        let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        mourners.retain(|known| known.who != mourner.who && !known.life.has_ended());
-        mourners.push(mourner);
+    pub(crate) fn join(&self, watcher: Arc<Watcher>) {
+        let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        watchers.retain(|known| known.who != watcher.who && !known.life.has_ended());
+        watchers.push(watcher);
     }
 
     /// Tells all of them what `down` says, which is asked only where there is one.
     pub(crate) fn tell(&self, down: impl FnOnce() -> Down) {
-        let mourners = {
-            let mut mourners = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            mourners.retain(|mourner| !mourner.life.has_ended());
-            mourners.clone()
+        let watchers = {
+            let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            watchers.retain(|watcher| !watcher.life.has_ended());
+            watchers.clone()
         };
-        if mourners.is_empty() {
+        if watchers.is_empty() {
             return;
         }
         let down = down();
-        // Outside of the lock: a mourner may be watched by whom it mourns.
-        mourners.iter().for_each(|mourner| (mourner.tell)(down.clone()));
+        // Outside of the lock: a watcher may be watched by whom it mourns.
+        watchers.iter().for_each(|watcher| (watcher.tell)(down.clone()));
     }
 
     /// How many entries there are.
@@ -126,7 +126,7 @@ pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
 struct Watched {
     incarnation: Incarnation,
     is_alive: bool,
-    mourners: Arc<Watchers>,
+    watchers: Arc<Watchers>,
 }
 
 impl Deaths {
@@ -154,26 +154,26 @@ impl Deaths {
     pub(crate) fn end(&self, object: &ObjectName, ending: DownReason) {
         let mut objects = self.lock();
         let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
-        let Some(Watched { incarnation, is_alive, mourners }) = alive else { return };
+        let Some(Watched { incarnation, is_alive, watchers }) = alive else { return };
         *is_alive = false;
-        let (incarnation, mourners) = (*incarnation, mourners.clone());
+        let (incarnation, watchers) = (*incarnation, watchers.clone());
         drop(objects);
-        mourners.tell(|| Down { object: object.clone(), node: None, incarnation, ending });
+        watchers.tell(|| Down { object: object.clone(), node: None, incarnation, ending });
     }
 
-    /// As [`Watchable::watch`]. A name that never was an object's gives the mourner back.
-    pub(crate) fn watch(&self, object: &ObjectName, mourner: Watcher) -> Option<Watcher> {
+    /// As [`Watchable::watch`]. A name that never was an object's gives the watcher back.
+    pub(crate) fn watch(&self, object: &ObjectName, watcher: Watcher) -> Option<Watcher> {
         let objects = self.lock();
-        let Some(Watched { incarnation, is_alive, mourners }) = objects.get(object) else {
-            return Some(mourner);
+        let Some(Watched { incarnation, is_alive, watchers }) = objects.get(object) else {
+            return Some(watcher);
         };
-        let (incarnation, is_alive, mourners) = (*incarnation, *is_alive, mourners.clone());
+        let (incarnation, is_alive, watchers) = (*incarnation, *is_alive, watchers.clone());
         drop(objects);
-        let mourner = Arc::new(mourner);
-        mourners.join(mourner.clone());
+        let watcher = Arc::new(watcher);
+        watchers.join(watcher.clone());
         if !is_alive {
             let (object, ending) = (object.clone(), DownReason::NotAlive);
-            (mourner.tell)(Down { object, node: None, incarnation, ending });
+            (watcher.tell)(Down { object, node: None, incarnation, ending });
         }
         None
     }
@@ -182,7 +182,7 @@ impl Deaths {
 /// What can be watched.
 pub(crate) trait Watchable: Send + Sync {
     /// Tells at once if it is not alive, and whenever a life of it ends.
-    fn watch(&self, mourner: Watcher);
+    fn watch(&self, watcher: Watcher);
     /// Its cell, where it is a component.
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {
         None

@@ -1,8 +1,8 @@
-//! The data lane: a queue that is bounded for real.
+//! The data queue: a queue that is bounded for real.
 //!
 //! It belongs to the reference, not to the life that serves it, so that it outlives panics and even
-//! a hung thread. Only the life that owns it may take from it. What a full lane does is the owner's
-//! stated policy, [`WhenFull`].
+//! a hung thread. Only the life that owns it may take from it. What a full queue does is the
+//! owner's stated policy, [`WhenFull`].
 
 use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::atomic::{AtomicBool, AtomicUsize};
@@ -33,7 +33,7 @@ pub(crate) enum Popped<T> {
     Got(T),
     /// None; the waker is kept for when one comes.
     Empty,
-    /// The asking life owns the lane no more.
+    /// The asking life owns the queue no more.
     Retired,
 }
 
@@ -137,33 +137,33 @@ impl<T> BoundedQueue<T> {
         message: M,
         pack: impl FnOnce(M) -> T,
     ) -> Result<Pushed<T>, (M, DeliveryError)> {
-        let mut lane = self.lock();
-        if lane.stopped {
+        let mut queue = self.lock();
+        if queue.stopped {
             return Err((message, DeliveryError::Stopped));
         }
         let mut displaced = None;
-        if lane.queue.len() >= self.capacity {
+        if queue.queue.len() >= self.capacity {
             match self.policy {
-                WhenFull::DropOldest => displaced = lane.queue.pop_front(),
+                WhenFull::DropOldest => displaced = queue.queue.pop_front(),
                 // No incarnation takes from it now: the reason is the death, not the load.
-                _ if lane.owner.is_none() => return Err((message, DeliveryError::Restarting)),
+                _ if queue.owner.is_none() => return Err((message, DeliveryError::Restarting)),
                 _ => return Err((message, DeliveryError::Full)),
             }
         }
-        lane.queue.push_back(pack(message));
-        self.length.store(lane.depth(), Relaxed);
-        Ok(Pushed { displaced, parked: lane.parked.take() })
+        queue.queue.push_back(pack(message));
+        self.length.store(queue.depth(), Relaxed);
+        Ok(Pushed { displaced, parked: queue.parked.take() })
     }
 
     /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A
     /// notice about the same thing that still waits is replaced. Returned is what is not going to
-    /// be served: the replaced notice, or this one if the lane belongs to another life.
+    /// be served: the replaced notice, or this one if the queue belongs to another life.
     pub(crate) fn notify(&self, owner: Incarnation, about: &str, notice: T) -> Option<T> {
-        let mut lane = self.lock();
-        if lane.owner != Some(owner) {
+        let mut queue = self.lock();
+        if queue.owner != Some(owner) {
             return Some(notice);
         }
-        let notices = lane.notices.get_or_insert_default();
+        let notices = queue.notices.get_or_insert_default();
         let waiting = notices.iter_mut().find(|(known, _)| **known == *about);
         let replaced = match waiting {
             Some((_, earlier)) => Some(std::mem::replace(earlier, notice)),
@@ -172,9 +172,9 @@ impl<T> BoundedQueue<T> {
                 None
             }
         };
-        self.length.store(lane.depth(), Relaxed);
-        let parked = lane.parked.take();
-        drop(lane);
+        self.length.store(queue.depth(), Relaxed);
+        let parked = queue.parked.take();
+        drop(queue);
         if let Some(waker) = parked {
             waker.wake();
         }
@@ -184,32 +184,32 @@ impl<T> BoundedQueue<T> {
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
     /// passed on to the next.
     pub(crate) fn room(&self) -> impl Future<Output = ()> + '_ {
-        let mut claim = SpaceWaiter { lane: self, ticket: None };
+        let mut claim = SpaceWaiter { queue: self, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
     }
 
     /// The next message for the life `owner`; where there is none, the waker is kept.
     #[inline]
     pub(crate) fn take(&self, owner: Incarnation, waker: &Waker) -> Popped<T> {
-        let mut lane = self.lock();
-        if lane.owner != Some(owner) {
+        let mut queue = self.lock();
+        if queue.owner != Some(owner) {
             return Popped::Retired;
         }
         if self.held.load(Relaxed) {
-            lane.parked = Some(waker.clone());
+            queue.parked = Some(waker.clone());
             return Popped::Empty;
         }
-        if let Some((_, notice)) = lane.notices.as_mut().and_then(|notices| notices.pop_front()) {
-            self.length.store(lane.depth(), Relaxed);
+        if let Some((_, notice)) = queue.notices.as_mut().and_then(|notices| notices.pop_front()) {
+            self.length.store(queue.depth(), Relaxed);
             return Popped::Got(notice);
         }
-        let Some(item) = lane.queue.pop_front() else {
-            lane.parked = Some(waker.clone());
+        let Some(item) = queue.queue.pop_front() else {
+            queue.parked = Some(waker.clone());
             return Popped::Empty;
         };
-        self.length.store(lane.depth(), Relaxed);
-        let next = lane.room.as_mut().and_then(|room| room.waiting.pop_front());
-        drop(lane);
+        self.length.store(queue.depth(), Relaxed);
+        let next = queue.room.as_mut().and_then(|room| room.waiting.pop_front());
+        drop(queue);
         if let Some((_, waker)) = next {
             waker.wake();
         }
@@ -217,15 +217,15 @@ impl<T> BoundedQueue<T> {
     }
 
     /// From now on only this life may take: `life`, or the one after the last that has owned the
-    /// lane, so that no two have one number. Says which. A life that lost the lane is cut off from
-    /// its input.
+    /// queue, so that no two have one number. Says which. A life that lost the queue is cut off
+    /// from its input.
     pub(crate) fn begin(&self, life: Incarnation) -> Incarnation {
-        let mut lane = self.lock();
-        let life = life.max(lane.newest.next());
-        let notices = self.change_owner(&mut lane, Some(life));
-        lane.stopped = false;
-        let parked = lane.parked.take();
-        drop(lane);
+        let mut queue = self.lock();
+        let life = life.max(queue.newest.next());
+        let notices = self.change_owner(&mut queue, Some(life));
+        queue.stopped = false;
+        let parked = queue.parked.take();
+        drop(queue);
         drop(notices);
         if let Some(waker) = parked {
             waker.wake();
@@ -233,21 +233,21 @@ impl<T> BoundedQueue<T> {
         life
     }
 
-    /// Passes the lane from one life to the next, unless it already belongs to another.
+    /// Passes the queue from one life to the next, unless it already belongs to another.
     pub(crate) fn pass_on(&self, from: Incarnation, to: Incarnation) -> bool {
         self.change_owner_of(from, Some(to))
     }
 
-    /// Takes the lane from `owner`, unless it already belongs to another.
+    /// Takes the queue from `owner`, unless it already belongs to another.
     pub(crate) fn leave(&self, owner: Incarnation) -> bool {
         self.change_owner_of(owner, None)
     }
 
     fn change_owner_of(&self, from: Incarnation, to: Option<Incarnation>) -> bool {
-        let mut lane = self.lock();
-        let mine = lane.owner == Some(from);
-        let notices = mine.then(|| self.change_owner(&mut lane, to));
-        drop(lane);
+        let mut queue = self.lock();
+        let mine = queue.owner == Some(from);
+        let notices = mine.then(|| self.change_owner(&mut queue, to));
+        drop(queue);
         drop(notices);
         mine
     }
@@ -255,13 +255,13 @@ impl<T> BoundedQueue<T> {
     /// Hands out the notices of the owner before, to be dropped outside of the lock.
     fn change_owner(
         &self,
-        lane: &mut Inner<T>,
+        queue: &mut Inner<T>,
         owner: Option<Incarnation>,
     ) -> Option<Box<Notices<T>>> {
-        lane.owner = owner;
-        lane.newest = lane.newest.max(owner.unwrap_or_default());
-        let notices = std::mem::take(&mut lane.notices);
-        self.length.store(lane.depth(), Relaxed);
+        queue.owner = owner;
+        queue.newest = queue.newest.max(owner.unwrap_or_default());
+        let notices = std::mem::take(&mut queue.notices);
+        self.length.store(queue.depth(), Relaxed);
         notices
     }
 
@@ -270,7 +270,7 @@ impl<T> BoundedQueue<T> {
         self.lock().owner
     }
 
-    /// Keeps everything in the lane, or lets it flow again.
+    /// Keeps everything in the queue, or lets it flow again.
     pub(crate) fn hold(&self, held: bool) {
         self.held.store(held, Relaxed);
         self.wake();
@@ -312,23 +312,23 @@ impl<T> BoundedQueue<T> {
         self.stop_if(|_| true)
     }
 
-    /// The same, unless the lane does not belong to `owner` any more.
+    /// The same, unless the queue does not belong to `owner` any more.
     pub(crate) fn stop_by(&self, owner: Incarnation) -> VecDeque<T> {
         self.stop_if(|of| of == Some(owner))
     }
 
     fn stop_if(&self, allowed: impl FnOnce(Option<Incarnation>) -> bool) -> VecDeque<T> {
-        let mut lane = self.lock();
-        if !allowed(lane.owner) {
+        let mut queue = self.lock();
+        if !allowed(queue.owner) {
             return VecDeque::new();
         }
-        lane.stopped = true;
-        let notices = self.change_owner(&mut lane, None);
-        let parked = lane.parked.take();
-        let room = lane.room.as_mut().map(|room| std::mem::take(&mut room.waiting));
-        let left = std::mem::take(&mut lane.queue);
+        queue.stopped = true;
+        let notices = self.change_owner(&mut queue, None);
+        let parked = queue.parked.take();
+        let room = queue.room.as_mut().map(|room| std::mem::take(&mut room.waiting));
+        let left = std::mem::take(&mut queue.queue);
         self.length.store(0, Relaxed);
-        drop(lane);
+        drop(queue);
         drop(notices);
         let room = room.into_iter().flatten().map(|(_, waker)| waker);
         parked.into_iter().chain(room).for_each(Waker::wake);
@@ -345,15 +345,15 @@ impl<T> Inner<T> {
 
 /// One sender's place among those that wait for room.
 struct SpaceWaiter<'a, T> {
-    lane: &'a BoundedQueue<T>,
+    queue: &'a BoundedQueue<T>,
     ticket: Option<u64>,
 }
 
 impl<T> SpaceWaiter<'_, T> {
     fn poll(&mut self, waker: &Waker) -> Poll<()> {
-        let mut lane = self.lane.lock();
+        let mut queue = self.queue.lock();
         if let Some(ticket) = self.ticket {
-            let room = lane.room.get_or_insert_default();
+            let room = queue.room.get_or_insert_default();
             let mine = room.waiting.iter_mut().find(|(of, _)| *of == ticket);
             let Some((_, kept)) = mine else {
                 self.ticket = None; // Capacity was freed, and this waiter was woken.
@@ -362,10 +362,10 @@ impl<T> SpaceWaiter<'_, T> {
             kept.clone_from(waker);
             return Poll::Pending;
         }
-        if lane.stopped || lane.queue.len() < self.lane.capacity {
+        if queue.stopped || queue.queue.len() < self.queue.capacity {
             return Poll::Ready(());
         }
-        let room = lane.room.get_or_insert_default();
+        let room = queue.room.get_or_insert_default();
         let ticket = room.next_ticket;
         room.next_ticket += 1;
         room.waiting.push_back((ticket, waker.clone()));
@@ -377,13 +377,13 @@ impl<T> SpaceWaiter<'_, T> {
 impl<T> Drop for SpaceWaiter<'_, T> {
     fn drop(&mut self) {
         let Some(ticket) = self.ticket else { return };
-        let mut lane = self.lane.lock();
-        let Some(room) = &mut lane.room else { return };
+        let mut queue = self.queue.lock();
+        let Some(room) = &mut queue.room else { return };
         let before = room.waiting.len();
         room.waiting.retain(|(of, _)| *of != ticket);
         // It was called and never came: the room it was called for goes to the next.
         let next = if room.waiting.len() == before { room.waiting.pop_front() } else { None };
-        drop(lane);
+        drop(queue);
         if let Some((_, waker)) = next {
             waker.wake();
         }
@@ -409,22 +409,22 @@ mod tests {
 
     const LIFE: Incarnation = Incarnation(1);
 
-    fn lane(capacity: usize, policy: WhenFull) -> BoundedQueue<u32> {
-        let lane = BoundedQueue::new(capacity, policy);
-        lane.begin(LIFE);
-        lane
+    fn queue(capacity: usize, policy: WhenFull) -> BoundedQueue<u32> {
+        let queue = BoundedQueue::new(capacity, policy);
+        queue.begin(LIFE);
+        queue
     }
 
-    fn push(lane: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
-        lane.push_with(n, |n| n)
+    fn push(queue: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, DeliveryError)> {
+        queue.push_with(n, |n| n)
     }
 
-    fn take(lane: &BoundedQueue<u32>) -> Option<u32> {
-        take_as(lane, LIFE)
+    fn take(queue: &BoundedQueue<u32>) -> Option<u32> {
+        take_as(queue, LIFE)
     }
 
-    fn take_as(lane: &BoundedQueue<u32>, life: Incarnation) -> Option<u32> {
-        match lane.take(life, Waker::noop()) {
+    fn take_as(queue: &BoundedQueue<u32>, life: Incarnation) -> Option<u32> {
+        match queue.take(life, Waker::noop()) {
             Popped::Got(n) => Some(n),
             _ => None,
         }
@@ -433,80 +433,80 @@ mod tests {
     #[test]
     fn a_full_lane_does_what_its_policy_says() {
         for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::Wait] {
-            let lane = lane(1, policy);
-            assert_eq!(push(&lane, 1), Ok(None));
-            assert_eq!(push(&lane, 2), Err((2, DeliveryError::Full)));
+            let queue = queue(1, policy);
+            assert_eq!(push(&queue, 1), Ok(None));
+            assert_eq!(push(&queue, 2), Err((2, DeliveryError::Full)));
         }
-        let lane = lane(1, WhenFull::DropOldest);
-        assert_eq!(push(&lane, 1), Ok(None));
-        assert_eq!(push(&lane, 2), Ok(Some(1)));
+        let queue = queue(1, WhenFull::DropOldest);
+        assert_eq!(push(&queue, 1), Ok(None));
+        assert_eq!(push(&queue, 2), Ok(Some(1)));
     }
 
     #[test]
     fn a_lane_without_a_life_keeps_what_it_has_and_says_restarting_when_full() {
-        let lane = lane(1, WhenFull::Refuse);
-        assert!(lane.leave(LIFE));
+        let queue = queue(1, WhenFull::Refuse);
+        assert!(queue.leave(LIFE));
 
-        assert_eq!(push(&lane, 1), Ok(None));
-        assert_eq!(push(&lane, 2), Err((2, DeliveryError::Restarting)));
+        assert_eq!(push(&queue, 1), Ok(None));
+        assert_eq!(push(&queue, 2), Err((2, DeliveryError::Restarting)));
 
-        let next = lane.begin(LIFE);
+        let next = queue.begin(LIFE);
         assert_eq!(next, LIFE.next(), "no two lives have one number");
-        assert!(matches!(lane.take(next, Waker::noop()), Popped::Got(1)));
+        assert!(matches!(queue.take(next, Waker::noop()), Popped::Got(1)));
     }
 
     #[test]
     fn only_the_owner_takes() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
+        let queue = queue(2, WhenFull::Refuse);
+        push(&queue, 1).unwrap();
 
-        lane.begin(LIFE.next());
+        queue.begin(LIFE.next());
 
-        assert!(matches!(lane.take(LIFE, Waker::noop()), Popped::Retired));
-        assert!(!lane.leave(LIFE) && !lane.pass_on(LIFE, LIFE));
-        assert!(matches!(lane.take(LIFE.next(), Waker::noop()), Popped::Got(1)));
-        assert!(lane.pass_on(LIFE.next(), LIFE));
-        assert_eq!(lane.owner(), Some(LIFE));
+        assert!(matches!(queue.take(LIFE, Waker::noop()), Popped::Retired));
+        assert!(!queue.leave(LIFE) && !queue.pass_on(LIFE, LIFE));
+        assert!(matches!(queue.take(LIFE.next(), Waker::noop()), Popped::Got(1)));
+        assert!(queue.pass_on(LIFE.next(), LIFE));
+        assert_eq!(queue.owner(), Some(LIFE));
     }
 
     #[test]
     fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_life() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
+        let queue = queue(2, WhenFull::Refuse);
+        push(&queue, 1).unwrap();
 
-        assert_eq!(lane.stop_by(LIFE.next()), [0; 0]);
-        assert_eq!(lane.stop_by(LIFE), [1]);
-        assert_eq!(lane.stop(), [0; 0]);
-        assert_eq!(push(&lane, 2), Err((2, DeliveryError::Stopped)));
+        assert_eq!(queue.stop_by(LIFE.next()), [0; 0]);
+        assert_eq!(queue.stop_by(LIFE), [1]);
+        assert_eq!(queue.stop(), [0; 0]);
+        assert_eq!(push(&queue, 2), Err((2, DeliveryError::Stopped)));
 
-        lane.begin(LIFE.next());
-        assert_eq!(push(&lane, 2), Ok(None));
+        queue.begin(LIFE.next());
+        assert_eq!(push(&queue, 2), Ok(None));
     }
 
     #[test]
     fn a_held_lane_gives_nothing_until_it_is_let_go() {
-        let lane = lane(2, WhenFull::Refuse);
-        push(&lane, 1).unwrap();
-        lane.hold(true);
-        assert_eq!(take(&lane), None);
+        let queue = queue(2, WhenFull::Refuse);
+        push(&queue, 1).unwrap();
+        queue.hold(true);
+        assert_eq!(take(&queue), None);
 
-        lane.hold(false);
+        queue.hold(false);
 
-        assert_eq!(take(&lane), Some(1));
+        assert_eq!(take(&queue), Some(1));
     }
 
     #[test]
     fn room_wakes_one_waiter_and_a_dropped_claim_passes_it_on() {
-        let lane = lane(1, WhenFull::Wait);
-        push(&lane, 1).unwrap();
+        let queue = queue(1, WhenFull::Wait);
+        push(&queue, 1).unwrap();
         let (first, second) = (Arc::new(Count::default()), Arc::new(Count::default()));
         let (one, two) = (Waker::from(first.clone()), Waker::from(second.clone()));
-        let mut claim_one = Box::pin(lane.room());
-        let mut claim_two = pin!(lane.room());
+        let mut claim_one = Box::pin(queue.room());
+        let mut claim_two = pin!(queue.room());
         assert!(claim_one.as_mut().poll(&mut Context::from_waker(&one)).is_pending());
         assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_pending());
 
-        assert_eq!(take(&lane), Some(1));
+        assert_eq!(take(&queue), Some(1));
         assert_eq!((first.0.load(Relaxed), second.0.load(Relaxed)), (1, 0));
 
         drop(claim_one);
@@ -517,51 +517,51 @@ mod tests {
     #[test]
     fn a_notice_comes_before_the_queue_and_though_that_is_full() {
         for policy in [WhenFull::Refuse, WhenFull::DropNewest, WhenFull::DropOldest] {
-            let lane = lane(1, policy);
-            push(&lane, 1).unwrap();
+            let queue = queue(1, policy);
+            push(&queue, 1).unwrap();
 
-            assert_eq!(lane.notify(LIFE, "arm", 7), None);
-            assert_eq!(lane.notify(LIFE, "leg", 8), None);
-            assert_eq!(lane.depth(), 3);
-            assert_eq!(lane.notify(LIFE, "arm", 9), Some(7), "one outstanding for each");
+            assert_eq!(queue.notify(LIFE, "arm", 7), None);
+            assert_eq!(queue.notify(LIFE, "leg", 8), None);
+            assert_eq!(queue.depth(), 3);
+            assert_eq!(queue.notify(LIFE, "arm", 9), Some(7), "one outstanding for each");
 
-            let taken: Vec<_> = std::iter::from_fn(|| take(&lane)).collect();
+            let taken: Vec<_> = std::iter::from_fn(|| take(&queue)).collect();
             assert_eq!(taken, [9, 8, 1], "{policy:?}");
-            assert!(lane.is_empty());
+            assert!(queue.is_empty());
         }
     }
 
     #[test]
     fn a_notice_is_for_one_life_only() {
-        let lane = lane(1, WhenFull::Refuse);
+        let queue = queue(1, WhenFull::Refuse);
         let next = LIFE.next();
-        assert_eq!(lane.notify(next, "arm", 1), Some(1), "it does not own the lane");
+        assert_eq!(queue.notify(next, "arm", 1), Some(1), "it does not own the queue");
 
-        lane.notify(LIFE, "arm", 2);
-        assert!(lane.pass_on(LIFE, next));
-        assert_eq!((take_as(&lane, next), lane.is_empty()), (None, true));
+        queue.notify(LIFE, "arm", 2);
+        assert!(queue.pass_on(LIFE, next));
+        assert_eq!((take_as(&queue, next), queue.is_empty()), (None, true));
 
-        lane.notify(next, "arm", 3);
-        assert_eq!(lane.stop(), [0; 0], "nor is it a message that was not served");
-        assert!(lane.is_empty());
+        queue.notify(next, "arm", 3);
+        assert_eq!(queue.stop(), [0; 0], "nor is it a message that was not served");
+        assert!(queue.is_empty());
     }
 
     #[test]
     fn a_notice_wakes_the_owner_and_makes_no_room() {
-        let lane = lane(1, WhenFull::Wait);
+        let queue = queue(1, WhenFull::Wait);
         let (owner, sender) = (Arc::new(Count::default()), Arc::new(Count::default()));
         let of_owner = Waker::from(owner.clone());
-        assert!(matches!(lane.take(LIFE, &of_owner), Popped::Empty));
-        lane.notify(LIFE, "arm", 1);
+        assert!(matches!(queue.take(LIFE, &of_owner), Popped::Empty));
+        queue.notify(LIFE, "arm", 1);
         assert_eq!(owner.0.load(Relaxed), 1);
-        push(&lane, 2).unwrap();
+        push(&queue, 2).unwrap();
         let of_sender = Waker::from(sender.clone());
-        let mut room = pin!(lane.room());
+        let mut room = pin!(queue.room());
         assert!(room.as_mut().poll(&mut Context::from_waker(&of_sender)).is_pending());
 
-        assert_eq!(take(&lane), Some(1));
+        assert_eq!(take(&queue), Some(1));
         assert_eq!(sender.0.load(Relaxed), 0);
-        assert_eq!(take(&lane), Some(2));
+        assert_eq!(take(&queue), Some(2));
         assert_eq!(sender.0.load(Relaxed), 1);
     }
 }

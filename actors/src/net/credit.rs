@@ -38,7 +38,7 @@ impl CreditClass {
     }
 }
 
-/// The ways to one peer: `redundant` messages, such as stops, have room that nothing else takes,
+/// The credits to one peer: `redundant` messages, such as stops, have room that nothing else takes,
 /// and so has what is small beside bulk.
 pub(super) struct SendCredits {
     /// By stream, and by load.
@@ -60,24 +60,24 @@ impl SendCredits {
         SendCredits { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
     }
 
-    fn room(&self, freight: CreditClass) -> &Arc<Pool> {
-        let redundant = usize::from(freight.stream() == Stream::Redundant);
-        &self.rooms[redundant][freight.load as usize]
+    fn room(&self, class: CreditClass) -> &Arc<Pool> {
+        let redundant = usize::from(class.stream() == Stream::Redundant);
+        &self.rooms[redundant][class.load as usize]
     }
 
     /// More may be under way.
-    pub(super) fn have_room(&self, freight: CreditClass) -> bool {
-        self.room(freight).is_open(1)
+    pub(super) fn have_room(&self, class: CreditClass) -> bool {
+        self.room(class).is_open(1)
     }
 
     /// Takes room for so many bytes; it is given back when the credit is dropped.
-    pub(super) fn take_credit(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
-        self.room(freight).lend(bytes)
+    pub(super) fn take_credit(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
+        self.room(class).lend(bytes)
     }
 
     /// Takes room for an event, which never waits, and leaves half to what does.
-    pub(super) fn lend_to_event(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
-        let room = self.room(freight);
+    pub(super) fn take_for_event(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
+        let room = self.room(class);
         if room.is_open(2) { room.lend(bytes) } else { None }
     }
 }
@@ -116,34 +116,35 @@ mod tests {
 
     #[test]
     fn what_fills_one_room_leaves_the_others_theirs_and_gives_it_back() {
-        let ways = SendCredits::new(&Arc::new(Notify::new()));
+        let credits = SendCredits::new(&Arc::new(Notify::new()));
         let all = [Delivery::Reliable, Delivery::Redundant]
             .map(|delivery| SizeClass::ALL.map(|load| CreditClass { delivery, load }));
         for full in all.concat() {
             let each = if full.load == SizeClass::Bulk { 1 << 19 } else { 64 };
-            let fill =
-                || -> Vec<_> { (0..9_999).map_while(|_| ways.take_credit(each, full)).collect() };
+            let fill = || -> Vec<_> {
+                (0..9_999).map_while(|_| credits.take_credit(each, full)).collect()
+            };
 
-            let credits = fill();
+            let taken = fill();
 
-            assert_eq!(credits.len(), if full.load == SizeClass::Bulk { 2 } else { MESSAGES_MAX });
-            for freight in all.concat() {
-                assert_eq!(ways.have_room(freight), freight != full, "{full:?}, {freight:?}");
+            assert_eq!(taken.len(), if full.load == SizeClass::Bulk { 2 } else { MESSAGES_MAX });
+            for class in all.concat() {
+                assert_eq!(credits.have_room(class), class != full, "{full:?}, {class:?}");
             }
-            let took = credits.len();
-            drop(credits);
+            let took = taken.len();
+            drop(taken);
             assert_eq!(fill().len(), took);
         }
     }
 
     #[test]
     fn events_leave_half_of_their_room_to_what_waits() {
-        let ways = SendCredits::new(&Arc::new(Notify::new()));
-        let freight = CreditClass::of(Delivery::Reliable, 64);
+        let credits = SendCredits::new(&Arc::new(Notify::new()));
+        let class = CreditClass::of(Delivery::Reliable, 64);
 
-        let events: Vec<_> = (0..9_999).map_while(|_| ways.lend_to_event(64, freight)).collect();
+        let events: Vec<_> = (0..9_999).map_while(|_| credits.take_for_event(64, class)).collect();
 
         assert_eq!(events.len(), MESSAGES_MAX / 2);
-        assert!(ways.take_credit(64, freight).is_some());
+        assert!(credits.take_credit(64, class).is_some());
     }
 }

@@ -114,8 +114,8 @@ impl DiscoveryActor {
         }
     }
 
-    fn connect(&mut self, ground: usize, node: NodeName, address: &str) {
-        let (Some(field), Some(links)) = (self.wiring.fields.get(ground), self.links.get(ground))
+    fn connect(&mut self, domain: usize, node: NodeName, address: &str) {
+        let (Some(field), Some(links)) = (self.wiring.fields.get(domain), self.links.get(domain))
         else {
             return;
         };
@@ -123,7 +123,7 @@ impl DiscoveryActor {
         let number = field.numbers.iter().find(|number| !taken.contains(number)).copied();
         let remote = parse(field.spec.medium, address);
         let (Some(number), Some(remote)) = (number, remote) else {
-            return self.machine.handle_unusable(ground, &node, platform::now());
+            return self.machine.handle_unusable(domain, &node, platform::now());
         };
         info!(network = %field.network, %node, %remote, "a neighbour is learned of");
         let spec = LinkSpec {
@@ -134,14 +134,14 @@ impl DiscoveryActor {
             hello_interval: field.spec.hello_interval,
             expected_within: None,
         };
-        self.made.insert((ground, node), (number, remote));
+        self.made.insert((domain, node), (number, remote));
         links.learn.do_send(AddDiscoveredLink { number, spec });
     }
 
-    fn disconnect(&mut self, ground: usize, node: NodeName) {
+    fn disconnect(&mut self, domain: usize, node: NodeName) {
         info!(%node, "a neighbour that was learned of is given up");
-        let made = self.made.remove(&(ground, node));
-        if let (Some((number, _)), Some(links)) = (made, self.links.get(ground)) {
+        let made = self.made.remove(&(domain, node));
+        if let (Some((number, _)), Some(links)) = (made, self.links.get(domain)) {
             links.forget.do_send(RemoveDiscoveredLink { number });
         }
     }
@@ -168,9 +168,9 @@ impl DiscoveryActor {
     }
 
     fn say_beacons(&self) {
-        for (ground, field) in self.wiring.fields.iter().enumerate() {
+        for (domain, field) in self.wiring.fields.iter().enumerate() {
             let (Some((transport, group)), Some(port)) =
-                (&field.spec.beacons, self.ports.get(&ground))
+                (&field.spec.beacons, self.ports.get(&domain))
             else {
                 continue;
             };
@@ -181,10 +181,10 @@ impl DiscoveryActor {
     }
 
     fn attach(&self, context: &mut Context<Self>) {
-        for (ground, field) in self.wiring.fields.iter().enumerate() {
+        for (domain, field) in self.wiring.fields.iter().enumerate() {
             if let Some((transport, _)) = &field.spec.beacons {
                 let (frames, reports) = (context.address(), context.address());
-                let ears = Ears { ground, body: frames, left: BEACONS_MAX }.start();
+                let ears = Ears { domain, body: frames, left: BEACONS_MAX }.start();
                 let reports = reports.recipient();
                 transport.attach.do_send(Attach { frames: ears.recipient(), reports });
             }
@@ -193,17 +193,17 @@ impl DiscoveryActor {
 }
 
 fn begin(wiring: &DiscoveryRecipients) -> Discovery {
-    let ground = |field: &DiscoveryNetwork| DiscoveryDomain {
+    let domain = |field: &DiscoveryNetwork| DiscoveryDomain {
         name: field.network.to_string(),
         medium: field.spec.medium.to_owned(),
         admission: field.spec.admission.clone(),
     };
-    let grounds = wiring.fields.iter().map(ground).collect();
+    let domains = wiring.fields.iter().map(domain).collect();
     let now = platform::now();
-    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), grounds), now);
-    for (ground, field) in wiring.fields.iter().enumerate() {
+    let mut machine = Discovery::new(DiscoveryConfig::new(wiring.node.clone(), domains), now);
+    for (domain, field) in wiring.fields.iter().enumerate() {
         for (node, address) in &field.described {
-            machine.handle_down(ground, node.clone(), address.to_string(), now);
+            machine.handle_down(domain, node.clone(), address.to_string(), now);
         }
     }
     machine
@@ -244,7 +244,7 @@ fn read_beacon(frame: &[u8]) -> Option<(NodeName, u16)> {
 
 /// Hears the beacons of one network.
 struct Ears {
-    ground: usize,
+    domain: usize,
     body: Addr<DiscoveryActor>,
     /// So many are still listened to until the next look.
     left: u32,
@@ -266,7 +266,7 @@ impl Handler<Received> for Ears {
             // A flood is heard in part: enough to be refused, counted and named.
             let Some(left) = self.left.checked_sub(1) else { return };
             self.left = left;
-            self.body.do_send(Beacon { ground: self.ground, from: from.ip(), frame });
+            self.body.do_send(Beacon { domain: self.domain, from: from.ip(), frame });
         }
     }
 }
@@ -275,7 +275,7 @@ impl Handler<Received> for Ears {
 #[derive(Message)]
 #[rtype(result = "()")]
 struct Beacon {
-    ground: usize,
+    domain: usize,
     from: IpAddr,
     frame: Bytes,
 }
@@ -299,9 +299,9 @@ impl Supervised for DiscoveryActor {
     /// The links that it has made stay; who is up, it is told again.
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.machine = begin(&self.wiring);
-        for ((ground, node), (_, address)) in &self.made {
+        for ((domain, node), (_, address)) in &self.made {
             let (node, address) = (node.clone(), address.to_string());
-            self.machine.handle_learned(*ground, node, address, platform::now());
+            self.machine.handle_learned(*domain, node, address, platform::now());
         }
         self.links.iter().for_each(|links| links.tell.do_send(ReportNeighbours));
         self.wake = WakeTimer::default();
@@ -329,10 +329,10 @@ impl MachineActor for DiscoveryActor {
                     self.letters.send(&to, &message);
                 }
             }
-            DiscoveryOutput::Connect { ground, node, address } => {
-                self.connect(ground, node, &address);
+            DiscoveryOutput::Connect { domain, node, address } => {
+                self.connect(domain, node, &address);
             }
-            DiscoveryOutput::Disconnect { ground, node } => self.disconnect(ground, node),
+            DiscoveryOutput::Disconnect { domain, node } => self.disconnect(domain, node),
         }
     }
 }
@@ -350,16 +350,16 @@ impl Handler<NeighbourChange> for DiscoveryActor {
 
     fn handle(&mut self, seen: NeighbourChange, context: &mut Context<Self>) {
         match seen {
-            NeighbourChange::Neighbour { ground, node, remote, up } => {
+            NeighbourChange::Neighbour { domain, node, remote, up } => {
                 let (address, now) = (remote.to_string(), platform::now());
                 match up {
-                    true => self.machine.handle_up(ground, node, address, now),
-                    false => self.machine.handle_down(ground, node, address, now),
+                    true => self.machine.handle_up(domain, node, address, now),
+                    false => self.machine.handle_down(domain, node, address, now),
                 }
                 self.drive(context);
             }
-            NeighbourChange::Open { ground, port } => {
-                self.ports.insert(ground, port);
+            NeighbourChange::Open { domain, port } => {
+                self.ports.insert(domain, port);
                 self.say_beacons();
             }
         }
@@ -399,11 +399,11 @@ impl Handler<Beacon> for DiscoveryActor {
     type Result = ();
 
     fn handle(&mut self, beacon: Beacon, context: &mut Context<Self>) {
-        let Beacon { ground, from, frame } = beacon;
+        let Beacon { domain, from, frame } = beacon;
         match read_beacon(&frame) {
             Some((node, port)) => {
                 let address = SocketAddr::new(from, port).to_string();
-                self.machine.handle_beacon(ground, node, address, platform::now());
+                self.machine.handle_beacon(domain, node, address, platform::now());
             }
             None => self.machine.handle_noise(),
         }

@@ -64,7 +64,7 @@ struct GatewaySetup {
     wardens: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
-    envoys: Vec<Recipient<PeerStatusChanged>>,
+    observers: Vec<Recipient<PeerStatusChanged>>,
 }
 
 /// What the gateway asks of the sessions.
@@ -84,7 +84,7 @@ pub(super) struct GatewayActor {
     /// Where replies go, by our number of the request.
     replies: BTreeMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
-    doorways: BTreeMap<(NodeId, u32), PeerBinding>,
+    skeletons: BTreeMap<(NodeId, u32), PeerBinding>,
     /// What waits for room with objects here.
     queues: InboundBacklog,
     /// What peers listen to here.
@@ -120,7 +120,7 @@ impl GatewayActor {
             recoverer,
             nodes,
             dead_letters,
-            envoys,
+            observers,
             ..
         } = environment.clone();
         let faults = environment.own_faults("gateway");
@@ -146,7 +146,7 @@ impl GatewayActor {
                 doors,
                 wardens,
                 dead_letters,
-                envoys,
+                observers,
             })
         }
     }
@@ -158,7 +158,7 @@ impl GatewayActor {
             naming: NodeDirectory::default(),
             peers: BTreeMap::new(),
             replies: BTreeMap::new(),
-            doorways: BTreeMap::new(),
+            skeletons: BTreeMap::new(),
             queues: InboundBacklog::default(),
             forwards: BTreeMap::new(),
             past: BTreeMap::new(),
@@ -256,18 +256,18 @@ impl GatewayActor {
                     reply_to(result.map(GatherBuffer::from));
                 }
             }
-            PeerProtocolOutput::Lost { peer, to, why } => self.bury(peer, to, &why),
+            PeerProtocolOutput::Lost { peer, to, why } => self.record_undelivered(peer, to, &why),
             PeerProtocolOutput::Full { peer, load } => {
-                self.at_gate(peer, |gate| gate.hall_is_full(load))
+                self.with_send_state(peer, |send_state| send_state.budget_is_full(load))
             }
             PeerProtocolOutput::Room { peer, load } => {
-                self.at_gate(peer, |gate| gate.hall_has_room(load))
+                self.with_send_state(peer, |send_state| send_state.budget_has_room(load))
             }
             PeerProtocolOutput::ObjectFull { peer, object } => {
-                self.at_gate(peer, |gate| gate.object_is_full(object))
+                self.with_send_state(peer, |send_state| send_state.object_is_full(object))
             }
             PeerProtocolOutput::ObjectRoom { peer, object } => {
-                self.at_gate(peer, |gate| gate.object_has_room(&object))
+                self.with_send_state(peer, |send_state| send_state.object_has_room(&object))
             }
             PeerProtocolOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
@@ -371,18 +371,18 @@ impl GatewayActor {
     fn handle_bye(&mut self, peer: NodeId) {
         let Some(known) = self.peers.get_mut(&peer) else { return };
         known.left = true;
-        known.gate.set(PeerCondition::Left);
+        known.send_state.set(PeerCondition::Left);
         let (node, incarnation) = (known.node.clone(), known.incarnation);
         info!(%node, %incarnation, "node leaves in order");
-        self.tell_envoys(&PeerStatusChanged::Left { node: node.clone() });
+        self.report_peer(&PeerStatusChanged::Left { node: node.clone() });
         if let Some(nodes) = &self.wiring.nodes {
             let condition = NodeCondition::Left;
             nodes.do_send(NodeReported { node, incarnation, condition });
         }
     }
 
-    fn tell_envoys(&self, seen: &PeerStatusChanged) {
-        self.wiring.envoys.iter().for_each(|envoy| envoy.do_send(seen.clone()));
+    fn report_peer(&self, seen: &PeerStatusChanged) {
+        self.wiring.observers.iter().for_each(|observer| observer.do_send(seen.clone()));
     }
 
     /// Why the session with a peer has ended, as its callers are told.
@@ -399,26 +399,26 @@ impl GatewayActor {
     fn forget(&mut self, peer: NodeId, why: &DeliveryError) {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
-            peer.gate.forget_rooms();
+            peer.send_state.forget_rooms();
         }
         let all = (peer, 0)..=(peer, u32::MAX);
-        let doorways: Vec<_> = self.doorways.range(all.clone()).map(|(key, _)| *key).collect();
-        doorways.iter().for_each(|key| drop(self.doorways.remove(key)));
+        let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();
+        skeletons.iter().for_each(|key| drop(self.skeletons.remove(key)));
         let forwards: Vec<_> = self.forwards.range(all).map(|(key, _)| *key).collect();
         forwards.into_iter().for_each(|key| self.retire(key, why));
     }
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<PeerSendState>) {
         let peer = NodeId::of(node);
-        let gate = self.wiring.doors.gate(node);
-        let known = GatewayPeer::new(node.clone(), gate.clone());
+        let send_state = self.wiring.doors.send_state(node);
+        let known = GatewayPeer::new(node.clone(), send_state.clone());
         self.peers.entry(peer).or_insert(known);
-        (peer, gate)
+        (peer, send_state)
     }
 
-    fn at_gate(&self, peer: NodeId, act: impl FnOnce(&PeerSendState)) {
+    fn with_send_state(&self, peer: NodeId, act: impl FnOnce(&PeerSendState)) {
         if let Some(peer) = self.peers.get(&peer) {
-            act(&peer.gate);
+            act(&peer.send_state);
         }
     }
 
@@ -426,7 +426,7 @@ impl GatewayActor {
         if let Some(peer) = self.peers.get(&peer)
             && !peer.left
         {
-            peer.gate.set(condition);
+            peer.send_state.set(condition);
         }
     }
 
@@ -487,8 +487,8 @@ impl Supervised for GatewayActor {
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
-        self.peers.values().for_each(|peer| peer.gate.forget_rooms());
-        self.doorways.clear();
+        self.peers.values().for_each(|peer| peer.send_state.forget_rooms());
+        self.skeletons.clear();
         self.notices.clear();
         self.credit = None;
         self.exchange = self.exchange.reborn(&why);

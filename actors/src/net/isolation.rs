@@ -54,8 +54,8 @@ impl IsolationControl {
         let wardens =
             IsolationControl { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
         // This node's own votes do not go this way.
-        let desk = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
-        let port = ContractPort::of_peers(desk, Arc::new(BallotBox(wardens.clone())));
+        let service_fn = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
+        let port = ContractPort::of_peers(service_fn, Arc::new(BallotBox(wardens.clone())));
         let place = ObjectName::new(PLACE).expect("a name of letters");
         wardens.told.registry.register_hidden(place, port);
         wardens
@@ -129,11 +129,11 @@ impl IsolationControl {
     fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
         warn!(%node, isolated, "isolated, or admitted again, {reason}");
         let IsolationObservers { doors, gateway, router, monitor, .. } = &*self.told;
-        let gate = doors.gate(&node);
+        let send_state = doors.send_state(&node);
         if isolated {
-            gate.isolate()
+            send_state.isolate()
         } else {
-            gate.admit()
+            send_state.admit()
         }
         router.do_send(SetIsolation { node: node.clone(), isolated });
         gateway.do_send(IsolationChanged { node: node.clone(), isolated });

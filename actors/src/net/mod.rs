@@ -4,7 +4,7 @@
 //!  objects ─ doors ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
 //!                       │ bindings  │ exactly   │ which   │ is it alive
 //!                       │ naming    │ once      │ hop     │
-//!  local doorways ◄─────┘
+//!  local skeletons ◄─────┘
 //! ```
 //!
 //! All of them live on one arbiter, under the guardian. What becomes of a panic in:
@@ -150,7 +150,7 @@ pub(crate) struct NetEnvironment {
     /// Is told of those that are over.
     pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
-    pub(crate) envoys: Vec<Recipient<PeerStatusChanged>>,
+    pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
 }
 
 impl NetEnvironment {
@@ -222,11 +222,11 @@ pub(crate) fn start(
     if discovery.is_none() {
         peer_messages::register_sink(named("discovery"), &environment.registry);
     }
-    environment.envoys.extend(discovery.clone().map(Addr::recipient));
+    environment.observers.extend(discovery.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
-    let outcast = own_isolation::Outcast::new(node.clone());
-    let told = (environment.nodes.clone(), outcast.clone());
+    let own_isolation = own_isolation::OwnIsolation::new(node.clone());
+    let told = (environment.nodes.clone(), own_isolation.clone());
     let make = router::RouterActor::maker(life.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
 
@@ -242,7 +242,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(stub::PeerStubs::new(outcast));
+    let doors = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),
@@ -260,7 +260,7 @@ pub(crate) fn start(
     environment.registry.connect(node, Some(remote));
     remote_watch::serve(&environment.registry);
 
-    let (mut watched, mut grounds) = (Vec::new(), Vec::new());
+    let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
@@ -275,12 +275,12 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
-            discovery: told.clone().map(|told| (grounds.len(), told)),
+            discovery: told.clone().map(|told| (domains.len(), told)),
             faults,
         };
         let address =
             guardian.start(name.clone(), place, move |_| links::LinksActor::new(wiring, links));
-        grounds.extend(told.map(|_| NetworkLinks {
+        domains.extend(told.map(|_| NetworkLinks {
             learn: address.clone().recipient(),
             forget: address.clone().recipient(),
             tell: address.clone().recipient(),
@@ -296,7 +296,7 @@ pub(crate) fn start(
     });
     let networks = networks.collect();
     if let Some(discovery) = &discovery {
-        discovery.do_send(AddNetworks(grounds));
+        discovery.do_send(AddNetworks(domains));
     }
     let carrier = Arc::new(carrier::CarrierMonitor::start(watched));
     Ok(NetHandle {
@@ -452,7 +452,7 @@ impl NetHandle {
     }
 
     /// Where the network's own actors answer the monitor.
-    pub(crate) fn inquiries(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
+    pub(crate) fn pings(&self) -> Vec<(ObjectName, Recipient<AreYouAlive>)> {
         let mut all = vec![
             (named("router"), self.router.clone().recipient()),
             (named("sessions"), self.sessions.clone().recipient()),
@@ -462,7 +462,7 @@ impl NetHandle {
             all.push((name.clone(), links.clone().recipient()));
         }
         let discovery = self.discovery.clone().map(Addr::recipient);
-        all.extend(discovery.map(|inquiries| (named("discovery"), inquiries)));
+        all.extend(discovery.map(|pings| (named("discovery"), pings)));
         all
     }
 

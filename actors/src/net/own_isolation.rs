@@ -7,15 +7,15 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Whether this node is kept out. Clones are the same.
 #[derive(Clone)]
-pub(super) struct Outcast {
+pub(super) struct OwnIsolation {
     node: NodeName,
     /// The life of the other one; no life has the number 0.
     other: Arc<AtomicU64>,
 }
 
-impl Outcast {
+impl OwnIsolation {
     pub(super) fn new(node: NodeName) -> Self {
-        Outcast { node, other: Arc::default() }
+        OwnIsolation { node, other: Arc::default() }
     }
 
     /// This life of another node has the name.

@@ -61,8 +61,9 @@ impl PeerChannel {
     ) -> Self {
         let (unread, dropped) = (AtomicUsize::new(0), AtomicU64::new(0));
         let slot = Arc::new(Slot { reader, unread, dropped });
-        let doorway: Arc<dyn Skeleton> = slot.clone();
-        registry.register_hidden(place.clone(), ContractPort::of_doorway::<ActorMessage>(doorway));
+        let skeleton: Arc<dyn Skeleton> = slot.clone();
+        registry
+            .register_hidden(place.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
         PeerChannel { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
     }
 
@@ -92,7 +93,7 @@ impl PeerChannel {
 /// Drops messages that no actor of this node reads, so that their sender gets no error for an
 /// unknown object.
 pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
-    registry.register_hidden(place, ContractPort::of_doorway::<ActorMessage>(Arc::new(Discard)));
+    registry.register_hidden(place, ContractPort::of_skeleton::<ActorMessage>(Arc::new(Discard)));
 }
 
 struct Discard;

@@ -1,7 +1,7 @@
 //! The router's body.
 
 use super::fault_reporter::FaultReporter;
-use super::own_isolation::Outcast;
+use super::own_isolation::OwnIsolation;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -42,13 +42,13 @@ pub(super) struct RouterActor {
     /// The isolated nodes, which a restarted router is given.
     kept_out: BTreeSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
-    outcast: Outcast,
+    own_isolation: OwnIsolation,
 }
 
 impl RouterActor {
     pub(super) fn maker(
         (node, incarnation): (NodeName, Incarnation),
-        (monitor, outcast): (Option<Recipient<NodeReported>>, Outcast),
+        (monitor, own_isolation): (Option<Recipient<NodeReported>>, OwnIsolation),
         faults: FaultReporter,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
@@ -65,7 +65,7 @@ impl RouterActor {
                 reached: BTreeMap::new(),
                 inquirers: Vec::new(),
                 kept_out: BTreeSet::new(),
-                outcast,
+                own_isolation,
             }
         }
     }
@@ -208,7 +208,7 @@ impl MachineActor for RouterActor {
             }
             RouterOutput::Over(trouble) => {
                 if trouble == RouterAlarm::NameTaken {
-                    self.outcast.let_in();
+                    self.own_isolation.let_in();
                 }
                 self.mend(trouble);
             }
@@ -226,7 +226,7 @@ impl MachineActor for RouterActor {
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: false } => {
-                self.outcast.cast_out(incarnation);
+                self.own_isolation.cast_out(incarnation);
                 let name = &self.config.node;
                 self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} was there before, as {incarnation}: this one is \

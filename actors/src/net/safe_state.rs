@@ -36,7 +36,7 @@ pub(crate) struct SafeStateRecipients {
     pub(crate) own: Recipient<SafeStateChanged>,
     /// Who can be talked to.
     pub(crate) peers: Recipient<PeerStatusChanged>,
-    pub(crate) inquiries: Recipient<AreYouAlive>,
+    pub(crate) pings: Recipient<AreYouAlive>,
 }
 
 /// Tells, and hears.
@@ -66,7 +66,7 @@ impl SafeStateActor {
         SafeStateRecipients {
             own: body.clone().recipient(),
             peers: body.clone().recipient(),
-            inquiries: body.recipient(),
+            pings: body.recipient(),
         }
     }
 

@@ -34,7 +34,7 @@ pub(super) struct SessionsActor {
     node: NodeName,
     incarnation: Incarnation,
     idle_timeout: Duration,
-    crowd: MachineSet<NodeId, Session>,
+    machines: MachineSet<NodeId, Session>,
     wake: WakeTimer,
     peers: BTreeMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
@@ -67,7 +67,7 @@ impl SessionsActor {
             node,
             incarnation,
             idle_timeout,
-            crowd: MachineSet::default(),
+            machines: MachineSet::default(),
             wake: WakeTimer::default(),
             peers: BTreeMap::new(),
             router,
@@ -85,7 +85,7 @@ impl SessionsActor {
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
         let config = SessionConfig { number, idle_timeout, ..config };
-        self.crowd.insert(id, Session::new(config, platform::now()));
+        self.machines.insert(id, Session::new(config, platform::now()));
     }
 
     fn meet(&mut self, node: NodeName) -> NodeId {
@@ -105,7 +105,7 @@ impl SessionsActor {
         let gone = self.peers.iter().find(|(_, peer)| peer.path.is_none()).map(|(id, _)| *id);
         if let Some(id) = gone {
             let why = self.unreachable(id);
-            if let Some(mut session) = self.crowd.remove(id) {
+            if let Some(mut session) = self.machines.remove(id) {
                 self.give_all_back(id, session.take_unacknowledged(), &why);
             }
             self.peers.remove(&id);
@@ -116,7 +116,7 @@ impl SessionsActor {
 
     /// The machine of this peer, if that session is the present one.
     fn present(&mut self, peer: NodeId, number: u32) -> Option<&mut Session> {
-        self.crowd.get_mut(peer).filter(|session| session.number() == number)
+        self.machines.get_mut(peer).filter(|session| session.number() == number)
     }
 
     fn report(&self, report: SessionReported) {
@@ -143,7 +143,7 @@ impl SessionsActor {
     /// was refused for a while.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
-        let peers = self.crowd.iter().map(|(id, session)| (Some(id), session.refusals()));
+        let peers = self.machines.iter().map(|(id, session)| (Some(id), session.refusals()));
         let looks: Vec<_> = peers.chain([(None, self.strangers)]).collect();
         for (peer, refusals) in looks {
             let known = peer.and_then(|id| self.peers.get_mut(&id));
@@ -193,8 +193,8 @@ impl Supervised for SessionsActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.started(context);
-        if let Some(id) = self.crowd.last()
-            && let Some(mut broken) = self.crowd.remove(id)
+        if let Some(id) = self.machines.last()
+            && let Some(mut broken) = self.machines.remove(id)
         {
             let why = self.unreachable(id);
             // What it still holds is given back, if it can be read at all.
@@ -207,7 +207,7 @@ impl Supervised for SessionsActor {
             }
             self.build(id);
             let path = self.peers.get(&id).and_then(|peer| peer.path);
-            if let (Some((incarnation, mtu)), Some(session)) = (path, self.crowd.get_mut(id)) {
+            if let (Some((incarnation, mtu)), Some(session)) = (path, self.machines.get_mut(id)) {
                 session.handle_incarnation(incarnation, platform::now());
                 session.handle_path(mtu, platform::now());
             }
@@ -220,7 +220,7 @@ impl MachineActor for SessionsActor {
     type Machine = MachineSet<NodeId, Session>;
 
     fn machine(&mut self) -> &mut Self::Machine {
-        &mut self.crowd
+        &mut self.machines
     }
 
     fn wake(&mut self) -> &mut WakeTimer {
@@ -237,7 +237,7 @@ impl MachineActor for SessionsActor {
                 let Some(known) = self.peers.get(&peer) else { return };
                 let node = known.node.clone();
                 info!(%node, %incarnation, "session open");
-                let session = self.crowd.get(peer).map_or(0, Session::number);
+                let session = self.machines.get(peer).map_or(0, Session::number);
                 self.report(SessionReported::Opened { node, incarnation, session });
             }
             SessionOutput::Message { message, .. } | SessionOutput::Newest { message, .. } => {
@@ -285,7 +285,7 @@ impl Handler<PathReported> for SessionsActor {
                     peer.path = Some((incarnation, mtu));
                 }
                 self.report(SessionReported::Reachable { node, incarnation });
-                if let Some(session) = self.crowd.get_mut(id) {
+                if let Some(session) = self.machines.get_mut(id) {
                     session.handle_incarnation(incarnation, now);
                     session.handle_path(mtu, now);
                 }
@@ -296,12 +296,12 @@ impl Handler<PathReported> for SessionsActor {
                 {
                     *old = mtu;
                 }
-                if let Some(session) = self.crowd.get_mut(node) {
+                if let Some(session) = self.machines.get_mut(node) {
                     session.handle_path(mtu, now);
                 }
             }
             PathReported::Undelivered { node, reason } => {
-                if let Some(session) = self.crowd.get_mut(node) {
+                if let Some(session) = self.machines.get_mut(node) {
                     session.handle_undelivered(reason, now);
                 }
             }
@@ -311,7 +311,7 @@ impl Handler<PathReported> for SessionsActor {
                     peer.path = None;
                 }
                 self.report(SessionReported::Unreachable { node });
-                if let Some(session) = self.crowd.get_mut(id) {
+                if let Some(session) = self.machines.get_mut(id) {
                     session.handle_no_path(now);
                 }
             }
@@ -326,7 +326,7 @@ impl Handler<SegmentArrived> for SessionsActor {
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
         let SegmentArrived { source, segment, direct } = message;
         // A peer that the router has not told of yet repeats itself.
-        let Some(session) = self.crowd.get_mut(source) else {
+        let Some(session) = self.machines.get_mut(source) else {
             self.strangers.unexpected += 1;
             return;
         };
@@ -376,7 +376,7 @@ impl Handler<ResetSession> for SessionsActor {
         let all = || self.peers.keys().copied().collect();
         let ids: Vec<_> = message.peer.map_or_else(all, |peer| vec![peer]);
         for session in ids {
-            if let Some(session) = self.crowd.get_mut(session) {
+            if let Some(session) = self.machines.get_mut(session) {
                 session.handle_restart(platform::now());
             }
         }
@@ -390,7 +390,7 @@ impl Handler<CloseSessions> for SessionsActor {
     fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         let ids: Vec<_> = self.peers.keys().copied().collect();
         for session in ids {
-            if let Some(session) = self.crowd.get_mut(session) {
+            if let Some(session) = self.machines.get_mut(session) {
                 session.handle_close(platform::now());
             }
         }
@@ -410,7 +410,7 @@ impl Handler<ReadSessions> for SessionsActor {
                 differences: Vec::new(),
             })
         };
-        MessageResult(self.crowd.iter().filter_map(row).collect())
+        MessageResult(self.machines.iter().filter_map(row).collect())
     }
 }
 

@@ -1,8 +1,8 @@
-//! The ways out of this node: what stands behind a `Sender` of a remote object.
+//! The credits out of this node: what stands behind a `Sender` of a remote object.
 
 use super::credit::{CreditClass, SendCredits};
 use super::gateway::SendToPeer;
-use super::own_isolation::Outcast;
+use super::own_isolation::OwnIsolation;
 use crate::platform;
 use crate::registry::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
@@ -25,18 +25,19 @@ use tokio::sync::Notify;
 /// Makes doors, and tells those behind them how their peer is.
 pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
-    gates: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
-    outcast: Outcast,
+    send_states: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
+    own_isolation: OwnIsolation,
     ended: EndedFlag,
 }
 
-/// Whether this node takes nothing for others any more, since it ends. All gates have the same.
+/// Whether this node takes nothing for others any more, since it ends. All send states have the
+/// same.
 type EndedFlag = Arc<AtomicBool>;
 
 /// What all doors to one peer share.
 pub(super) struct PeerSendState {
     node: NodeName,
-    outcast: Outcast,
+    own_isolation: OwnIsolation,
     ended: EndedFlag,
     condition: AtomicU8,
     /// A path leads there, or perhaps the session waits for one.
@@ -48,8 +49,8 @@ pub(super) struct PeerSendState {
     full_streams: AtomicU8,
     /// Of what as much waits for bindings there as should, a bit for each load. It has nothing to
     /// do with what the session holds.
-    full_hall: AtomicU8,
-    ways: SendCredits,
+    full_budget: AtomicU8,
+    credits: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
     full: Mutex<BTreeSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
@@ -93,9 +94,9 @@ impl PeerSendState {
 
     /// A session has begun: it takes messages, and knows of no binding.
     pub(super) fn begin(&self) {
-        self.outcast.let_in();
+        self.own_isolation.let_in();
         self.met.store(true, Relaxed);
-        self.full_hall.store(0, Relaxed);
+        self.full_budget.store(0, Relaxed);
         self.full_streams.store(0, Relaxed);
         self.set(PeerCondition::Open);
     }
@@ -123,16 +124,16 @@ impl PeerSendState {
         let full = self.full_streams.load(Relaxed);
         let mine = bit(stream, SizeClass::Small) | bit(stream, load);
         let waits = 1 << SizeClass::Small as u8 | 1 << load as u8;
-        full & (all | mine) != 0 || self.full_hall.load(Relaxed) & waits != 0
+        full & (all | mine) != 0 || self.full_budget.load(Relaxed) & waits != 0
     }
 
     /// What waits for bindings is as much as should, of this load.
-    pub(super) fn hall_is_full(&self, load: SizeClass) {
-        self.full_hall.fetch_or(1 << load as u8, Relaxed);
+    pub(super) fn budget_is_full(&self, load: SizeClass) {
+        self.full_budget.fetch_or(1 << load as u8, Relaxed);
     }
 
-    pub(super) fn hall_has_room(&self, load: SizeClass) {
-        self.full_hall.fetch_and(!(1 << load as u8), Relaxed);
+    pub(super) fn budget_has_room(&self, load: SizeClass) {
+        self.full_budget.fetch_and(!(1 << load as u8), Relaxed);
         self.changed.notify_waiters();
     }
 
@@ -147,8 +148,8 @@ impl PeerSendState {
         self.changed.notify_waiters();
     }
 
-    pub(super) fn is_open(&self, freight: CreditClass) -> bool {
-        self.has_session() && !self.is_held(freight) && !self.is_isolated()
+    pub(super) fn is_open(&self, class: CreditClass) -> bool {
+        self.has_session() && !self.is_held(class) && !self.is_isolated()
     }
 
     /// Nothing is sent there and nothing taken from there.
@@ -204,11 +205,11 @@ impl PeerSendState {
     }
 
     /// Takes room for an event, which never waits.
-    pub(super) fn lend_to_event(&self, bytes: usize, freight: CreditClass) -> Option<Credit> {
-        self.ways.lend_to_event(bytes, freight)
+    pub(super) fn take_for_event(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
+        self.credits.take_for_event(bytes, class)
     }
 
-    fn check(&self, object: &ObjectName, freight: CreditClass) -> Result<(), DeliveryError> {
+    fn check(&self, object: &ObjectName, class: CreditClass) -> Result<(), DeliveryError> {
         if self.ended.load(Relaxed) {
             return Err(DeliveryError::Stopped);
         }
@@ -219,11 +220,11 @@ impl PeerSendState {
             PeerCondition::Unreachable => {
                 Err(DeliveryError::Unreachable { node: self.node.to_string() })
             }
-            PeerCondition::Opening => Err(self.outcast.why()),
+            PeerCondition::Opening => Err(self.own_isolation.why()),
             PeerCondition::Left => Err(DeliveryError::Left { node: self.node.to_string() }),
             PeerCondition::Open if self.is_full(object) => Err(DeliveryError::Full),
-            PeerCondition::Open if self.is_held(freight) || !self.ways.have_room(freight) => {
-                Err(self.way_full(freight))
+            PeerCondition::Open if self.is_held(class) || !self.credits.have_room(class) => {
+                Err(self.way_full(class))
             }
             PeerCondition::Open => Ok(()),
         }
@@ -255,10 +256,10 @@ impl PeerSendState {
         }
     }
 
-    async fn room(&self, object: &ObjectName, freight: CreditClass) {
+    async fn room(&self, object: &ObjectName, class: CreditClass) {
         loop {
             let changed = self.changed.notified();
-            match self.check(object, freight) {
+            match self.check(object, class) {
                 Err(
                     DeliveryError::Full | DeliveryError::WayFull { .. } | DeliveryError::Restarting,
                 ) => changed.await,
@@ -270,11 +271,11 @@ impl PeerSendState {
 }
 
 impl PeerStubs {
-    pub(super) fn new(outcast: Outcast) -> Self {
+    pub(super) fn new(own_isolation: OwnIsolation) -> Self {
         PeerStubs {
             gateway: OnceLock::new(),
-            gates: Mutex::default(),
-            outcast,
+            send_states: Mutex::default(),
+            own_isolation,
             ended: EndedFlag::default(),
         }
     }
@@ -282,7 +283,7 @@ impl PeerStubs {
     /// This node ends: refuses messages, and wakes the senders that wait for credit.
     pub(super) fn end(&self) {
         self.ended.store(true, Relaxed);
-        self.lock().values().for_each(|gate| gate.changed.notify_waiters());
+        self.lock().values().for_each(|send_state| send_state.changed.notify_waiters());
     }
 
     pub(super) fn connect(&self, gateway: Recipient<SendToPeer>) {
@@ -291,56 +292,56 @@ impl PeerStubs {
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<PeerSendState>>> {
-        self.gates.lock().unwrap_or_else(PoisonError::into_inner)
+        self.send_states.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Completes when a session with this node is open, and a path leads there.
     pub(super) async fn opened(&self, node: &NodeName) {
-        self.gate(node).opened().await;
+        self.send_state(node).opened().await;
     }
 
     /// Whether a path has led there, now or before.
     pub(super) fn has_met(&self, node: &NodeName) -> bool {
-        self.lock().get(node).is_some_and(|gate| gate.met.load(Relaxed))
+        self.lock().get(node).is_some_and(|send_state| send_state.met.load(Relaxed))
     }
 
     /// Those that a path leads to now, or did before, in the order of their names.
     pub(super) fn met(&self) -> Vec<NodeName> {
-        let gates = self.lock();
-        let met = gates.iter().filter(|(_, gate)| gate.met.load(Relaxed));
+        let send_states = self.lock();
+        let met = send_states.iter().filter(|(_, send_state)| send_state.met.load(Relaxed));
         met.map(|(node, _)| node.clone()).collect()
     }
 
     /// As many as nodes that this program has named, or met.
-    pub(super) fn gate(&self, node: &NodeName) -> Arc<PeerSendState> {
-        let mut gates = self.lock();
-        let gate = gates.entry(node.clone()).or_insert_with(|| {
+    pub(super) fn send_state(&self, node: &NodeName) -> Arc<PeerSendState> {
+        let mut send_states = self.lock();
+        let send_state = send_states.entry(node.clone()).or_insert_with(|| {
             let changed = Arc::new(Notify::new());
             Arc::new(PeerSendState {
                 node: node.clone(),
-                outcast: self.outcast.clone(),
+                own_isolation: self.own_isolation.clone(),
                 ended: self.ended.clone(),
                 condition: AtomicU8::new(PeerCondition::Unreachable as u8),
                 path: AtomicBool::new(false),
                 met: AtomicBool::new(false),
                 isolated: AtomicBool::new(false),
                 full_streams: AtomicU8::new(0),
-                full_hall: AtomicU8::new(0),
-                ways: SendCredits::new(&changed),
+                full_budget: AtomicU8::new(0),
+                credits: SendCredits::new(&changed),
                 full: Mutex::default(),
                 any_full: AtomicBool::new(false),
                 changed,
             })
         });
-        gate.clone()
+        send_state.clone()
     }
 }
 
 impl StubFactory for PeerStubs {
     fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
-        let gate = self.gate(&to.node);
+        let send_state = self.send_state(&to.node);
         let gateway = self.gateway.get().cloned();
-        Arc::new(Door { to, contract, gate, gateway })
+        Arc::new(Door { to, contract, send_state, gateway })
     }
 }
 
@@ -348,7 +349,7 @@ impl StubFactory for PeerStubs {
 struct Door {
     to: ObjectAddress,
     contract: ContractIdentity,
-    gate: Arc<PeerSendState>,
+    send_state: Arc<PeerSendState>,
     gateway: Option<Recipient<SendToPeer>>,
 }
 
@@ -361,11 +362,11 @@ impl RemoteStub for Door {
         if message.len() > PAYLOAD_MAX {
             return Err(DeliveryError::TooLargeForSession { limit: PAYLOAD_MAX });
         }
-        let freight = CreditClass::of(self.contract.delivery, message.len());
-        self.gate.check(&self.to.object, freight)?;
+        let class = CreditClass::of(self.contract.delivery, message.len());
+        self.send_state.check(&self.to.object, class)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let lent = self.gate.ways.take_credit(message.len(), freight);
-        let credit = lent.ok_or_else(|| self.gate.way_full(freight))?;
+        let lent = self.send_state.credits.take_credit(message.len(), class);
+        let credit = lent.ok_or_else(|| self.send_state.way_full(class))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -392,8 +393,8 @@ impl RemoteStub for Door {
             DeliveryError::WayFull { bulk: true, .. } => SizeClass::Bulk,
             _ => SizeClass::Small,
         };
-        let freight = CreditClass { delivery: self.contract.delivery, load };
-        Box::pin(self.gate.room(&self.to.object, freight))
+        let class = CreditClass { delivery: self.contract.delivery, load };
+        Box::pin(self.send_state.room(&self.to.object, class))
     }
 }
 
@@ -407,18 +408,19 @@ mod tests {
     const STOP: CreditClass = CreditClass { delivery: Delivery::Redundant, ..SMALL };
     const NEWEST: CreditClass = CreditClass { delivery: Delivery::Newest, ..SMALL };
 
-    fn gate() -> (Arc<PeerSendState>, ObjectName) {
+    fn send_state() -> (Arc<PeerSendState>, ObjectName) {
         let name = |name| NodeName::new(name).unwrap();
-        let gate = PeerStubs::new(Outcast::new(name("module1"))).gate(&name("module2"));
-        gate.begin();
-        (gate, ObjectName::new("arm").unwrap())
+        let send_state =
+            PeerStubs::new(OwnIsolation::new(name("module1"))).send_state(&name("module2"));
+        send_state.begin();
+        (send_state, ObjectName::new("arm").unwrap())
     }
 
     /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
-    fn room(gate: &PeerSendState) -> [bool; 4] {
+    fn room(send_state: &PeerSendState) -> [bool; 4] {
         let object = ObjectName::new("arm").unwrap();
-        [SMALL, BULK, STOP, NEWEST].map(|freight| {
-            let checked = gate.check(&object, freight);
+        [SMALL, BULK, STOP, NEWEST].map(|class| {
+            let checked = send_state.check(&object, class);
             assert!(matches!(checked, Ok(()) | Err(DeliveryError::WayFull { .. })), "{checked:?}");
             checked.is_ok()
         })
@@ -426,99 +428,103 @@ mod tests {
 
     #[test]
     fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
-        let (gate, _) = gate();
-        assert_eq!(room(&gate), [true; 4]);
+        let (send_state, _) = send_state();
+        assert_eq!(room(&send_state), [true; 4]);
 
-        gate.stream_is_full(Stream::Data, SizeClass::Small);
-        gate.hall_is_full(SizeClass::Small);
-        gate.hall_has_room(SizeClass::Small);
-        assert_eq!(room(&gate), [false, false, true, true], "the session is full");
+        send_state.stream_is_full(Stream::Data, SizeClass::Small);
+        send_state.budget_is_full(SizeClass::Small);
+        send_state.budget_has_room(SizeClass::Small);
+        assert_eq!(room(&send_state), [false, false, true, true], "the session is full");
 
-        gate.hall_is_full(SizeClass::Small);
-        gate.stream_has_room(Stream::Data, SizeClass::Small);
-        assert_eq!(room(&gate), [false, false, false, true], "what waits is as much as should");
-        assert!(!gate.is_open(SMALL));
+        send_state.budget_is_full(SizeClass::Small);
+        send_state.stream_has_room(Stream::Data, SizeClass::Small);
+        assert_eq!(
+            room(&send_state),
+            [false, false, false, true],
+            "what waits is as much as should"
+        );
+        assert!(!send_state.is_open(SMALL));
 
-        gate.begin();
-        assert_eq!(room(&gate), [true; 4]);
+        send_state.begin();
+        assert_eq!(room(&send_state), [true; 4]);
     }
 
     #[test]
     fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
-        let (gate, _) = gate();
-        gate.stream_is_full(Stream::Data, SizeClass::Small);
-        assert_eq!(room(&gate), [false, false, true, true], "a stop goes");
-        gate.stream_is_full(Stream::Redundant, SizeClass::Small);
-        gate.stream_has_room(Stream::Data, SizeClass::Small);
-        assert_eq!(room(&gate), [true, true, false, true]);
-        gate.stream_is_full(Stream::Control, SizeClass::Small);
-        assert_eq!(room(&gate), [false, false, false, true], "nothing could be bound");
+        let (send_state, _) = send_state();
+        send_state.stream_is_full(Stream::Data, SizeClass::Small);
+        assert_eq!(room(&send_state), [false, false, true, true], "a stop goes");
+        send_state.stream_is_full(Stream::Redundant, SizeClass::Small);
+        send_state.stream_has_room(Stream::Data, SizeClass::Small);
+        assert_eq!(room(&send_state), [true, true, false, true]);
+        send_state.stream_is_full(Stream::Control, SizeClass::Small);
+        assert_eq!(room(&send_state), [false, false, false, true], "nothing could be bound");
     }
 
     #[test]
     fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
-        let (gate, _) = gate();
-        let lent = gate.ways.take_credit(1 << 20, BULK);
-        assert_eq!(room(&gate), [true, false, true, true], "it is on its way to the session");
+        let (send_state, _) = send_state();
+        let lent = send_state.credits.take_credit(1 << 20, BULK);
+        assert_eq!(room(&send_state), [true, false, true, true], "it is on its way to the session");
         drop(lent);
-        assert_eq!(room(&gate), [true; 4]);
+        assert_eq!(room(&send_state), [true; 4]);
 
-        gate.stream_is_full(Stream::Data, SizeClass::Bulk);
-        assert_eq!(room(&gate), [true, false, true, true], "the session holds it");
-        gate.stream_has_room(Stream::Data, SizeClass::Bulk);
-        gate.hall_is_full(SizeClass::Bulk);
-        assert_eq!(room(&gate), [true, false, true, true], "it waits for bindings");
-        gate.hall_has_room(SizeClass::Bulk);
-        assert_eq!(room(&gate), [true; 4]);
+        send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
+        assert_eq!(room(&send_state), [true, false, true, true], "the session holds it");
+        send_state.stream_has_room(Stream::Data, SizeClass::Bulk);
+        send_state.budget_is_full(SizeClass::Bulk);
+        assert_eq!(room(&send_state), [true, false, true, true], "it waits for bindings");
+        send_state.budget_has_room(SizeClass::Bulk);
+        assert_eq!(room(&send_state), [true; 4]);
     }
 
     #[test]
     fn a_full_object_and_a_full_way_are_told_apart() {
-        let (gate, object) = gate();
-        gate.stream_is_full(Stream::Data, SizeClass::Bulk);
+        let (send_state, object) = send_state();
+        send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
         let node = || "module2".to_owned();
         let full = DeliveryError::WayFull { node: node(), bulk: true };
-        assert_eq!(gate.check(&object, BULK), Err(full));
-        gate.object_is_full(object.clone());
-        assert_eq!(gate.check(&object, BULK), Err(DeliveryError::Full));
-        gate.object_has_room(&object);
-        gate.stream_is_full(Stream::Data, SizeClass::Small);
+        assert_eq!(send_state.check(&object, BULK), Err(full));
+        send_state.object_is_full(object.clone());
+        assert_eq!(send_state.check(&object, BULK), Err(DeliveryError::Full));
+        send_state.object_has_room(&object);
+        send_state.stream_is_full(Stream::Data, SizeClass::Small);
         let full = DeliveryError::WayFull { node: node(), bulk: false };
-        assert_eq!(gate.check(&object, SMALL), Err(full));
+        assert_eq!(send_state.check(&object, SMALL), Err(full));
     }
 
     #[test]
     fn an_event_that_is_not_sent_is_counted_under_what_hinders_it() {
-        let (gate, _) = gate();
+        let (send_state, _) = send_state();
         for (condition, reason) in [
             (PeerCondition::Open, DeadReason::WayFull),
             (PeerCondition::Opening, DeadReason::Restarting),
             (PeerCondition::Unreachable, DeadReason::Unreachable),
             (PeerCondition::Left, DeadReason::Left),
         ] {
-            gate.set(condition);
-            assert_eq!(gate.why_not(), reason);
+            send_state.set(condition);
+            assert_eq!(send_state.why_not(), reason);
         }
-        gate.isolate();
-        assert_eq!(gate.why_not(), DeadReason::Isolated);
+        send_state.isolate();
+        assert_eq!(send_state.why_not(), DeadReason::Isolated);
     }
 
     #[test]
     fn whoever_waits_with_bulk_is_not_woken_by_room_for_what_is_small() {
         paused(async {
-            let (gate, object) = gate();
-            gate.stream_is_full(Stream::Data, SizeClass::Small);
-            gate.stream_is_full(Stream::Data, SizeClass::Bulk);
-            let [small, bulk] = [SMALL, BULK].map(|freight| {
-                let (gate, object) = (gate.clone(), object.clone());
-                actix_rt::spawn(async move { gate.room(&object, freight).await })
+            let (send_state, object) = send_state();
+            send_state.stream_is_full(Stream::Data, SizeClass::Small);
+            send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
+            let [small, bulk] = [SMALL, BULK].map(|class| {
+                let (send_state, object) = (send_state.clone(), object.clone());
+                actix_rt::spawn(async move { send_state.room(&object, class).await })
             });
             settle().await;
 
-            gate.stream_has_room(Stream::Data, SizeClass::Small);
+            send_state.stream_has_room(Stream::Data, SizeClass::Small);
             settle().await;
             assert!(small.is_finished() && !bulk.is_finished());
-            gate.stream_has_room(Stream::Data, SizeClass::Bulk);
+            send_state.stream_has_room(Stream::Data, SizeClass::Bulk);
             settle().await;
             assert!(bulk.is_finished());
         });

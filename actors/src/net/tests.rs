@@ -208,7 +208,7 @@ impl Robot {
             mended: Some(mended.recipient()),
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
-            envoys: Vec::new(),
+            observers: Vec::new(),
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();

@@ -33,7 +33,7 @@ use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
 use crate::global_name::GlobalNameTable;
 use crate::global_name::actor::GlobalNamesActor;
-use crate::liveness::sampler as lookout;
+use crate::liveness::sampler;
 use crate::parameters::Configured;
 use crate::platform;
 use crate::platform::panics;
@@ -85,24 +85,24 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in)?;
     assembly.read_parameters(builder.parameters)?;
-    assembly.lay_networks(builder.networks)?;
-    let planting = assembly.plant(builder.root, &builder.own_kinds, &builder.strategies)?;
+    assembly.start_networks(builder.networks)?;
+    let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
     let unused = assembly.environment.configured().check();
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at);
-    assembly.enrol_all(planting.harvest).await?;
-    assembly.look_out(builder.grace)?;
+    assembly.enrol_all(preparation.tree).await?;
+    assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
-    let node = assembly.into_node(Root::of(&planting.root), planting.dependencies, manager);
+    let node = assembly.into_node(Root::of(&preparation.root), preparation.dependencies, manager);
     #[cfg(feature = "unix")]
     node.open(inspection).await?;
     if builder.handles_signals {
         node.node.apply_safe_outputs_on_signals()?;
     }
-    node.start_root(planting.root).await
+    node.start_root(preparation.root).await
 }
 
 /// What there is of a node so far. Where it does not come to be, its threads end.
@@ -124,7 +124,7 @@ struct NodeAssembly {
 /// The tree, and what is in it.
 struct TreePreparation {
     root: SupervisorChild,
-    harvest: PreparedTree,
+    tree: PreparedTree,
     dependencies: Dependencies,
 }
 
@@ -192,13 +192,13 @@ impl NodeAssembly {
     }
 
     /// What a node without networks claims, it claims of itself.
-    fn lay_networks(&mut self, networks: Vec<Network>) -> Result<(), StartError> {
+    fn start_networks(&mut self, networks: Vec<Network>) -> Result<(), StartError> {
         let who = (&self.node, self.incarnation);
         if networks.is_empty() {
             let setup = claims_setup(who, &self.parts, &self.environment);
             let arbiter = self.parts.chain.arbiter.as_ref();
             let claims = GlobalNamesActor::start(setup, &self.parts.guardian, arbiter);
-            self.enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
+            self.enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
             return Ok(());
         }
         let networks = (networks, self.judges.clone(), self.session_timeout);
@@ -212,13 +212,13 @@ impl NodeAssembly {
     }
 
     /// The supervisors and their children. Nothing of them is started yet.
-    fn plant(
+    fn prepare(
         &self,
         root: SupervisorSpec,
         own_kinds: &[FaultKind],
         strategies: &StrategyTable,
     ) -> Result<TreePreparation, StartError> {
-        let ground = TreeEnvironment {
+        let place = TreeEnvironment {
             environment: &self.environment,
             guardian: &self.parts.guardian,
             arbiter: self.parts.chain.arbiter.as_ref(),
@@ -226,13 +226,13 @@ impl NodeAssembly {
             directory: self.parts.directory.clone(),
             plan: &self.plan,
         };
-        let mut harvest = PreparedTree::default();
-        let root = root.plant(&ground, &mut harvest)?;
-        let names: Vec<&ObjectName> = harvest.components.iter().map(|facts| &facts.name).collect();
+        let mut tree = PreparedTree::default();
+        let root = root.prepare(&place, &mut tree)?;
+        let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
         self.plan.check(names, own_kinds, strategies.names())?;
-        let dependencies = dependencies(&self.node, &harvest);
+        let dependencies = dependencies(&self.node, &tree);
         dependencies.check()?;
-        Ok(TreePreparation { root, harvest, dependencies })
+        Ok(TreePreparation { root, tree, dependencies })
     }
 
     fn carry_services(
@@ -280,18 +280,18 @@ impl NodeAssembly {
     }
 
     /// From here on everything is watched.
-    async fn enrol_all(&mut self, harvest: PreparedTree) -> Result<(), StartError> {
+    async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
-        let chain = self.parts.chain.inquiries.iter().cloned();
-        let inquiries = chain.chain(harvest.supervisors);
-        enrolments.extend(inquiries.map(|(name, inquiries)| middleware(name, Some(inquiries))));
+        let chain = self.parts.chain.pings.iter().cloned();
+        let pings = chain.chain(tree.supervisors);
+        enrolments.extend(pings.map(|(name, pings)| middleware(name, Some(pings))));
         let others: Vec<_> =
             enrolments.iter().map(|enrol| enrol.enrolment.object.clone()).collect();
-        let components = harvest.components.iter().map(|facts| &facts.name);
+        let components = tree.components.iter().map(|facts| &facts.name);
         check_names(others.iter().chain(components)).map_err(SpecError::from)?;
         // Nor will those be called so that are added later.
         self.environment.registry.reserve(others);
-        for facts in harvest.components {
+        for facts in tree.components {
             let name = &facts.name;
             let enrolled = enrolment(&self.node, name, &facts.depends_on);
             let of = || format!("what {name} depends on");
@@ -303,18 +303,18 @@ impl NodeAssembly {
     }
 
     /// Looks at arbiters and components from now on, also while they are stuck.
-    fn look_out(&self, grace: Duration) -> Result<(), StartError> {
+    fn start_sampler(&self, grace: Duration) -> Result<(), StartError> {
         let config = HangDetectorConfig { grace, ..HangDetectorConfig::default() };
         let list = self.environment.watch_list.clone();
         let (threads, sighted) =
             (self.environment.arbiters.clone(), self.parts.monitor.clone().recipient());
-        self.parts.chain.look_out(Some(match self.placement {
-            ActorPlacement::Here => lookout::start_task(list, threads, config, sighted),
+        self.parts.chain.start_sampler(Some(match self.placement {
+            ActorPlacement::Here => sampler::start_task(list, threads, config, sighted),
             ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => {
-                lookout::start_thread(list, threads, config, sighted)?
+                sampler::start_thread(list, threads, config, sighted)?
             }
         }));
-        let rest = self.parts.keeper.clone().recipient();
+        let rest = self.parts.controller.clone().recipient();
         rest_when_threads_run_out(&self.environment.arbiters, &self.node, rest);
         Ok(())
     }
@@ -336,7 +336,7 @@ impl NodeAssembly {
         systemd: Option<Systemd>,
     ) -> StartingNode {
         self.undone.kept = true;
-        let FaultChainParts { chain, keeper, state, directory, .. } = self.parts;
+        let FaultChainParts { chain, controller, state, directory, .. } = self.parts;
         self.environment.declare_complaints();
         let shared = Shared {
             name: self.node,
@@ -345,8 +345,8 @@ impl NodeAssembly {
             chain,
             networks: self.networks,
             root,
-            shutdown: keeper.clone().recipient(),
-            restart: keeper.clone().recipient(),
+            shutdown: controller.clone().recipient(),
+            restart: controller.clone().recipient(),
             directory,
             state,
             dependencies: Mutex::new(dependencies),
@@ -356,14 +356,14 @@ impl NodeAssembly {
             safe: AtomicBool::new(false),
             last_record: OnceLock::new(),
         };
-        StartingNode { node: Node(Arc::new(shared)), keeper }
+        StartingNode { node: Node(Arc::new(shared)), controller }
     }
 }
 
 /// A node none of whose components is at work yet.
 struct StartingNode {
     node: Node,
-    keeper: Addr<NodeController>,
+    controller: Addr<NodeController>,
 }
 
 impl StartingNode {
@@ -378,7 +378,7 @@ impl StartingNode {
     /// Nothing refuses the start any more.
     async fn start_root(self, root: SupervisorChild) -> Result<Node, StartError> {
         self.node.0.begun.store(true, SeqCst);
-        match self.keeper.send(StartRoot(Box::new(root))).await {
+        match self.controller.send(StartRoot(Box::new(root))).await {
             Ok(Ok(())) => {
                 self.node.0.tell_systemd("READY=1");
                 Ok(self.node)
@@ -433,21 +433,21 @@ fn enrolment(
     };
     let depends_on: Vec<ObjectAddress> =
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
-    // A component's signs of life are stamps, which the lookout reads: no message is sent for them.
+    // A component's signs of life are stamps, which the sampler reads: no message is sent for them.
     let unborn = Incarnation::default();
     let enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
-    Ok(Register { enrolment, inquiries: None })
+    Ok(Register { enrolment, pings: None })
 }
 
 /// An object of the middleware. It answers in microseconds; that it did not for several seconds is
 /// no matter of load, and ends in the node's safe state.
-fn middleware(name: ObjectName, inquiries: Option<Recipient<AreYouAlive>>) -> Register {
-    let watch = match inquiries {
+fn middleware(name: ObjectName, pings: Option<Recipient<AreYouAlive>>) -> Register {
+    let watch = match pings {
         Some(_) => Liveness::pull(Duration::from_secs(1), Duration::from_secs(3)),
         None => Liveness::Guard,
     };
     let enrolment = Registration::new(name).kind(ObjectKind::Middleware).watch(watch);
-    Register { enrolment, inquiries }
+    Register { enrolment, pings }
 }
 
 fn named(name: &str) -> ObjectName {

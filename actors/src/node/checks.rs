@@ -17,10 +17,10 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Who needs whom of the objects of this node.
-pub(super) fn dependencies(node: &NodeName, harvest: &PreparedTree) -> Dependencies {
+pub(super) fn dependencies(node: &NodeName, tree: &PreparedTree) -> Dependencies {
     let mut objects = Dependencies::of(node.clone());
-    harvest.supervisors.iter().for_each(|(name, _)| objects.enter(name.clone(), &[]));
-    for facts in &harvest.components {
+    tree.supervisors.iter().for_each(|(name, _)| objects.enter(name.clone(), &[]));
+    for facts in &tree.components {
         objects.enter(facts.name.clone(), &facts.depends_on);
     }
     objects

@@ -1,5 +1,5 @@
-//! The keeper: it starts the root supervisor, ends it, brings the whole node to the safe state, and
-//! back.
+//! The controller: it starts the root supervisor, ends it, brings the whole node to the safe state,
+//! and back.
 //!
 //! ```text
 //!  Down ─ start ─► Up ─ stop, rest ─► Ending ─► Down ─ restart, from rest only ─► Up
@@ -70,7 +70,7 @@ pub(super) struct Shutdown;
 #[rtype(result = "()")]
 pub(super) struct SubscribeSafeState(pub(super) Recipient<SafeStateChanged>);
 
-/// What the keeper is made of.
+/// What the controller is made of.
 pub(super) struct NodeControllerSetup {
     pub(super) node: NodeName,
     /// The node's own.
@@ -222,7 +222,7 @@ impl NodeController {
         }
         // For as long as they may take at most.
         let applied = actix::fut::wrap_future::<_, Self>(applied);
-        context.spawn(applied.map(|_, keeper: &mut Self, _| keeper.handle_safe(reason)));
+        context.spawn(applied.map(|_, controller: &mut Self, _| controller.handle_safe(reason)));
     }
 
     /// The safe outputs are applied, or take longer than they may.
@@ -379,9 +379,9 @@ mod tests {
     use blastema_core::ObjectName;
     use blastema_doubles::{Probe, paused, settle};
 
-    /// A keeper whose root starts, ends or hangs as a script says.
+    /// A controller whose root starts, ends or hangs as a script says.
     struct Rig {
-        keeper: Addr<NodeController>,
+        controller: Addr<NodeController>,
         script: Script,
         state: watch::Receiver<NodeState>,
         _nodes: Probe<NodeReported>,
@@ -400,21 +400,21 @@ mod tests {
                 nodes: nodes.recipient(),
             };
             answers.iter().for_each(|(call, answer)| script.answer(call, &[*answer]));
-            let keeper = NodeController::new(setup).start();
-            keeper.do_send(StartRoot(script.child("root")));
-            Rig { keeper, script, state: seen, _nodes: nodes }
+            let controller = NodeController::new(setup).start();
+            controller.do_send(StartRoot(script.child("root")));
+            Rig { controller, script, state: seen, _nodes: nodes }
         }
 
         fn rest(&self) {
             let node = NodeName::new("n").unwrap();
             let fault = Fault::of_node(node, FaultKind::Panic, "why".into(), platform::now());
-            self.keeper.do_send(EnterSafeState { fault, reason: "it panics".into() });
+            self.controller.do_send(EnterSafeState { fault, reason: "it panics".into() });
         }
 
         /// The root says so, of its first life.
         fn says(&self, event: ChildEvent) {
             let object = ObjectName::new("root").unwrap();
-            self.keeper.do_send(ChildReport { object, incarnation: Incarnation(1), event });
+            self.controller.do_send(ChildReport { object, incarnation: Incarnation(1), event });
         }
     }
 
@@ -424,11 +424,11 @@ mod tests {
             let rig = Rig::start(&[("stop root", ScriptedReply::Hangs)]);
             settle().await;
             rig.rest();
-            let closed = tokio::task::spawn_local(rig.keeper.send(Shutdown));
+            let closed = tokio::task::spawn_local(rig.controller.send(Shutdown));
             settle().await;
             assert!(matches!(*rig.state.borrow(), NodeState::InSafeState { .. }), "one still ends");
 
-            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
             settle().await;
             rig.says(ChildEvent::Stopped);
 
@@ -447,7 +447,7 @@ mod tests {
             let rig = Rig::start(&late);
             settle().await;
             rig.rest();
-            let again = tokio::task::spawn_local(rig.keeper.send(RestartRoot));
+            let again = tokio::task::spawn_local(rig.controller.send(RestartRoot));
             settle().await;
 
             rig.says(ChildEvent::Started);

@@ -414,15 +414,14 @@ impl Node {
         &self,
         spec: ChildSpec<C>,
     ) -> Result<ActorRef<C>, SpecError> {
-        let seed = tree::seed(spec);
-        let planted = seed.prepare(&self.0.environment)?;
-        let name = planted.child.name().clone();
-        self.0.dependencies().add(name.clone(), &planted.depends_on)?;
-        self.0.chain.enrol(&self.0.name, &planted).await;
-        let rules = planted.rules(&self.0.plan);
+        let prepared = tree::erase(spec).prepare(&self.0.environment)?;
+        let name = prepared.child.name().clone();
+        self.0.dependencies().add(name.clone(), &prepared.depends_on)?;
+        self.0.chain.enrol(&self.0.name, &prepared).await;
+        let rules = prepared.rules(&self.0.plan);
         let cell = self.0.environment.registry.cell(&name).and_then(|cell| cell.downcast().ok());
         let actor = ActorRef(cell.expect("a spec of C registers a component of C"));
-        let added = self.0.root.additions.send(AddChild { child: planted.child, rules }).await;
+        let added = self.0.root.additions.send(AddChild { child: prepared.child, rules }).await;
         if !matches!(added, Ok(Ok(()))) {
             self.0.dependencies().remove(&name);
             self.0.chain.dismiss(name.clone());

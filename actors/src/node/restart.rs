@@ -110,7 +110,7 @@ impl Node {
             Ok(Err(RestartRefused::NotAtRest(NodeState::Stopped))) => Err(RestartError::ShutDown),
             Ok(Err(RestartRefused::NotAtRest(state))) => Err(RestartError::NotAtRest { state }),
             Ok(Err(RestartRefused::GaveUp(reason))) => Err(RestartError::GaveUp { reason }),
-            // The keeper ends with the node's threads.
+            // The controller ends with the node's threads.
             Ok(Err(RestartRefused::ShutDown)) | Err(_) => Err(RestartError::ShutDown),
         }
     }
@@ -130,8 +130,8 @@ impl Node {
             nearest: self.0.directory.nearest(name),
         };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let keeper = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
-        match keeper.restart.send(RestartChild { object, fault: None }).await {
+        let controller = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
+        match controller.restart.send(RestartChild { object, fault: None }).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
                 (Some(life), false) => RestartedChild::Running(life),
                 (Some(life), true) => RestartedChild::Unavailable(life),

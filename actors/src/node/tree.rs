@@ -1,4 +1,4 @@
-//! The supervision tree as it is described, and how it is planted.
+//! The supervision tree as it is described, and how it is prepared.
 
 use crate::component::Component;
 use crate::component::environment::ComponentEnvironment;
@@ -103,7 +103,7 @@ impl SupervisorSpec {
 
     /// One more child of which not every end is followed by a restart.
     pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
-        self.children.push(Entry::Component(seed(spec), restart));
+        self.children.push(Entry::Component(erase(spec), restart));
         self
     }
 
@@ -156,7 +156,7 @@ impl PreparedComponent {
     }
 }
 
-pub(super) fn seed<C: Component>(spec: ChildSpec<C>) -> Box<dyn ErasedChildSpec> {
+pub(super) fn erase<C: Component>(spec: ChildSpec<C>) -> Box<dyn ErasedChildSpec> {
     Box::new(spec)
 }
 
@@ -180,7 +180,7 @@ impl<C: Component> ErasedChildSpec for ChildSpec<C> {
     }
 }
 
-/// What planting needs of the node.
+/// What preparation needs of the node.
 pub(super) struct TreeEnvironment<'a> {
     pub(super) environment: &'a Arc<ComponentEnvironment>,
     pub(super) guardian: &'a Guardian,
@@ -190,7 +190,7 @@ pub(super) struct TreeEnvironment<'a> {
     pub(super) plan: &'a Plan,
 }
 
-/// What was planted: every component, and every supervisor's name.
+/// What was prepared: every component, and every supervisor's name.
 #[derive(Default)]
 pub(super) struct PreparedTree {
     pub(super) components: Vec<ComponentFacts>,
@@ -228,10 +228,10 @@ impl SupervisorSpec {
     }
 
     /// Makes the supervisors and gives them their children. Nothing is started yet.
-    pub(super) fn plant(
+    pub(super) fn prepare(
         self,
-        ground: &TreeEnvironment<'_>,
-        harvest: &mut PreparedTree,
+        place: &TreeEnvironment<'_>,
+        tree: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         let name = SpecError::check_name(name)?;
@@ -239,19 +239,19 @@ impl SupervisorSpec {
         let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
         for entry in self.children {
             match entry {
-                Entry::Component(seed, restart) => {
-                    let planted =
-                        PreparedComponent { restart, ..seed.prepare(ground.environment)? };
-                    let rules = planted.rules(ground.plan);
-                    let PreparedComponent { child, depends_on, .. } = planted;
+                Entry::Component(spec, restart) => {
+                    let prepared =
+                        PreparedComponent { restart, ..spec.prepare(place.environment)? };
+                    let rules = prepared.rules(place.plan);
+                    let PreparedComponent { child, depends_on, .. } = prepared;
                     let name = child.name().clone();
                     let facts = ComponentFacts { name, depends_on, restart };
-                    harvest.components.push(facts);
+                    tree.components.push(facts);
                     children.push((child, rules));
                 }
                 Entry::Supervisor(spec) => {
                     let kept = spec.kept;
-                    let child = spec.plant(ground, harvest)?;
+                    let child = spec.prepare(place, tree)?;
                     children.push((Box::new(child), kept));
                 }
             }
@@ -260,13 +260,13 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            monitor: ground.monitor.clone().recipient(),
-            states: ground.monitor.clone().recipient(),
-            isolation: ground.monitor.clone().recipient(),
-            directory: ground.directory.clone(),
+            monitor: place.monitor.clone().recipient(),
+            states: place.monitor.clone().recipient(),
+            isolation: place.monitor.clone().recipient(),
+            directory: place.directory.clone(),
         };
-        let supervisor = SupervisorActor::start(ground.guardian, ground.arbiter, setup);
-        harvest.supervisors.push((supervisor.name().clone(), supervisor.inquiries()));
+        let supervisor = SupervisorActor::start(place.guardian, place.arbiter, setup);
+        tree.supervisors.push((supervisor.name().clone(), supervisor.pings()));
         Ok(supervisor)
     }
 }

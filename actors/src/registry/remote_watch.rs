@@ -8,8 +8,8 @@
 //!
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
 //! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
-//! ends of each watched object, so that none between two questions is missed. That the object's node is
-//! lost is seen by the session, which resolves the request.
+//! ends of each watched object, so that none between two questions is missed. That the object's
+//! node is lost is seen by the session, which resolves the request.
 
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -46,8 +46,8 @@ struct AwaitEnd {
     seen: Option<u64>,
 }
 
-/// How an object stands: how many ends the desk has counted, and the last of them, or why it does
-/// not live.
+/// How an object stands: how many ends the service_fn has counted, and the last of them, or why it
+/// does not live.
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 struct Watched {
@@ -140,15 +140,18 @@ async fn ask_on(
 
 /// Answers other nodes that watch objects of this one.
 pub(crate) fn serve(registry: &Registry) {
-    let desk = DeathDesk { registry: registry.downgrade(), objects: Arc::default() };
-    let serve = move |AwaitEnd { object, seen }, answer| desk.serve(object, seen, answer);
+    let service_fn = DeathWatchService { registry: registry.downgrade(), objects: Arc::default() };
+    let serve = move |AwaitEnd { object, seen }, answer| service_fn.serve(object, seen, answer);
     let place = ObjectName::new(PLACE).expect("a name of letters");
-    registry.register_hidden(place, ContractPort::of_desk(ServiceFn::<AwaitEnd>(Arc::new(serve))));
+    registry.register_hidden(
+        place,
+        ContractPort::of_service_fn(ServiceFn::<AwaitEnd>(Arc::new(serve))),
+    );
 }
 
 /// The objects of this node that others watch. Clones share them.
 #[derive(Clone)]
-struct DeathDesk {
+struct DeathWatchService {
     registry: WeakRegistry,
     objects: Arc<Mutex<BTreeMap<ObjectName, Counted>>>,
 }
@@ -161,7 +164,7 @@ struct Counted {
     waiting: Vec<Responder<AwaitEnd>>,
 }
 
-impl DeathDesk {
+impl DeathWatchService {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Counted>> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -204,13 +207,13 @@ impl DeathDesk {
     fn watch(&self, object: &ObjectName) -> Option<LastEnd> {
         let registry = self.registry.upgrade()?;
         let absent = Arc::new(Mutex::new(None));
-        let (desk, told) = (self.clone(), absent.clone());
+        let (service_fn, told) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             DownReason::NotAlive | DownReason::Unknown => {
                 *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(LastEnd::from(down));
             }
-            _ => desk.end(down),
+            _ => service_fn.end(down),
         };
         let who = ObjectName::new(PLACE).expect("a name of letters");
         let life = Arc::new(IncarnationToken::default());

@@ -102,12 +102,15 @@ impl<M: Contract> Skeleton for ServiceFn<M> {
 
 impl ContractPort {
     /// A contract that the node itself serves at the object's name.
-    pub(crate) fn of_desk<M: Contract>(desk: ServiceFn<M>) -> Self {
-        ContractPort::of_peers(desk.clone(), Arc::new(desk))
+    pub(crate) fn of_service_fn<M: Contract>(service_fn: ServiceFn<M>) -> Self {
+        ContractPort::of_peers(service_fn.clone(), Arc::new(service_fn))
     }
 
-    /// The same, where it matters which node says it: what comes from others goes by `doorway`.
-    pub(crate) fn of_peers<M: Contract>(desk: ServiceFn<M>, doorway: Arc<dyn Skeleton>) -> Self {
-        ContractPort::new::<M>(Sender(Arc::new(desk)), doorway)
+    /// The same, where it matters which node says it: what comes from others goes by `skeleton`.
+    pub(crate) fn of_peers<M: Contract>(
+        service_fn: ServiceFn<M>,
+        skeleton: Arc<dyn Skeleton>,
+    ) -> Self {
+        ContractPort::new::<M>(Sender(Arc::new(service_fn)), skeleton)
     }
 }

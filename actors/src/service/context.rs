@@ -23,7 +23,7 @@ impl<C: Component> Context<C> {
     /// # Errors
     /// The name does not parse. Whether there is such a service is found out when it is asked.
     pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let environment = &self.anchor.record.environment;
+        let environment = &self.cell.record.environment;
         ServiceRef::new(&environment.registry, environment.services(), name)
     }
 }

@@ -125,8 +125,8 @@ impl ReplicaBody {
             wondered.do_send(Wondered(question, answer));
         }));
         ports.insert(ReplicaSays::NAME, peers::port::<ReplicaSays>(body.clone().recipient()));
-        ports.insert(AskService::NAME, ContractPort::of_desk(serve));
-        ports.insert(WhoServes::NAME, ContractPort::of_desk(who));
+        ports.insert(AskService::NAME, ContractPort::of_service_fn(serve));
+        ports.insert(WhoServes::NAME, ContractPort::of_service_fn(who));
         ports.insert(CompareTerms::NAME, peers::port::<CompareTerms>(body.clone().recipient()));
         registry.register(&carried.name, ports, Arc::new(Undying))?;
         let told = body.clone().recipient::<Died>();
@@ -151,7 +151,7 @@ impl ReplicaBody {
         let body = context.address();
         let reply_to: ReplyTo =
             Box::new(move |result| body.do_send(then(result.map(GatherBuffer::into_bytes))));
-        match self.registry.doorway(&self.carried.component, contract) {
+        match self.registry.skeleton(&self.carried.component, contract) {
             // What came of it is told to the closure in every case.
             Ok((_, doorway)) => {
                 let _ =
@@ -170,7 +170,7 @@ impl ReplicaBody {
         let read = codec::decode_bounded::<Task, TASK_MAX>(request).map_err(undecodable);
         let read = read.and_then(|Task { identity, payload }| {
             let theirs = PeerIdentity::decode(&identity).map_err(undecodable)?;
-            let (ours, _) = self.registry.doorway(&self.carried.component, &theirs.name)?;
+            let (ours, _) = self.registry.skeleton(&self.carried.component, &theirs.name)?;
             match ours.check(&theirs) {
                 Ok(()) => Ok((theirs.name, payload)),
                 Err(difference) => {

@@ -119,7 +119,7 @@ impl<E: Event> AnyTopic for Topic<E> {
             }
             Err(reason) => {
                 let why = DeliveryError::Undecodable { reason };
-                self.bury(&why);
+                self.record_dead_letter(&why);
                 Err(why)
             }
         }

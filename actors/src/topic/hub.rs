@@ -4,7 +4,7 @@
 //! condition runs under its name, guard and stamp as its handler does, and where either takes long,
 //! the hub ends its turn and goes on from there in the next.
 
-use super::ear::Ear;
+use super::entry::ListenerEntry;
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
@@ -33,37 +33,37 @@ const CAPACITY: usize = 1024;
 /// Events per poll; then the arbiter's other tasks have their turn. Each listener gets all of them
 /// in turn, so that what it consists of is fetched from memory once for all.
 const BUDGET: usize = 8;
-/// A hub's lane has one owner for ever.
+/// A hub's queue has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
 
 /// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubQueue<E> {
-    pub(super) lane: BoundedQueue<Posted<E>>,
+    pub(super) queue: BoundedQueue<Posted<E>>,
     pub(super) id: u64,
     /// Changed under the topic's lock.
     pub(super) listeners: AtomicU64,
     /// Its last listener has left. Changed under the topic's lock.
     retired: AtomicBool,
     pub(super) serving: Mutex<HubBatch<E>>,
-    /// The number of the last ear that was offered what is served; ears have their turn by rising
-    /// numbers.
+    /// The number of the last entry that was offered what is served; entries have their turn by
+    /// rising numbers.
     reached: AtomicU64,
-    /// How many of these events that ear has begun to look at.
+    /// How many of these events that entry has begun to look at.
     begun: AtomicUsize,
-    /// That ear's condition has not decided on the last of them.
+    /// That entry's condition has not decided on the last of them.
     undecided: AtomicBool,
-    /// How often an ear has gone from here, so that the hub need not ask each whether it is still
+    /// How often an entry has gone from here, so that the hub need not ask each whether it is still
     /// here.
     gone: AtomicU64,
 }
 
-/// What a hub has taken from its lane, or is to give to one ear before that: for listeners that
+/// What a hub has taken from its queue, or is to give to one entry before that: for listeners that
 /// leave a hub that is stuck.
 pub(super) struct HubBatch<E> {
     events: Arc<Vec<Posted<E>>>,
-    /// They are for this ear only.
+    /// They are for this entry only.
     only: Option<u64>,
-    /// What ears brought along from the hubs that they left.
+    /// What entries brought along from the hubs that they left.
     pub(super) brought: VecDeque<(u64, Vec<Posted<E>>)>,
 }
 
@@ -79,29 +79,30 @@ impl<E> HubQueue<E> {
     /// Hands an event over; a hub drops its oldest one where it has no room.
     #[inline]
     pub(super) fn push(&self, event: E, at: Times, number: u64) -> Pushed<Posted<E>> {
-        let pushed = self.lane.push_quietly(event, |event| Posted { event, at, number });
+        let pushed = self.queue.push_quietly(event, |event| Posted { event, at, number });
         // Refused only where the hub has retired, which publishers no longer know.
         pushed.unwrap_or(Pushed { displaced: None, parked: None })
     }
 }
 
 impl<E: Event> HubQueue<E> {
-    /// Whether this ear's condition has an event that it has not decided on: lost where it leaves.
-    pub(super) fn is_undecided(&self, ear: u64) -> bool {
-        self.reached.load(Relaxed) == ear && self.undecided.load(Relaxed)
+    /// Whether this entry's condition has an event that it has not decided on: lost where it
+    /// leaves.
+    pub(super) fn is_undecided(&self, entry: u64) -> bool {
+        self.reached.load(Relaxed) == entry && self.undecided.load(Relaxed)
     }
 
-    /// What this ear would still have got here of what was published since it came. `leave` says,
+    /// What this entry would still have got here of what was published since it came. `leave` says,
     /// once and before anything is looked at, that it gets nothing here any more.
     pub(super) fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
         let mut serving = lock(&self.serving);
-        let ear = leave();
+        let entry = leave();
         let mut left = Vec::new();
-        if let Some(at) = serving.brought.iter().position(|(of, _)| *of == ear) {
+        if let Some(at) = serving.brought.iter().position(|(of, _)| *of == entry) {
             left.extend(serving.brought.remove(at).into_iter().flat_map(|(_, events)| events));
         }
-        let past = match ear.cmp(&self.reached.load(Relaxed)) {
-            _ if serving.only.is_some_and(|only| only != ear) => serving.events.len(),
+        let past = match entry.cmp(&self.reached.load(Relaxed)) {
+            _ if serving.only.is_some_and(|only| only != entry) => serving.events.len(),
             Ordering::Less => serving.events.len(),
             // What it served when it was given up is not served again.
             Ordering::Equal => self.begun.load(Relaxed),
@@ -109,7 +110,7 @@ impl<E: Event> HubQueue<E> {
         };
         let served = serving.events.iter().skip(past);
         left.extend(served.filter(|p| serving.only.is_some() || p.number >= since).cloned());
-        left.extend(self.lane.snapshot().into_iter().filter(|posted| posted.number >= since));
+        left.extend(self.queue.snapshot().into_iter().filter(|posted| posted.number >= since));
         left
     }
 }
@@ -119,14 +120,14 @@ pub(super) struct Hub<E: Event> {
     pub(super) shared: Arc<HubQueue<E>>,
     /// For what its events do when they are copied and dropped.
     topic: Weak<Topic<E>>,
-    ears: RefCell<Vec<Ear<E>>>,
+    entries: RefCell<Vec<ListenerEntry<E>>>,
     /// Those that came since the last event.
-    pub(super) newcomers: RefCell<Vec<Ear<E>>>,
+    pub(super) newcomers: RefCell<Vec<ListenerEntry<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
     pulse: Arc<ArbiterHeartbeat>,
     budget: TurnBudget,
-    /// What is handed out now, and which ear has its turn.
+    /// What is handed out now, and which entry has its turn.
     batch: RefCell<Option<Batch<E>>>,
     turn_of: Cell<usize>,
     /// Whose code runs.
@@ -137,14 +138,14 @@ pub(super) struct Hub<E: Event> {
 struct Batch<E> {
     events: Arc<Vec<Posted<E>>>,
     only: Option<u64>,
-    /// There may be more in the lane.
+    /// There may be more in the queue.
     full: bool,
 }
 
 /// Whose code a hub runs.
 #[derive(Clone, Copy)]
 enum Runs {
-    /// The condition of the ear that has its turn, while the component was serving something or
+    /// The condition of the entry that has its turn, while the component was serving something or
     /// not.
     Condition { beside: bool },
     /// What the publisher wrote of the event, or the middleware.
@@ -175,11 +176,11 @@ impl<E: Event> Topic<E> {
         if let Some(hub) = known.filter(|hub| !hub.shared.retired.load(Relaxed)) {
             return hub;
         }
-        let lane = BoundedQueue::new(CAPACITY, WhenFull::DropOldest);
-        lane.begin(OWNER);
+        let queue = BoundedQueue::new(CAPACITY, WhenFull::DropOldest);
+        queue.begin(OWNER);
         let serving = HubBatch { events: Arc::default(), only: None, brought: VecDeque::new() };
         let shared = Arc::new(HubQueue {
-            lane,
+            queue,
             id: NEXT.fetch_add(1, Relaxed),
             listeners: AtomicU64::new(0),
             retired: AtomicBool::new(false),
@@ -192,7 +193,7 @@ impl<E: Event> Topic<E> {
         let hub = Rc::new(Hub {
             shared: shared.clone(),
             topic: Arc::downgrade(self),
-            ears: RefCell::default(),
+            entries: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
             pulse: ArbiterHeartbeat::enrol_here(),
@@ -208,7 +209,7 @@ impl<E: Event> Topic<E> {
         hub
     }
 
-    /// One of the hub's ears is not served any more. A hub without any is released.
+    /// One of the hub's entries is not served any more. A hub without any is released.
     pub(super) fn leave(&self, hub: &Arc<HubQueue<E>>) {
         let mut hubs = lock(&self.hubs);
         hub.gone.fetch_add(1, Relaxed);
@@ -218,7 +219,7 @@ impl<E: Event> Topic<E> {
         hub.retired.store(true, Relaxed);
         hubs.list = hubs.list.iter().filter(|known| known.id != hub.id).cloned().collect();
         drop(hubs);
-        self.discard(hub.lane.stop());
+        self.discard(hub.queue.stop());
         let mut serving = lock(&hub.serving);
         let (events, brought) =
             (std::mem::take(&mut serving.events), std::mem::take(&mut serving.brought));
@@ -243,7 +244,7 @@ impl<E: Event> Topic<E> {
             let posted = |kept: &Latched<E>| Posted {
                 event: kept.event.clone(),
                 at: kept.at,
-                number: 0, // It is for one ear, which is asked no number.
+                number: 0, // It is for one entry, which is asked no number.
             };
             latch.iter().map(posted).collect()
         }));
@@ -258,7 +259,7 @@ impl<E: Event> Drop for Topic<E> {
     fn drop(&mut self) {
         // The hubs' tasks end, each on its own arbiter.
         let hubs = lock(&self.hubs).list.clone();
-        hubs.iter().for_each(|hub| self.discard(hub.lane.stop()));
+        hubs.iter().for_each(|hub| self.discard(hub.queue.stop()));
     }
 }
 
@@ -309,7 +310,7 @@ impl<E: Event> Hub<E> {
             Progress::Slow => return Poll::Pending,
             Progress::Lost => return Poll::Ready(()),
         }
-        // What came while it rested has used up the waker that the lane keeps.
+        // What came while it rested has used up the waker that the queue keeps.
         let more = self.finish() || resumed;
         if more && !self.budget.is_spent() {
             self.budget.pause(cx.waker());
@@ -317,18 +318,18 @@ impl<E: Event> Hub<E> {
         Poll::Pending
     }
 
-    /// What an ear brought along, or some events from the lane.
+    /// What an entry brought along, or some events from the queue.
     fn next_batch(&self, cx: &task::Context<'_>) -> Popped<Batch<E>> {
-        let mut ears = self.ears.borrow_mut();
-        ears.append(&mut self.newcomers.borrow_mut());
-        let HubQueue { lane, serving, reached, begun, .. } = &*self.shared;
+        let mut entries = self.entries.borrow_mut();
+        entries.append(&mut self.newcomers.borrow_mut());
+        let HubQueue { queue, serving, reached, begun, .. } = &*self.shared;
         let mut serving = lock(serving);
         let (mut events, mut only, mut full) = (Vec::new(), None, true);
-        if let Some((ear, brought)) = serving.brought.pop_front() {
-            (events, only) = (brought, Some(ear));
+        if let Some((entry, brought)) = serving.brought.pop_front() {
+            (events, only) = (brought, Some(entry));
         }
         while only.is_none() && events.len() < BUDGET {
-            match lane.take(OWNER, cx.waker()) {
+            match queue.take(OWNER, cx.waker()) {
                 Popped::Got(posted) => events.push(posted),
                 Popped::Empty if events.is_empty() => return Popped::Empty,
                 Popped::Empty => {
@@ -352,37 +353,38 @@ impl<E: Event> Hub<E> {
             if let Some(topic) = self.topic.upgrade() {
                 topic.log_lost(posted, &DeliveryError::Expired);
             }
-            let concerned = ears.iter().filter(|ear| only.is_none_or(|only| only == ear.number));
-            concerned.for_each(|ear| ear.listener.bury(&DeliveryError::Expired));
+            let concerned =
+                entries.iter().filter(|entry| only.is_none_or(|only| only == entry.number));
+            concerned.for_each(|entry| entry.listener.record_dead_letter(&DeliveryError::Expired));
         }
         self.discard(stale);
         self.turn_of.set(0);
         Popped::Got(Batch { events, only, full })
     }
 
-    /// Gives every ear the events that it wants, until something takes long.
+    /// Gives every entry the events that it wants, until something takes long.
     fn distribute(&self) -> Progress {
-        let (ears, batch) = (self.ears.borrow(), self.batch.borrow());
+        let (entries, batch) = (self.entries.borrow(), self.batch.borrow());
         let Some(batch) = &*batch else { return Progress::Done };
         loop {
             let guarded = PanicGuard::enter();
-            let offered = catch_unwind(AssertUnwindSafe(|| self.offer_to_all(&ears, batch)));
+            let offered = catch_unwind(AssertUnwindSafe(|| self.offer_to_all(&entries, batch)));
             drop(guarded);
             match offered {
                 Ok(progress) => return progress,
-                Err(payload) => self.blame(&ears[self.turn_of.get()], payload),
+                Err(payload) => self.blame(&entries[self.turn_of.get()], payload),
             }
         }
     }
 
-    fn offer_to_all(&self, ears: &[Ear<E>], batch: &Batch<E>) -> Progress {
-        while let Some(ear) = ears.get(self.turn_of.get()) {
-            if let Some(after) = ears.get(self.turn_of.get() + 1)
+    fn offer_to_all(&self, entries: &[ListenerEntry<E>], batch: &Batch<E>) -> Progress {
+        while let Some(entry) = entries.get(self.turn_of.get()) {
+            if let Some(after) = entries.get(self.turn_of.get() + 1)
                 && after.only_if.is_none()
             {
                 after.listener.call_up();
             }
-            let progress = self.offer(ear, batch);
+            let progress = self.offer(entry, batch);
             if progress != Progress::Done {
                 return progress;
             }
@@ -392,30 +394,30 @@ impl<E: Event> Hub<E> {
         Progress::Done
     }
 
-    /// Gives an ear the events that it wants, from the next one on.
+    /// Gives an entry the events that it wants, from the next one on.
     #[inline]
-    fn offer(&self, ear: &Ear<E>, batch: &Batch<E>) -> Progress {
+    fn offer(&self, entry: &ListenerEntry<E>, batch: &Batch<E>) -> Progress {
         let HubQueue { begun, reached, gone, .. } = &*self.shared;
-        if gone.load(Relaxed) != self.gone.get() && !ear.is_present() {
+        if gone.load(Relaxed) != self.gone.get() && !entry.is_present() {
             return Progress::Done;
         }
-        if batch.only.is_some_and(|only| only != ear.number) {
+        if batch.only.is_some_and(|only| only != entry.number) {
             return Progress::Done;
         }
-        reached.store(ear.number, Relaxed);
-        if ear.only_if.is_some() || ear.place.get().is_none() {
-            ear.place.set(ear.listener.place());
+        reached.store(entry.number, Relaxed);
+        if entry.only_if.is_some() || entry.place.get().is_none() {
+            entry.place.set(entry.listener.place());
         }
-        self.pulse.run(ear.place.get().map(|place| place.index));
+        self.pulse.run(entry.place.get().map(|place| place.index));
         while let Some(posted) = batch.events.get(begun.load(Relaxed)) {
             step(begun);
             // It gets the earlier ones from the hub that it left.
-            if posted.number < ear.since && batch.only.is_none() {
+            if posted.number < entry.since && batch.only.is_none() {
                 continue;
             }
-            if ear.only_if.as_ref().is_none_or(|wanted| self.is_wanted(ear, wanted, posted)) {
+            if entry.only_if.as_ref().is_none_or(|wanted| self.is_wanted(entry, wanted, posted)) {
                 let event = posted.event.clone();
-                ear.place.set(ear.listener.take(event, posted.at, &self.pulse, ear));
+                entry.place.set(entry.listener.take(event, posted.at, &self.pulse, entry));
             }
             if self.pulse.is_fenced() {
                 // The handler that kept the thread has returned.
@@ -425,7 +427,7 @@ impl<E: Event> Hub<E> {
                 }
             }
             if !self.budget.lasts() {
-                ear.listener.overdraw();
+                entry.listener.overdraw();
                 return Progress::Slow;
             }
         }
@@ -433,8 +435,13 @@ impl<E: Event> Hub<E> {
     }
 
     /// Asks the listener's condition, which is the component's code as its handlers are.
-    fn is_wanted(&self, ear: &Ear<E>, wanted: &EventFilter<E>, posted: &Posted<E>) -> bool {
-        let stamp = ear.place.get().map(|place| place.stamp);
+    fn is_wanted(
+        &self,
+        entry: &ListenerEntry<E>,
+        wanted: &EventFilter<E>,
+        posted: &Posted<E>,
+    ) -> bool {
+        let stamp = entry.place.get().map(|place| place.stamp);
         let beside = stamp.is_some_and(|stamp| stamp.is_busy());
         match stamp {
             Some(stamp) if beside => stamp.run_condition(true),
@@ -444,14 +451,14 @@ impl<E: Event> Hub<E> {
         self.runs.set(Runs::Condition { beside });
         self.shared.undecided.store(true, Relaxed);
         let wants = wanted(&posted.event);
-        self.condition_ends(ear, beside);
+        self.condition_ends(entry, beside);
         wants
     }
 
-    fn condition_ends(&self, ear: &Ear<E>, beside: bool) {
+    fn condition_ends(&self, entry: &ListenerEntry<E>, beside: bool) {
         self.shared.undecided.store(false, Relaxed);
         self.runs.set(Runs::Other);
-        match ear.place.get().map(|place| place.stamp) {
+        match entry.place.get().map(|place| place.stamp) {
             Some(stamp) if beside => stamp.run_condition(false),
             Some(stamp) => stamp.step(),
             None => {}
@@ -461,15 +468,15 @@ impl<E: Event> Hub<E> {
     /// Something panicked. Where a condition does, the listener is dead, and the event goes on to
     /// the next.
     #[cold]
-    fn blame(&self, ear: &Ear<E>, payload: Box<dyn Any + Send>) {
+    fn blame(&self, entry: &ListenerEntry<E>, payload: Box<dyn Any + Send>) {
         let Runs::Condition { beside } = self.runs.get() else {
             if let Some(topic) = self.topic.upgrade() {
                 topic.complain(payload);
             }
             return;
         };
-        self.condition_ends(ear, beside);
-        ear.listener.die(payload);
+        self.condition_ends(entry, beside);
+        entry.listener.die(payload);
     }
 
     /// All have got what is handed out. Says whether there may be more.
@@ -480,7 +487,7 @@ impl<E: Event> Hub<E> {
         drop(serving);
         let gone = self.shared.gone.load(Relaxed);
         if self.gone.replace(gone) != gone {
-            self.ears.borrow_mut().retain(Ear::is_present);
+            self.entries.borrow_mut().retain(ListenerEntry::is_present);
         }
         self.discard(Arc::into_inner(batch.events).unwrap_or_default());
         batch.full

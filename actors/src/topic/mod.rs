@@ -15,7 +15,7 @@
 //! the same sender no order is promised. Publishing never waits: a hub that falls behind drops its
 //! oldest events, which are counted among the dead letters under the topic's name.
 
-mod ear;
+mod entry;
 mod erased;
 mod hub;
 pub(crate) mod ports;
@@ -232,7 +232,7 @@ impl<E: Event> Topic<E> {
             waker.wake();
         }
         if let Some(displaced) = displaced {
-            self.bury(&DeliveryError::Full);
+            self.record_dead_letter(&DeliveryError::Full);
             self.log_lost(&displaced, &DeliveryError::Full);
             self.discard([displaced]);
         }
@@ -266,12 +266,12 @@ impl<E: Event> Topic<E> {
         let forwards = lock(&self.forwards).clone();
         match codec::encode_parcel(event) {
             Ok(parcel) => forwards.iter().for_each(|forward| forward(&parcel, sent)),
-            Err(_) => self.bury(&DeliveryError::TooLarge { limit: E::MAX_SIZE }),
+            Err(_) => self.record_dead_letter(&DeliveryError::TooLarge { limit: E::MAX_SIZE }),
         }
     }
 
     /// Counts an event that a hub lost.
-    fn bury(&self, why: &DeliveryError) {
+    fn record_dead_letter(&self, why: &DeliveryError) {
         self.dead_letters.record(&self.key.topic, E::NAME, why);
     }
 

@@ -141,7 +141,7 @@ impl<C: Component> Context<C> {
     /// name; the text names both, where each was said, and what differs.
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
-        let topics = self.anchor.record.environment.topics();
+        let topics = self.cell.record.environment.topics();
         let publisher = topics.publisher_of(topic, self.name().as_str())?;
         Ok(publisher.of(self.life.token.clone()))
     }

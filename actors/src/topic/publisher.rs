@@ -67,8 +67,8 @@ impl<E: Event> Publisher<E> {
     /// # Errors
     /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is
     /// fenced off, or the incarnation that made this publisher has ended;
-    /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is isolated.
-    /// The event comes back, and is not counted among the dead letters.
+    /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is
+    /// isolated. The event comes back, and is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         self.publish_stamped(event, None)
@@ -105,7 +105,7 @@ impl<E: Event> Publisher<E> {
     /// the topic's name.
     pub(crate) fn publish_or_count(&self, event: E, captured_at: Option<Instant>) {
         if let Err(refused) = self.publish_stamped(event, captured_at) {
-            self.topic.bury(&refused.kind);
+            self.topic.record_dead_letter(&refused.kind);
         }
     }
 

@@ -1,6 +1,6 @@
 //! A component's subscription to one topic: at which hub it is served, and from which event on.
 
-use super::ear::{Ear, Resident};
+use super::entry::{ListenerEntry, Resident};
 use super::hub::HubQueue;
 use super::{EventFilter, Topic, lock};
 use crate::component::cell::ComponentCell;
@@ -18,21 +18,21 @@ use std::sync::{Arc, Mutex};
 pub(crate) struct TopicSubscription<E: Event> {
     topic: Arc<Topic<E>>,
     only_if: Option<EventFilter<E>>,
-    /// The number of the ear that is served now; 0 for none.
+    /// The number of the entry that is served now; 0 for none.
     present: Arc<AtomicU64>,
     /// Its hub.
     hub: Mutex<Option<At<E>>>,
 }
 
 /// The condition that was to decide on an event went down with its incarnation.
-fn lose_undecided<C: Component, E: Event>(anchor: &ComponentCell<C>, incarnation: u64) {
+fn lose_undecided<C: Component, E: Event>(cell: &ComponentCell<C>, incarnation: u64) {
     let why = DeliveryError::PeerDied { incarnation: Incarnation(incarnation) };
-    anchor.record.record_dead_letter(E::NAME, &why);
+    cell.record.record_dead_letter(E::NAME, &why);
 }
 
 /// Where a subscription is served, and from which of the topic's events on.
 struct At<E> {
-    lane: Arc<HubQueue<E>>,
+    queue: Arc<HubQueue<E>>,
     since: u64,
 }
 
@@ -43,14 +43,14 @@ impl<E: Event> TopicSubscription<E> {
 }
 
 impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
-    fn attach(&self, anchor: &Arc<ComponentCell<C>>) {
+    fn attach(&self, cell: &Arc<ComponentCell<C>>) {
         static NEXT: AtomicU64 = AtomicU64::new(1);
         // No event passes between what the topic keeps and what the listener gets from here on.
         let latch = lock(&self.topic.latch);
         let mut at = lock(&self.hub);
         let mut hubs = lock(&self.topic.hubs);
         let hub = self.topic.hub_here(&mut hubs);
-        if at.as_ref().is_some_and(|at| at.lane.id == hub.shared.id) {
+        if at.as_ref().is_some_and(|at| at.queue.id == hub.shared.id) {
             return;
         }
         let (number, since) = (NEXT.fetch_add(1, Relaxed), hubs.next);
@@ -58,12 +58,12 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         // What still waits at the hub that the listener leaves: its arbiter is lost, or the
         // listener moves and would miss it.
         let left = match &*at {
-            Some(At { lane, since }) => {
-                if lane.is_undecided(self.present.load(Relaxed)) {
-                    lose_undecided::<C, E>(anchor, anchor.record.incarnation().0.saturating_sub(1));
+            Some(At { queue, since }) => {
+                if queue.is_undecided(self.present.load(Relaxed)) {
+                    lose_undecided::<C, E>(cell, cell.record.incarnation().0.saturating_sub(1));
                 }
                 let _guarded = PanicGuard::enter();
-                let left = catch_unwind(AssertUnwindSafe(|| lane.leftover(*since, leave)));
+                let left = catch_unwind(AssertUnwindSafe(|| queue.leftover(*since, leave)));
                 left.unwrap_or_else(|payload| {
                     self.topic.complain(payload);
                     Vec::new()
@@ -78,47 +78,47 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         let joins = at.is_none().then(|| self.topic.add_listener(&latch));
         drop((hubs, latch));
         let mut newcomers = hub.newcomers.borrow_mut();
-        newcomers.retain(Ear::is_present);
-        newcomers.push(Ear {
+        newcomers.retain(ListenerEntry::is_present);
+        newcomers.push(ListenerEntry {
             only_if: self.only_if.clone(),
             present: self.present.clone(),
             number,
             since,
             place: Cell::new(None),
-            listener: Box::new(Resident { anchor: anchor.clone(), pump: RefCell::default() }),
+            listener: Box::new(Resident { cell: cell.clone(), executor: RefCell::default() }),
         });
         drop(newcomers);
         if !left.is_empty() {
             lock(&hub.shared.serving).brought.push_back((number, left));
-            hub.shared.lane.wake();
+            hub.shared.queue.wake();
         }
-        if let Some(old) = at.replace(At { lane: hub.shared.clone(), since }) {
-            self.topic.leave(&old.lane);
+        if let Some(old) = at.replace(At { queue: hub.shared.clone(), since }) {
+            self.topic.leave(&old.queue);
         }
         if let Some(is_first) = joins {
-            self.topic.listener_changed(&anchor.record.name, true, is_first);
+            self.topic.listener_changed(&cell.record.name, true, is_first);
         }
     }
 
     fn catch_up(&self, _: &Arc<ComponentCell<C>>) {
         let left = self.topic.kept(&lock(&self.topic.latch));
-        if let Some(At { lane, .. }) = &*lock(&self.hub)
+        if let Some(At { queue, .. }) = &*lock(&self.hub)
             && !left.is_empty()
         {
-            lock(&lane.serving).brought.push_back((self.present.load(Relaxed), left));
-            lane.lane.wake();
+            lock(&queue.serving).brought.push_back((self.present.load(Relaxed), left));
+            queue.queue.wake();
         }
     }
 
-    fn end(&self, anchor: &ComponentCell<C>) {
-        if let Some(At { lane, .. }) = lock(&self.hub).take() {
-            if lane.is_undecided(self.present.load(Relaxed)) {
-                lose_undecided::<C, E>(anchor, anchor.record.incarnation().0);
+    fn end(&self, cell: &ComponentCell<C>) {
+        if let Some(At { queue, .. }) = lock(&self.hub).take() {
+            if queue.is_undecided(self.present.load(Relaxed)) {
+                lose_undecided::<C, E>(cell, cell.record.incarnation().0);
             }
             self.present.store(0, Relaxed);
-            self.topic.leave(&lane);
+            self.topic.leave(&queue);
             let was_last = self.topic.remove_listener();
-            self.topic.listener_changed(&anchor.record.name, false, was_last);
+            self.topic.listener_changed(&cell.record.name, false, was_last);
         }
     }
 }

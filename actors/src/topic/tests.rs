@@ -17,12 +17,12 @@ fn topic(topics: &Topics) -> Arc<Topic<Sample>> {
 }
 
 fn change(topic: &Topic<Sample>, more: bool) {
-    let ear: ObjectName = "ear".parse().unwrap();
+    let entry: ObjectName = "ear".parse().unwrap();
     let first_or_last = match more {
         true => topic.add_listener(&lock(&topic.latch)),
         false => topic.remove_listener(),
     };
-    topic.listener_changed(&ear, more, first_or_last);
+    topic.listener_changed(&entry, more, first_or_last);
 }
 
 #[test]

@@ -118,6 +118,6 @@ impl<C: Component> Context<C> {
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
     /// [`DeliveryError::NotServed`] where it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
-        find(&self.anchor.record.environment.registry, object)
+        find(&self.cell.record.environment.registry, object)
     }
 }

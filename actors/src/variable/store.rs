@@ -228,7 +228,7 @@ impl VariableStore {
                 false => store.serve(access, answer),
             }
         };
-        Ok(ContractPort::of_desk(ServiceFn::<VariableRequest>(Arc::new(serve))))
+        Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
 
     /// Applies the policies whenever a life of the object ends.

@@ -25,7 +25,7 @@ pub struct Register {
     /// Who, and how.
     pub enrolment: Registration,
     /// Where it answers the monitor's questions, on its control lane; needed for `Watch::Pull`.
-    pub inquiries: Option<Recipient<AreYouAlive>>,
+    pub pings: Option<Recipient<AreYouAlive>>,
 }
 
 /// Forgets an object; what it still says is not listened to.

@@ -108,7 +108,7 @@ impl MonitoredObject {
         }
     }
 
-    /// The row of the table, but for what only the watchdog and the inquiry know.
+    /// The row of the table, but for what only the watchdog and the ping monitor know.
     pub(super) fn row(&self, place: FaultLocation, now: Instant) -> MonitorRow {
         MonitorRow {
             incarnation: self.incarnation,

@@ -35,25 +35,25 @@ impl FaultLog {
     pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
         let full = self.entries.len() >= self.capacity;
         let dropped = if full { self.make_room() } else { None };
-        let (seat, kind, id) = (seat(&fault.place), fault.kind.clone(), fault.id);
-        self.latches.insert((seat, kind), id);
+        let (scope, kind, id) = (scope(&fault.place), fault.kind.clone(), fault.id);
+        self.latches.insert((scope, kind), id);
         self.entries.insert(id, FaultEntry::new(fault));
         dropped
     }
 
     /// The fault of this kind that stands at this place.
     pub fn standing(&self, place: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
-        self.latches.get(&(seat(place), kind.clone())).copied()
+        self.latches.get(&(scope(place), kind.clone())).copied()
     }
 
     /// Every fault that stands at this place, in the order of their kinds.
     pub fn standing_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        let seat = seat(place);
+        let scope = scope(place);
         // The first kind of the list: all latches of the place follow.
-        let first = (seat.clone(), FaultKind::Panic);
+        let first = (scope.clone(), FaultKind::Panic);
         self.latches
             .range(first..)
-            .take_while(move |((other, _), _)| *other == seat)
+            .take_while(move |((other, _), _)| *other == scope)
             .filter_map(|(_, id)| Some(&self.entries.get(id)?.fault))
     }
 
@@ -65,7 +65,7 @@ impl FaultLog {
     /// Whether this fault still stands, given up or not.
     pub fn stands(&self, id: FaultId) -> bool {
         self.entries.get(&id).is_some_and(|entry| {
-            self.latches.get(&(seat(&entry.fault.place), entry.fault.kind.clone())) == Some(&id)
+            self.latches.get(&(scope(&entry.fault.place), entry.fault.kind.clone())) == Some(&id)
         })
     }
 
@@ -83,7 +83,7 @@ impl FaultLog {
     pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         entry.repaired_at = Some(at);
-        let latch = (seat(&entry.fault.place), entry.fault.kind.clone());
+        let latch = (scope(&entry.fault.place), entry.fault.kind.clone());
         if self.latches.get(&latch) == Some(&id) {
             self.latches.remove(&latch);
         }
@@ -123,7 +123,7 @@ impl FaultLog {
 }
 
 /// A place as latches know it: a link is the same whether or not its neighbour is known yet.
-fn seat(place: &FaultLocation) -> FaultLocation {
+fn scope(place: &FaultLocation) -> FaultLocation {
     match place.clone() {
         FaultLocation::Link { node, link, .. } => {
             FaultLocation::Link { node, link, neighbour: None }

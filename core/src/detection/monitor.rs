@@ -29,7 +29,7 @@ pub struct Monitor {
     limits: MonitorLimits,
     objects: BTreeMap<ObjectName, MonitoredObject>,
     around: PeerTable,
-    inquiry: PingMonitor,
+    pings: PingMonitor,
     handover: ConfirmedQueue<Observation>,
     asks: VecDeque<ObjectName>,
     /// The node ends.
@@ -97,7 +97,7 @@ impl Monitor {
             limits,
             objects: BTreeMap::new(),
             around: PeerTable::default(),
-            inquiry: PingMonitor::new(),
+            pings: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
             asks: VecDeque::new(),
             ending: false,
@@ -127,7 +127,7 @@ impl Monitor {
         (entry.kind, entry.watch, entry.may_end) = (kind, watch, may_end);
         let incarnation = entry.incarnation;
         if !matches!(watch, Liveness::Pull(_)) {
-            self.inquiry.dismiss(&object);
+            self.pings.dismiss(&object);
         }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
         self.watch_over(&object, now);
@@ -137,7 +137,7 @@ impl Monitor {
 
     /// Forgets an object.
     pub fn dismiss(&mut self, object: &ObjectName, now: Instant) {
-        self.inquiry.dismiss(object);
+        self.pings.dismiss(object);
         if let Some(entry) = self.objects.remove(object) {
             self.observe_object(object, entry.incarnation, Finding::Dismissed, now);
         }
@@ -146,7 +146,7 @@ impl Monitor {
 
     /// An object has answered.
     pub fn handle_alive(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
-        self.inquiry.handle_answer(object, progress, now);
+        self.pings.handle_answer(object, progress, now);
         if self.objects.contains_key(object)
             && let Some(entry) = self.alive(object, progress.incarnation, now)
         {
@@ -164,7 +164,7 @@ impl Monitor {
 
     /// The question to this object will never be answered.
     pub fn handle_unanswered(&mut self, object: &ObjectName, now: Instant) {
-        self.inquiry.handle_unanswered(object, now);
+        self.pings.handle_unanswered(object, now);
         self.settle(now);
     }
 
@@ -210,7 +210,7 @@ impl Monitor {
         entry.state = Some(if died { Lifecycle::Fatal } else { Lifecycle::Finalized });
         entry.note(NoteCause::End, describe(&exit));
         entry.suspect = false;
-        self.inquiry.handle_end(object, incarnation, now);
+        self.pings.handle_end(object, incarnation, now);
         self.observe_object(object, incarnation, Finding::Exited { exit, restarted_as }, now);
         if let Some(next) = restarted_as {
             self.admit(object, next, now);
@@ -249,7 +249,7 @@ impl Monitor {
         }
         if state == Lifecycle::Finalized {
             entry.end.get_or_insert(LastExit::Finalized);
-            self.inquiry.handle_end(object, incarnation, now);
+            self.pings.handle_end(object, incarnation, now);
         }
         self.observe_object(object, incarnation, Finding::State { state, reason }, now);
         self.settle(now);
@@ -378,7 +378,7 @@ impl Monitor {
     #[must_use]
     pub fn reborn(self, now: Instant) -> Self {
         let mut monitor = Monitor {
-            inquiry: PingMonitor::new(),
+            pings: PingMonitor::new(),
             handover: self.handover.reborn(now),
             asks: VecDeque::new(),
             ..self
@@ -394,15 +394,15 @@ impl Monitor {
         self.objects.len() + self.around.len() >= self.limits.rows
     }
 
-    /// Sets the inquiry on an object of the table, if its entry says so.
+    /// Sets the pings on an object of the table, if its entry says so.
     fn watch_over(&mut self, object: &ObjectName, now: Instant) {
         let Some(entry) = self.objects.get(object) else { return };
         if let Liveness::Pull(pull) = entry.watch {
-            self.inquiry.enrol(object, pull, entry.incarnation, now);
+            self.pings.enrol(object, pull, entry.incarnation, now);
         }
         // An object that has not begun yet may have to wait for others that are started before it.
         if entry.end.is_some() || entry.incarnation == Incarnation::default() {
-            self.inquiry.handle_end(object, entry.incarnation, now);
+            self.pings.handle_end(object, entry.incarnation, now);
         }
     }
 
@@ -428,7 +428,7 @@ impl Monitor {
         }
         if incarnation > entry.incarnation {
             entry.begin(incarnation);
-            self.inquiry.handle_start(object, incarnation, now);
+            self.pings.handle_start(object, incarnation, now);
         }
         Some(entry)
     }
@@ -474,9 +474,9 @@ impl Monitor {
         self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
     }
 
-    /// Acts on what the inquiry has found.
+    /// Acts on what the pings has found.
     fn settle(&mut self, now: Instant) {
-        while let Some(output) = self.inquiry.poll_output() {
+        while let Some(output) = self.pings.poll_output() {
             match output {
                 PingOutput::Ask { object } => self.asks.push_back(object),
                 PingOutput::Verdict(verdict) => self.handle_verdict(verdict, now),
@@ -531,11 +531,11 @@ impl Machine for Monitor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        [self.inquiry.poll_timeout(), self.handover.poll_timeout()].into_iter().flatten().min()
+        [self.pings.poll_timeout(), self.handover.poll_timeout()].into_iter().flatten().min()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        self.inquiry.handle_timeout(now);
+        self.pings.handle_timeout(now);
         self.handover.handle_timeout(now);
         self.settle(now);
     }

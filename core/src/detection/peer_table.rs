@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::mem::discriminant;
 use std::sync::Arc;
 
-/// The table of links and nodes. It tells what is news from what was said before.
+/// The table of links and nodes. It tells what is change from what was said before.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PeerTable {
     links: BTreeMap<(NodeName, Arc<str>), LinkSeen>,
@@ -76,7 +76,7 @@ impl PeerTable {
         self.nodes.contains_key(node)
     }
 
-    /// A link reports how it is. The same condition again is no news, but that it is down for
+    /// A link reports how it is. The same condition again is no change, but that it is down for
     /// another reason is.
     pub(super) fn handle_link(
         &mut self,
@@ -110,19 +110,19 @@ impl PeerTable {
         };
         // A node that leaves takes its ends of the cables along.
         let left = neighbour.as_ref().is_some_and(|node| self.has_left(node));
-        let is_news = !known && (carries || !left);
+        let is_change = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_news.then_some(PeerChange { place, incarnation: Incarnation::default(), finding })
+        is_change.then_some(PeerChange { place, incarnation: Incarnation::default(), finding })
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
         self.nodes.get(node).is_some_and(|seen| seen.standing == PeerStatus::Left)
     }
 
-    /// The router reports how a node is. The same condition again is no news, a newer life is. What
-    /// is heard of a life that has left, is none. Answers an error for the end of a life that is
-    /// over, and for the rest of another one than is there.
+    /// The router reports how a node is. The same condition again is no change, a newer life is.
+    /// What is heard of a life that has left, is none. Answers an error for the end of a life that
+    /// is over, and for the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -139,7 +139,7 @@ impl PeerTable {
         }
         let before = self.nodes.get(&node);
         // Which life is there, those say who can reach it, whatever its number: the clock that
-        // numbers lives may have been set back. That another one has ended is no news.
+        // numbers lives may have been set back. That another one has ended is no change.
         let here = matches!(condition, NodeCondition::Reachable | NodeCondition::Restarted);
         if let Some(seen) = before
             && !here
@@ -174,7 +174,7 @@ impl PeerTable {
         let known = before.map(|seen| discriminant(&seen.standing));
         let isolated = before.and_then(|seen| seen.isolated.clone());
         // That an isolated node cannot be reached is as it should be.
-        let is_news = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
+        let is_change = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
         let here = standing == PeerStatus::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
@@ -185,7 +185,11 @@ impl PeerTable {
         let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding }))
+        Ok(is_change.then_some(PeerChange {
+            place: FaultLocation::Node(node),
+            incarnation,
+            finding,
+        }))
     }
 
     /// What others think of a node, or what it has done: whatever life of it is known.
@@ -198,9 +202,9 @@ impl PeerTable {
         };
         let changed = isolated.is_some() != seen.isolated.is_some();
         seen.isolated = isolated;
-        let is_news = changed || matches!(condition, NodeCondition::Offends { .. });
+        let is_change = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding })
+        is_change.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding })
     }
 
     /// What a node says of itself: another one, or this.
@@ -227,10 +231,14 @@ impl PeerTable {
         if seen.incarnation != incarnation && seen.incarnation != Incarnation::default() {
             return Err(seen.incarnation);
         }
-        let is_news = rest.is_some() != seen.rest.is_some();
+        let is_change = rest.is_some() != seen.rest.is_some();
         seen.rest = rest;
         let finding = Finding::Node(condition);
-        Ok(is_news.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding }))
+        Ok(is_change.then_some(PeerChange {
+            place: FaultLocation::Node(node),
+            incarnation,
+            finding,
+        }))
     }
 
     /// Links, then nodes.
@@ -314,10 +322,11 @@ mod tests {
                 };
                 assert!(report(&from, Some(node("b"))).is_some(), "the first is always news");
 
-                let news = report(&to, None);
+                let change = report(&to, None);
 
-                assert_eq!(news.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange { place: FaultLocation::Link { neighbour, .. }, .. }) = news
+                assert_eq!(change.is_some(), from != to, "{from:?} to {to:?}");
+                if let Some(PeerChange { place: FaultLocation::Link { neighbour, .. }, .. }) =
+                    change
                 {
                     assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
                 }
@@ -347,10 +356,10 @@ mod tests {
             let mut around = PeerTable::default();
             if let Some((life, condition)) = before {
                 let first = around.handle_node(node("b"), Incarnation(life), condition, at(1));
-                assert!(first.is_ok_and(|news| news.is_some()));
+                assert!(first.is_ok_and(|change| change.is_some()));
             }
-            let news = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
-            let finding = news.map(|news| news.map(|news| news.finding));
+            let change = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
+            let finding = change.map(|change| change.map(|change| change.finding));
             assert_eq!(finding, told);
         };
         let says = |condition| Ok(Some(Finding::Node(condition)));
@@ -391,8 +400,8 @@ mod tests {
         use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
         let mut around = PeerTable::default();
         let mut told = |condition: &NodeCondition| {
-            let news = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
-            let finding = news.expect("no life is over").map(|news| news.finding);
+            let change = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
+            let finding = change.expect("no life is over").map(|change| change.finding);
             finding
                 .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
                 .is_some()
@@ -408,14 +417,14 @@ mod tests {
         assert!(told(&Reachable));
     }
 
-    /// Tells of one node's lives; answers whether that is news, and whether the node is at rest
+    /// Tells of one node's lives; answers whether that is change, and whether the node is at rest
     /// then.
     fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
         move |life, condition| {
-            let news = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            let change = around.handle_node(node("b"), Incarnation(life), condition, at(1));
             let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
-            (news.map(|news| news.is_some()), rests)
+            (change.map(|change| change.is_some()), rests)
         }
     }
 
@@ -424,8 +433,8 @@ mod tests {
         use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
         let mut told = rest_told_of();
         let mut told = |life, condition| {
-            let (news, rests) = told(life, condition);
-            (news.expect("no life is over"), rests)
+            let (change, rests) = told(life, condition);
+            (change.expect("no life is over"), rests)
         };
         let rest = || AtRest { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
@@ -472,12 +481,12 @@ mod tests {
         };
         assert!(told(&mut around, &up));
         let left = around.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
-        assert!(left.is_ok_and(|news| news.is_some()));
+        assert!(left.is_ok_and(|change| change.is_some()));
 
         assert!(!told(&mut around, &down));
         assert!(told(&mut around, &up), "it returns");
         let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
-        assert!(back.is_ok_and(|news| news.is_some()));
+        assert!(back.is_ok_and(|change| change.is_some()));
 
         assert!(told(&mut around, &down), "this time it was not announced");
     }

@@ -99,7 +99,7 @@ impl Asked {
 }
 
 impl PingMonitor {
-    /// An inquiry that asks no object yet.
+    /// An pings that asks no object yet.
     pub fn new() -> Self {
         PingMonitor::default()
     }
@@ -290,10 +290,10 @@ mod tests {
         }
     }
 
-    fn inquiry() -> PingMonitor {
-        let mut inquiry = PingMonitor::new();
-        inquiry.enrol(&map(), pull(), ONE, at(0));
-        inquiry
+    fn pings() -> PingMonitor {
+        let mut pings = PingMonitor::new();
+        pings.enrol(&map(), pull(), ONE, at(0));
+        pings
     }
 
     fn progress(incarnation: Incarnation) -> WorkProgress {
@@ -301,13 +301,13 @@ mod tests {
     }
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
-    fn run(inquiry: &mut PingMonitor, until: u64) -> Vec<(u64, String)> {
+    fn run(pings: &mut PingMonitor, until: u64) -> Vec<(u64, String)> {
         let mut told = Vec::new();
         loop {
-            let now = inquiry.poll_timeout().unwrap_or(at(until)).min(at(until));
-            inquiry.handle_timeout(now);
+            let now = pings.poll_timeout().unwrap_or(at(until)).min(at(until));
+            pings.handle_timeout(now);
             let millis = now.as_nanos() / 1_000_000;
-            while let Some(output) = inquiry.poll_output() {
+            while let Some(output) = pings.poll_output() {
                 let text = match output {
                     PingOutput::Ask { .. } => "ask".into(),
                     PingOutput::Verdict(verdict) => verdict.opinion.to_string(),
@@ -326,92 +326,92 @@ mod tests {
 
     #[test]
     fn whoever_answers_is_trusted_and_asked_again_at_the_next_turn() {
-        let mut inquiry = inquiry();
-        assert_eq!(run(&mut inquiry, 0), texts([(0, "ask")]));
+        let mut pings = pings();
+        assert_eq!(run(&mut pings, 0), texts([(0, "ask")]));
 
-        inquiry.handle_answer(&map(), progress(ONE), at(5));
+        pings.handle_answer(&map(), progress(ONE), at(5));
 
-        assert_eq!(run(&mut inquiry, 99), texts([(99, "trusted")]));
-        assert_eq!(run(&mut inquiry, 100), texts([(100, "ask")]));
+        assert_eq!(run(&mut pings, 99), texts([(99, "trusted")]));
+        assert_eq!(run(&mut pings, 100), texts([(100, "ask")]));
     }
 
     #[test]
     fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
-        let mut inquiry = inquiry();
+        let mut pings = pings();
 
-        let told = run(&mut inquiry, 10_000);
+        let told = run(&mut pings, 10_000);
 
         assert_eq!(told, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
-        inquiry.handle_answer(&map(), progress(ONE), at(10_000));
-        assert_eq!(run(&mut inquiry, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
+        pings.handle_answer(&map(), progress(ONE), at(10_000));
+        assert_eq!(run(&mut pings, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
     }
 
     #[test]
     fn a_question_that_cannot_be_answered_is_asked_again_while_the_silence_goes_on() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 0);
+        let mut pings = pings();
+        run(&mut pings, 0);
 
-        inquiry.handle_unanswered(&map(), at(1));
+        pings.handle_unanswered(&map(), at(1));
 
-        let told = run(&mut inquiry, 150);
+        let told = run(&mut pings, 150);
         assert_eq!(told, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
     }
 
     #[test]
     fn an_answer_of_an_older_life_does_not_count() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 0);
-        inquiry.handle_start(&map(), TWO, at(10));
-        run(&mut inquiry, 10);
+        let mut pings = pings();
+        run(&mut pings, 0);
+        pings.handle_start(&map(), TWO, at(10));
+        run(&mut pings, 10);
 
-        inquiry.handle_answer(&map(), progress(ONE), at(20));
+        pings.handle_answer(&map(), progress(ONE), at(20));
 
-        assert_eq!(run(&mut inquiry, 60), texts([(50, "suspect")]));
+        assert_eq!(run(&mut pings, 60), texts([(50, "suspect")]));
     }
 
     #[test]
     fn an_answer_of_a_newer_life_begins_a_new_history() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 50);
+        let mut pings = pings();
+        run(&mut pings, 50);
 
-        inquiry.handle_answer(&map(), progress(TWO), at(60));
+        pings.handle_answer(&map(), progress(TWO), at(60));
 
-        assert_eq!(run(&mut inquiry, 60), texts([(60, "trusted")]));
+        assert_eq!(run(&mut pings, 60), texts([(60, "trusted")]));
     }
 
     #[test]
     fn nobody_is_asked_after_its_end_until_a_newer_life_begins() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 0);
-        inquiry.handle_end(&map(), ONE, at(10));
-        inquiry.handle_answer(&map(), progress(ONE), at(11));
-        assert_eq!(run(&mut inquiry, 5000), []);
+        let mut pings = pings();
+        run(&mut pings, 0);
+        pings.handle_end(&map(), ONE, at(10));
+        pings.handle_answer(&map(), progress(ONE), at(11));
+        assert_eq!(run(&mut pings, 5000), []);
 
-        inquiry.handle_start(&map(), TWO, at(5000));
+        pings.handle_start(&map(), TWO, at(5000));
 
-        assert_eq!(run(&mut inquiry, 5000), texts([(5000, "ask")]));
+        assert_eq!(run(&mut pings, 5000), texts([(5000, "ask")]));
     }
 
     #[test]
     fn a_stall_moves_the_deadlines_and_condemns_nobody() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 30);
+        let mut pings = pings();
+        run(&mut pings, 30);
 
-        inquiry.handle_stall(Duration::from_secs(60), at(60_030));
+        pings.handle_stall(Duration::from_secs(60), at(60_030));
 
-        assert_eq!(run(&mut inquiry, 60_039), []);
-        assert_eq!(run(&mut inquiry, 60_040), texts([(60_040, "suspect")]));
+        assert_eq!(run(&mut pings, 60_039), []);
+        assert_eq!(run(&mut pings, 60_040), texts([(60_040, "suspect")]));
     }
 
     #[test]
     fn a_monitor_that_is_woken_late_gives_another_time_to_answer_but_not_for_ever() {
-        let mut inquiry = inquiry();
-        run(&mut inquiry, 0);
+        let mut pings = pings();
+        run(&mut pings, 0);
 
         let mut opinions = Vec::new();
-        while let Some(due) = inquiry.poll_timeout() {
-            inquiry.handle_timeout(due + Duration::from_secs(1));
-            while let Some(output) = inquiry.poll_output() {
+        while let Some(due) = pings.poll_timeout() {
+            pings.handle_timeout(due + Duration::from_secs(1));
+            while let Some(output) = pings.poll_output() {
                 let PingOutput::Verdict(verdict) = output else { panic!("{output:?}") };
                 opinions.push((verdict.opinion, verdict.silence > Duration::from_secs(1)));
             }
@@ -422,16 +422,16 @@ mod tests {
 
     #[test]
     fn strangers_and_the_dismissed_are_ignored() {
-        let mut inquiry = inquiry();
-        inquiry.dismiss(&map());
+        let mut pings = pings();
+        pings.dismiss(&map());
 
-        inquiry.handle_answer(&map(), progress(ONE), at(0));
-        inquiry.handle_unanswered(&map(), at(0));
-        inquiry.handle_start(&map(), TWO, at(0));
-        inquiry.handle_end(&map(), TWO, at(0));
-        inquiry.handle_stall(Duration::from_secs(1), at(0));
-        inquiry.handle_timeout(at(1000));
+        pings.handle_answer(&map(), progress(ONE), at(0));
+        pings.handle_unanswered(&map(), at(0));
+        pings.handle_start(&map(), TWO, at(0));
+        pings.handle_end(&map(), TWO, at(0));
+        pings.handle_stall(Duration::from_secs(1), at(0));
+        pings.handle_timeout(at(1000));
 
-        assert_eq!((inquiry.poll_output(), inquiry.poll_timeout()), (None, None));
+        assert_eq!((pings.poll_output(), pings.poll_timeout()), (None, None));
     }
 }

@@ -97,7 +97,7 @@ pub enum RegistrationError {
         /// How many rows there may be.
         limit: usize,
     },
-    /// Give `Register::inquiries`, or watch the object in another way.
+    /// Give `Register::pings`, or watch the object in another way.
     #[error("{object} is to be asked for signs of life, but nothing says where it answers")]
     NowhereToAsk {
         /// Who was to be enrolled.

@@ -72,7 +72,7 @@ pub struct DiscoveryConfig {
     /// Our name.
     pub node: NodeName,
     /// The networks, by their place.
-    pub grounds: Vec<DiscoveryDomain>,
+    pub domains: Vec<DiscoveryDomain>,
     /// How long what was learned may take to prove itself; after that it is not tried again for six
     /// times as long. Longer suits slow media; a forged address is sent hellos for as long.
     pub prove_within: Duration,
@@ -85,10 +85,10 @@ pub struct DiscoveryConfig {
 
 impl DiscoveryConfig {
     /// The usual behaviour for this node.
-    pub fn new(node: NodeName, grounds: Vec<DiscoveryDomain>) -> Self {
+    pub fn new(node: NodeName, domains: Vec<DiscoveryDomain>) -> Self {
         DiscoveryConfig {
             node,
-            grounds,
+            domains,
             // A link that has failed often needs 48 hellos, of 50 ms: and as much again.
             prove_within: Duration::from_secs(5),
             forget_after: Duration::from_secs(600),
@@ -110,7 +110,7 @@ pub enum DiscoveryOutput {
     /// Make a link.
     Connect {
         /// On which network, by its place.
-        ground: usize,
+        domain: usize,
         /// To whom.
         node: NodeName,
         /// Where it is said to be, as its medium writes it.
@@ -119,7 +119,7 @@ pub enum DiscoveryOutput {
     /// Give a link up that was made.
     Disconnect {
         /// On which network.
-        ground: usize,
+        domain: usize,
         /// To whom.
         node: NodeName,
     },
@@ -204,14 +204,14 @@ impl Discovery {
     }
 
     /// A link to a neighbour is up.
-    pub fn handle_up(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+    pub fn handle_up(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
         self.tellers.entry(node.clone()).or_default();
-        self.note((ground, node), address, true, now);
+        self.note((domain, node), address, true, now);
     }
 
     /// A link to a neighbour is not up: it was described, or has gone down.
-    pub fn handle_down(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
-        self.note((ground, node), address, false, now);
+    pub fn handle_down(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
+        self.note((domain, node), address, false, now);
     }
 
     fn note(&mut self, link: (usize, NodeName), address: String, up: bool, now: Instant) {
@@ -233,9 +233,9 @@ impl Discovery {
     }
 
     /// This one was learned by the machine before this, and has a link.
-    pub fn handle_learned(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
+    pub fn handle_learned(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
         let known = KnownNeighbour { address, up: false, since: now, origin: Origin::Learned };
-        self.neighbours.insert((ground, node), known);
+        self.neighbours.insert((domain, node), known);
     }
 
     /// A neighbour tells who its others are.
@@ -253,23 +253,23 @@ impl Discovery {
         };
         let mut left = TOLD_MAX;
         for Gossip { network, medium, neighbours } in told {
-            let grounds = self.grounds_with(from, &network, &medium);
+            let domains = self.grounds_with(from, &network, &medium);
             for (node, address) in neighbours {
                 let Some(rest) = left.checked_sub(1) else {
                     self.refuse(Some(from), |refusals| &mut refusals.too_large);
                     continue;
                 };
                 left = rest;
-                for ground in &grounds {
-                    self.sight(*ground, node.clone(), address.clone(), Some(from), now);
+                for domain in &domains {
+                    self.sight(*domain, node.clone(), address.clone(), Some(from), now);
                 }
             }
         }
     }
 
     /// A node itself says where it is.
-    pub fn handle_beacon(&mut self, ground: usize, node: NodeName, address: String, now: Instant) {
-        self.sight(ground, node, address, None, now);
+    pub fn handle_beacon(&mut self, domain: usize, node: NodeName, address: String, now: Instant) {
+        self.sight(domain, node, address, None, now);
     }
 
     /// A beacon that could not be read.
@@ -278,24 +278,24 @@ impl Discovery {
     }
 
     /// What was told is no address on its medium.
-    pub fn handle_unusable(&mut self, ground: usize, node: &NodeName, now: Instant) {
-        let key = (ground, node.clone());
+    pub fn handle_unusable(&mut self, domain: usize, node: &NodeName, now: Instant) {
+        let key = (domain, node.clone());
         if let Some(known) = self.neighbours.get(&key)
             && known.origin != Origin::Described
         {
             let address = known.address.clone();
             self.neighbours.remove(&key);
-            self.fail(ground, address, now);
+            self.fail(domain, address, now);
         }
     }
 
     /// Our networks of this kind on which we have the teller ourselves: that of the same name, or
     /// all.
     fn grounds_with(&self, from: &NodeName, network: &str, medium: &str) -> Vec<usize> {
-        let grounds = self.config.grounds.iter().enumerate();
+        let domains = self.config.domains.iter().enumerate();
         let there =
             |n: usize| self.neighbours.get(&(n, from.clone())).is_some_and(|known| known.up);
-        let alike = grounds.filter(|(n, ground)| ground.medium == medium && there(*n));
+        let alike = domains.filter(|(n, domain)| domain.medium == medium && there(*n));
         let alike: Vec<_> = alike.collect();
         let same: Vec<_> =
             alike.iter().filter(|(_, g)| g.name == network).map(|(n, _)| *n).collect();
@@ -314,13 +314,13 @@ impl Discovery {
 
     fn sight(
         &mut self,
-        ground: usize,
+        domain: usize,
         node: NodeName,
         address: String,
         by: Option<&NodeName>,
         now: Instant,
     ) {
-        let Some(DiscoveryDomain { admission, .. }) = self.config.grounds.get(ground) else {
+        let Some(DiscoveryDomain { admission, .. }) = self.config.domains.get(domain) else {
             return;
         };
         if node == self.config.node || !admission.admits(&node) {
@@ -329,10 +329,10 @@ impl Discovery {
         if address.is_empty() || address.len() > ADDRESS_MAX {
             return self.refuse(by, |refusals| &mut refusals.malformed);
         }
-        if self.failed.get(&(ground, address.clone())).is_some_and(|until| now < *until) {
+        if self.failed.get(&(domain, address.clone())).is_some_and(|until| now < *until) {
             return;
         }
-        let key = (ground, node.clone());
+        let key = (domain, node.clone());
         match self.neighbours.get(&key) {
             None => {}
             Some(known) if known.origin == Origin::Described || known.up => return,
@@ -341,12 +341,12 @@ impl Discovery {
             Some(known) if now < known.since + self.config.prove_within => return,
             Some(_) => {
                 self.neighbours.remove(&key);
-                self.outputs.push_back(DiscoveryOutput::Disconnect { ground, node: node.clone() });
+                self.outputs.push_back(DiscoveryOutput::Disconnect { domain, node: node.clone() });
             }
         }
         let here = |origins: &[Origin]| {
             let all = self.neighbours.iter();
-            all.filter(|((n, _), known)| *n == ground && origins.contains(&known.origin)).count()
+            all.filter(|((n, _), known)| *n == domain && origins.contains(&known.origin)).count()
         };
         let full = here(&[Origin::Tried, Origin::Learned]) >= LEARNED_MAX;
         if full || here(&[Origin::Tried]) >= TRIED_MAX {
@@ -359,17 +359,17 @@ impl Discovery {
             origin: Origin::Tried,
         };
         self.neighbours.insert(key, fresh);
-        self.outputs.push_back(DiscoveryOutput::Connect { ground, node, address });
+        self.outputs.push_back(DiscoveryOutput::Connect { domain, node, address });
     }
 
-    fn fail(&mut self, ground: usize, address: String, now: Instant) {
+    fn fail(&mut self, domain: usize, address: String, now: Instant) {
         if self.failed.len() >= FAILED_MAX
             && let Some(first) = self.failed.iter().min_by_key(|(_, until)| **until)
         {
             let first = first.0.clone();
             self.failed.remove(&first);
         }
-        self.failed.insert((ground, address), now + self.config.prove_within * 6);
+        self.failed.insert((domain, address), now + self.config.prove_within * 6);
     }
 
     /// When it is given up as what it is now; never what was described, nor who is up.
@@ -386,15 +386,15 @@ impl Discovery {
         let up = || self.neighbours.iter().filter(|(_, known)| known.up);
         let nodes: BTreeSet<&NodeName> = up().map(|((_, node), _)| node).collect();
         for to in nodes {
-            let gossip = |(n, ground): (usize, &DiscoveryDomain)| {
+            let gossip = |(n, domain): (usize, &DiscoveryDomain)| {
                 up().find(|((m, node), _)| *m == n && node == to)?;
                 let others = up().filter(|((m, node), _)| *m == n && node != to);
                 let others = others.map(|((_, node), known)| (node.clone(), known.address.clone()));
                 let neighbours: Vec<_> = others.take(TOLD_MAX).collect();
-                let (network, medium) = (ground.name.clone(), ground.medium.clone());
+                let (network, medium) = (domain.name.clone(), domain.medium.clone());
                 (!neighbours.is_empty()).then_some(Gossip { network, medium, neighbours })
             };
-            let told: Vec<_> = self.config.grounds.iter().enumerate().filter_map(gossip).collect();
+            let told: Vec<_> = self.config.domains.iter().enumerate().filter_map(gossip).collect();
             if !told.is_empty() {
                 let message = codec::encode_unbounded(&told).into();
                 self.outputs.push_back(DiscoveryOutput::Send { to: to.clone(), message });
@@ -427,12 +427,12 @@ impl Machine for Discovery {
             .into_iter()
             .map(|(key, known)| (key.clone(), known.address.clone(), known.origin))
             .collect();
-        for ((ground, node), address, origin) in gone {
-            self.neighbours.remove(&(ground, node.clone()));
+        for ((domain, node), address, origin) in gone {
+            self.neighbours.remove(&(domain, node.clone()));
             if origin == Origin::Tried {
-                self.fail(ground, address, now);
+                self.fail(domain, address, now);
             }
-            self.outputs.push_back(DiscoveryOutput::Disconnect { ground, node });
+            self.outputs.push_back(DiscoveryOutput::Disconnect { domain, node });
         }
     }
 }

@@ -12,9 +12,9 @@
 //! ```
 
 mod arbiter;
-mod lanes;
 mod liveness;
 mod messaging;
+mod queues;
 mod replies;
 mod stamps;
 mod tokens;
@@ -61,7 +61,7 @@ type Model = (&'static str, fn());
 fn main() {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    let models = [&lanes::MODELS[..], &replies::MODELS, &tokens::MODELS, &stamps::MODELS];
+    let models = [&queues::MODELS[..], &replies::MODELS, &tokens::MODELS, &stamps::MODELS];
     let chosen = |name: &str| wanted.is_empty() || wanted.iter().any(|word| name.contains(word));
     for (name, model) in models.into_iter().flatten().filter(|(name, _)| chosen(name)) {
         let mut builder = Builder::new();

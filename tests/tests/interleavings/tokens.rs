@@ -61,7 +61,7 @@ fn an_end_is_final() {
 /// A thread of the old life that hears of anything that the new one did cannot send any more.
 fn fenced_before_the_successor() {
     let token = Arc::new(IncarnationToken::default());
-    let (queue, out) = (lane(), lane());
+    let (queue, out) = (queue(), queue());
     queue.push_with(7, |n| n).expect("there is room");
     let supervisor = {
         let (token, queue, out) = (token.clone(), queue.clone(), out.clone());
@@ -84,8 +84,8 @@ fn fenced_before_the_successor() {
     supervisor.join().expect("it does not panic");
 }
 
-fn lane() -> Arc<BoundedQueue<u32>> {
-    let lane = BoundedQueue::new(1, WhenFull::Refuse);
-    lane.begin(Incarnation(1));
-    Arc::new(lane)
+fn queue() -> Arc<BoundedQueue<u32>> {
+    let queue = BoundedQueue::new(1, WhenFull::Refuse);
+    queue.begin(Incarnation(1));
+    Arc::new(queue)
 }

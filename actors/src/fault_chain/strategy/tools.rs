@@ -50,9 +50,9 @@ impl StrategyContext {
     /// # Errors
     /// The new life did not come to be, or the supervisor has given up.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, keeper) = self.keeper(&fault.place)?;
+        let (object, controller) = self.controller(&fault.place)?;
         let fault = Some(fault.clone());
-        judge(keeper.restart.send(RestartChild { object, fault }).await).map(begun)
+        judge(controller.restart.send(RestartChild { object, fault }).await).map(begun)
     }
 
     /// Lets a component go on in its next life on a thread of its own; its queue comes along.
@@ -62,9 +62,9 @@ impl StrategyContext {
     /// It has a thread of its own already, or the whole node lives on one; or as
     /// [`restart`](StrategyContext::restart).
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, keeper) = self.keeper(&fault.place)?;
+        let (object, controller) = self.controller(&fault.place)?;
         let fault = Some(fault.clone());
-        judge(keeper.move_away.send(MoveChild { object, fault }).await).map(begun)
+        judge(controller.move_away.send(MoveChild { object, fault }).await).map(begun)
     }
 
     /// Lets an object that is in error recover by itself.
@@ -72,9 +72,9 @@ impl StrategyContext {
     /// # Errors
     /// It could not, or has no life.
     pub async fn reset(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, keeper) = self.keeper(place)?;
+        let (object, controller) = self.controller(place)?;
         // It is the same life as before.
-        let done = judge(keeper.reset.send(ResetChild { object }).await)?;
+        let done = judge(controller.reset.send(ResetChild { object }).await)?;
         Ok(RecoveryDone { incarnation: None, ..done })
     }
 
@@ -127,16 +127,16 @@ impl StrategyContext {
             return Ok(RecoveryDone::default());
         }
         self.0.safe_outputs.apply(fault).await;
-        let (object, keeper) = self.keeper(&fault.place)?;
+        let (object, controller) = self.controller(&fault.place)?;
         let fault = Some(fault.clone());
-        judge(keeper.safe_stop.send(SafeStop { object, fault }).await)
+        judge(controller.safe_stop.send(SafeStop { object, fault }).await)
     }
 
     /// Puts an object to rest whose node is at rest, or ends. No sender waits for that.
     pub(crate) fn give_up_life(&self, fault: &Fault) {
         // One that was removed meanwhile has no supervisor.
-        if let Ok((object, keeper)) = self.keeper(&fault.place) {
-            keeper.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
+        if let Ok((object, controller)) = self.controller(&fault.place) {
+            controller.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
         }
     }
 
@@ -161,11 +161,11 @@ impl StrategyContext {
             let decided = network.send(IsolateNode { node, isolated, cause }).await;
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
-        let (object, keeper) = self.keeper(place)?;
-        judge(keeper.isolate.send(IsolateChild { object, isolated }).await)
+        let (object, controller) = self.controller(place)?;
+        judge(controller.isolate.send(IsolateChild { object, isolated }).await)
     }
 
-    fn keeper(
+    fn controller(
         &self,
         place: &FaultLocation,
     ) -> Result<(ObjectName, Arc<SupervisorRecipients>), RecoveryFailed> {
@@ -175,9 +175,9 @@ impl StrategyContext {
         if address.node != self.0.node {
             return Err(format!("{address} is an object of another node").into());
         }
-        let keeper = self.0.directory.keeper_of(&address.object);
-        let keeper = keeper.ok_or_else(|| format!("no supervisor keeps {address}"))?;
-        Ok((address.object.clone(), keeper))
+        let controller = self.0.directory.keeper_of(&address.object);
+        let controller = controller.ok_or_else(|| format!("no supervisor keeps {address}"))?;
+        Ok((address.object.clone(), controller))
     }
 }
 

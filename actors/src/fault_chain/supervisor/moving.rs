@@ -18,8 +18,8 @@ impl Handler<MoveChild> for SupervisorActor {
             let why = GiveUpReason::StartFailed { reason: reason.to_owned() };
             return Box::pin(async move { Err(GaveUp { object, why }) });
         }
-        self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_restart(object, ticket, ReplacementCause::Asked, struck, now);
+        self.ask(context, object, |machine, object, call, now| {
+            machine.handle_restart(object, call, ReplacementCause::Asked, struck, now);
         })
     }
 }

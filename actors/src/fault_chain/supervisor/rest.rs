@@ -13,8 +13,8 @@ impl Handler<SafeStop> for SupervisorActor {
         let SafeStop { object, fault } = message;
         let present = self.machine.incarnation_of(&object);
         let cause = fault.map_or(ReplacementCause::Asked, |fault| cause_of_rest(&fault, present));
-        self.ask(context, object, |machine, object, ticket, now| {
-            machine.handle_rest(object, ticket, cause, now);
+        self.ask(context, object, |machine, object, call, now| {
+            machine.handle_rest(object, call, cause, now);
         })
     }
 }

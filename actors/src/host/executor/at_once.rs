@@ -11,10 +11,10 @@ impl<C: Component> ComponentExecutor<C> {
     #[inline]
     pub(crate) fn is_free(&self) -> bool {
         matches!(self.service, Service::Idle)
-            && self.anchor.lane.is_empty()
-            && self.course.is_serving()
+            && self.cell.queue.is_empty()
+            && self.lifecycle.is_serving()
             && !self.over
-            && self.home.is_some()
+            && self.component.is_some()
             && self.waker.is_some()
             && !self.life.has_wishes()
             && !self.life.token.has_ended()
@@ -29,8 +29,9 @@ impl<C: Component> ComponentExecutor<C> {
         }
     }
 
-    /// An event straight to the handler, without the queue: only for a pump that is free. It runs
-    /// on the arbiter's hub, which has named the component to the pulse, under its guard and stamp.
+    /// An event straight to the handler, without the queue: only for an executor that is free. It
+    /// runs on the arbiter's hub, which has named the component to the pulse, under its guard and
+    /// stamp.
     #[inline]
     pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Envelope<C>) {
         let Some(waker) = self.waker.take() else { return };
@@ -43,13 +44,13 @@ impl<C: Component> ComponentExecutor<C> {
             self.died_in_service(payload);
             // The hub's turn may be long: what follows in it is another's.
             self.flush();
-            waker.wake_by_ref(); // The replacement begins in the pump's own poll.
+            waker.wake_by_ref(); // The replacement begins in the executor's own poll.
         }
         if self.is_abandoned() {
             self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
         }
         if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
-            waker.wake_by_ref(); // The pump's own poll reports, and ends what is to end.
+            waker.wake_by_ref(); // The executor's own poll reports, and ends what is to end.
         }
         self.waker = Some(waker);
     }

@@ -54,26 +54,26 @@ impl<C: Component> ComponentExecutor<C> {
         self.life.token.end();
         self.lose_message();
         // Before what is the user's is dropped, which may block.
-        self.anchor.record.exits.keep(incarnation, exit.clone());
-        self.bury(Blame::Log);
+        self.cell.record.exits.keep(incarnation, exit.clone());
+        self.dispose_of_all(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
-            Some(next) => self.anchor.lane.pass_on(incarnation, next),
-            None => self.anchor.lane.leave(incarnation),
+            Some(next) => self.cell.queue.pass_on(incarnation, next),
+            None => self.cell.queue.leave(incarnation),
         };
         if !mine {
-            self.anchor.record.exits.forget(incarnation);
+            self.cell.record.exits.forget(incarnation);
             return self.leave(); // It had been abandoned before: its report is not awaited.
         }
         match restarted_as {
             Some(next) => {
-                self.anchor.record.exits.set_restarted(incarnation, next);
+                self.cell.record.exits.set_restarted(incarnation, next);
                 self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
-                self.course = IncarnationLifecycle::new(self.course.is_starting());
+                self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
                 self.start_failed = false;
                 self.begin_life();
-                let subscriptions = self.anchor.subscriptions();
-                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.anchor));
+                let subscriptions = self.cell.subscriptions();
+                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.cell));
             }
             None => self.over = true,
         }
@@ -84,7 +84,7 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn lose_message(&mut self) {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
-        let (record, incarnation) = (&self.anchor.record, self.life.incarnation);
+        let (record, incarnation) = (&self.cell.record, self.life.incarnation);
         let contract = label::name(self.slot.stamp.read().during);
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
@@ -96,11 +96,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Draws on the standing order, if there is one.
     pub(super) fn may_restart(&mut self) -> bool {
-        let Some(RestartGrant { times, period, .. }) = self.anchor.record.order() else {
+        let Some(RestartGrant { times, period, .. }) = self.cell.record.order() else {
             return false;
         };
         // Of one that did not come to work, the supervisor has been told: it decides.
-        if self.course.is_ending() || self.start_failed {
+        if self.lifecycle.is_ending() || self.start_failed {
             return false;
         }
         let now = platform::now();
@@ -121,16 +121,16 @@ impl<C: Component> ComponentExecutor<C> {
         exit: &ExitReason,
         restarted_as: Option<Incarnation>,
     ) {
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         if restarted_as.is_none() {
             record.announce(|listener| listener.deactivated());
         }
-        record.mourners.tell(|| {
+        record.watchers.tell(|| {
             let (object, ending) = (record.name.clone(), DownReason::from(exit));
             Down { object, node: None, incarnation, ending }
         });
         let mut supervisor = None;
-        let event = match (exit, self.course.is_starting() && restarted_as.is_none()) {
+        let event = match (exit, self.lifecycle.is_starting() && restarted_as.is_none()) {
             (ExitReason::Stopped, _) => Some(ChildEvent::Stopped),
             (ExitReason::Panicked { text, at, .. }, true) => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
@@ -143,7 +143,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         let exited = DeferredReport::Exited(incarnation);
-        // A replacement's own news come after the end of the life that it replaces.
+        // A replacement's own reports come after the end of the life that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
         // It is told when the turn is over: the replacement's first reply does not wait for that.
@@ -160,51 +160,51 @@ impl<C: Component> ComponentExecutor<C> {
         let incarnation = self.life.incarnation;
         self.over = true;
         self.life.token.end();
-        self.bury(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
-        if self.anchor.lane.owner() != Some(incarnation) {
+        self.dispose_of_all(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
+        if self.cell.queue.owner() != Some(incarnation) {
             return self.leave(); // It was abandoned while what is the user's was dropped.
         }
         let exit = match end {
             EndReason::Stopped => {
-                self.anchor.end_by(incarnation);
+                self.cell.end_by(incarnation);
                 ExitReason::Stopped
             }
             EndReason::Replaced => {
-                self.anchor.lane.leave(incarnation);
+                self.cell.queue.leave(incarnation);
                 ExitReason::Stopped
             }
             EndReason::Returned => {
-                self.anchor.lane.leave(incarnation);
+                self.cell.queue.leave(incarnation);
                 ExitReason::Returned
             }
             EndReason::Fatal => {
-                self.anchor.lane.leave(incarnation);
+                self.cell.queue.leave(incarnation);
                 ExitReason::Fatal
             }
         };
-        self.anchor.record.set_state(Lifecycle::Finalized);
-        self.anchor.record.exits.keep(incarnation, exit.clone());
+        self.cell.record.set_state(Lifecycle::Finalized);
+        self.cell.record.exits.keep(incarnation, exit.clone());
         self.report_exit(incarnation, &exit, None);
     }
 
     /// Drops what is the user's: its `Drop` may panic, but not while unwinding and not into actix.
-    pub(super) fn bury(&mut self, blame: Blame) {
+    pub(super) fn dispose_of_all(&mut self, blame: Blame) {
         self.followed = false;
         self.dispose_service(blame);
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         let DeferredCommands { tasks, .. } = self.life.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
-        let (tasks, timers) = self.chores.clear();
+        let (tasks, timers) = self.schedule.clear();
         timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
-        record.dispose("the component", self.home.take(), blame);
+        record.dispose("the component", self.component.take(), blame);
     }
 
     /// Drops what was in service, and what it was kept in.
     pub(super) fn dispose_service(&mut self, blame: Blame) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
         let nests = std::mem::take(&mut self.nests);
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         record.dispose("what it was serving", service, blame);
         // One by one: a second panic while unwinding from the first would end the process.
         nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
@@ -219,13 +219,13 @@ impl<C: Component> ComponentExecutor<C> {
     /// but perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
-        self.bury(Blame::Log);
+        self.dispose_of_all(Blame::Log);
         let present = self.life.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
         self.pulse.owe_exits(false);
         if self.pulse.is_lost() {
-            self.seat.return_late();
+            self.arbiter.return_late();
         } else {
             self.pulse.lift();
         }
@@ -234,7 +234,8 @@ impl<C: Component> ComponentExecutor<C> {
     /// The future is dropped: after its end, or because its arbiter goes away.
     pub(super) fn drop_before_the_end(&mut self) {
         if self.over {
-            // It may have ended at a hub, and the arbiter goes away before the pump's next turn.
+            // It may have ended at a hub, and the arbiter goes away before the executor's next
+            // turn.
             return self.flush();
         }
         // Those that stand on a lost thread have been found, and their supervisors are about to
@@ -246,9 +247,9 @@ impl<C: Component> ComponentExecutor<C> {
         self.over = true;
         self.life.token.end();
         self.lose_message();
-        self.bury(Blame::Log);
-        self.anchor.lane.leave(incarnation);
-        self.anchor.record.exits.keep(incarnation, ExitReason::Aborted);
+        self.dispose_of_all(Blame::Log);
+        self.cell.queue.leave(incarnation);
+        self.cell.record.exits.keep(incarnation, ExitReason::Aborted);
         self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
     }

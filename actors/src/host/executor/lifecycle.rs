@@ -14,49 +14,49 @@ impl<C: Component> ComponentExecutor<C> {
         if hook == Hook::Execute && result.is_ok() {
             self.slot.stamp.end_round();
             // It is a sign of life too, unless a test keeps that back.
-            if !self.anchor.record.injected.is_silent() {
+            if !self.cell.record.injected.is_silent() {
                 self.slot.stamp.give_sign();
             }
         }
-        self.course.handle_done(hook, result);
-        self.tell_news();
+        self.lifecycle.handle_done(hook, result);
+        self.pass_reports();
     }
 
-    /// Passes on what the course has to tell, and keeps the rest of the host in step with it.
-    pub(super) fn tell_news(&mut self) {
+    /// Passes on what the lifecycle has to tell, and keeps the rest of the host in step with it.
+    pub(super) fn pass_reports(&mut self) {
         if self.is_abandoned() {
             return; // What it says of the component would be said of the next incarnation.
         }
-        for news in self.course.poll_news() {
-            match news {
+        for reports in self.lifecycle.poll_reports() {
+            match reports {
                 LifecycleReport::State(state, reason) => self.enter(state, reason),
                 LifecycleReport::Unavailable { reason, retry_in } => {
-                    self.chores.limit(DueWork::Retry, retry_in);
-                    self.anchor.record.set_unavailable(&reason);
-                    let object = self.anchor.record.name.clone();
+                    self.schedule.limit(DueWork::Retry, retry_in);
+                    self.cell.record.set_unavailable(&reason);
+                    let object = self.cell.record.name.clone();
                     let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
                     let declared = FaultDeclared { object, incarnation, kind, detail: reason };
                     self.outbox.push(DeferredReport::Declared(declared));
                 }
                 LifecycleReport::Child(event) => {
-                    self.chores.cancel_limit(DueWork::ReadyLimit);
+                    self.schedule.cancel_limit(DueWork::ReadyLimit);
                     self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
                     self.outbox.push(DeferredReport::Child(event, self.life.incarnation));
                 }
             }
         }
-        if self.course.is_ending() {
+        if self.lifecycle.is_ending() {
             // Also of a failure, of which its supervisor has been told that it has ended already.
-            self.chores.limit(DueWork::StopLimit, self.anchor.record.limits.shutdown_within);
+            self.schedule.limit(DueWork::StopLimit, self.cell.record.limits.shutdown_within);
         }
     }
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
-        self.anchor.record.set_state(state);
+        self.cell.record.set_state(state);
         self.slot.stamp.expect_signs(state == Lifecycle::Active);
-        self.chores.set_active(state == Lifecycle::Active);
+        self.schedule.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active {
-            self.anchor.record.announce(|listener| listener.activated());
+            self.cell.record.announce(|listener| listener.activated());
         }
         let incarnation = self.life.incarnation;
         // States that were passed through within one poll are not told one by one.
@@ -68,7 +68,7 @@ impl<C: Component> ComponentExecutor<C> {
             last.state = state;
             return;
         }
-        let object = self.anchor.record.name.clone();
+        let object = self.cell.record.name.clone();
         self.outbox.push(DeferredReport::State(StateReported {
             object,
             incarnation,

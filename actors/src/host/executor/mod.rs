@@ -1,4 +1,5 @@
-//! Serves one component's life: hooks, timers, tasks and the data lane, every poll under the guard.
+//! Serves one component's life: hooks, timers, tasks and the data queue, every poll under the
+//! guard.
 //!
 //! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and
 //! only the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that
@@ -45,7 +46,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::task::{self, Poll, Waker};
 
-/// Messages per poll while they are quick; then neighbours and the control lane have their turn.
+/// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
 /// Nests kept at most; a component that takes more contracts than this pays a box for the others.
 const NESTS: usize = 4;
@@ -53,7 +54,7 @@ const NESTS: usize = 4;
 /// What is in service.
 enum Service {
     Idle,
-    /// A message, in the nest of this number.
+    /// A message, in the future_slot of this number.
     Message(usize),
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
@@ -61,7 +62,7 @@ enum Service {
 struct Nested<C: Component> {
     contract: TypeId,
     label: u32,
-    nest: Pin<Box<dyn FutureSlot<C>>>,
+    future_slot: Pin<Box<dyn FutureSlot<C>>>,
 }
 
 /// How far one step came.
@@ -75,13 +76,13 @@ enum Progress {
 }
 
 pub(crate) struct ComponentExecutor<C: Component> {
-    anchor: Arc<ComponentCell<C>>,
+    cell: Arc<ComponentCell<C>>,
     life: Rc<IncarnationState<C>>,
-    course: IncarnationLifecycle,
-    home: Option<Rc<ComponentSlot<C>>>,
+    lifecycle: IncarnationLifecycle,
+    component: Option<Rc<ComponentSlot<C>>>,
     service: Service,
     nests: Vec<Nested<C>>,
-    chores: ScheduledWork<C>,
+    schedule: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
     /// The last turn went to the component's tasks; this one begins with the next step.
@@ -89,7 +90,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     /// The last step went to a round or a timer.
     message_next: bool,
     slot: ActivitySlot,
-    seat: ArbiterSlot,
+    arbiter: ArbiterSlot,
     pulse: Arc<ArbiterHeartbeat>,
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
@@ -106,29 +107,29 @@ pub(crate) struct ComponentExecutor<C: Component> {
 }
 
 impl<C: Component> ComponentExecutor<C> {
-    /// A pump for a life that begins on this arbiter.
+    /// An executor for a life that begins on this arbiter.
     pub(crate) fn new(
-        anchor: Arc<ComponentCell<C>>,
+        cell: Arc<ComponentCell<C>>,
         incarnation: Incarnation,
-        seat: ArbiterSlot,
+        arbiter: ArbiterSlot,
         supervisor: Arc<Recipient<ChildReport>>,
     ) -> Self {
         let slot = ActivitySlot::claim();
         let life = Rc::new(IncarnationState::new(incarnation, slot.stamp));
-        let mut pump = ComponentExecutor {
-            anchor,
+        let mut executor = ComponentExecutor {
+            cell,
             life,
-            course: IncarnationLifecycle::new(true),
-            home: None,
+            lifecycle: IncarnationLifecycle::new(true),
+            component: None,
             service: Service::Idle,
             nests: Vec::new(),
-            chores: ScheduledWork::default(),
+            schedule: ScheduledWork::default(),
             budget: Rc::default(),
             step_first: false,
             message_next: false,
             slot,
-            pulse: seat.pulse.clone(),
-            seat,
+            pulse: arbiter.pulse.clone(),
+            arbiter,
             waker: None,
             followed: false,
             logged: None,
@@ -138,34 +139,34 @@ impl<C: Component> ComponentExecutor<C> {
             outbox: Vec::new(),
             supervisor,
         };
-        pump.begin_life();
-        let record = &pump.anchor.record;
-        let anchor = Arc::downgrade(&pump.anchor);
+        executor.begin_life();
+        let record = &executor.cell.record;
+        let cell = Arc::downgrade(&executor.cell);
         let watched = SampledComponent {
             object: record.name.clone(),
-            inside: anchor,
-            pulse: pump.pulse.clone(),
-            stamp: pump.slot.stamp,
+            inside: cell,
+            pulse: executor.pulse.clone(),
+            stamp: executor.slot.stamp,
             limits: record.limits.judged(),
         };
-        record.environment.watch_list.enter(pump.slot.index, watched);
-        pump
+        record.environment.watch_list.enter(executor.slot.index, watched);
+        executor
     }
 
     fn begin_life(&mut self) {
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         self.slot.stamp.begin_life(self.life.incarnation.0);
         self.life.token.mute(record.is_isolated());
-        let (seat, token) = (self.seat.clone(), self.life.token.clone());
-        let seated = CurrentPlacement { seat, slot: self.place(), token };
-        let is_newest = record.enter(self.life.incarnation, seated);
-        self.chores.begin(record.limits.interval, self.life.timers.clone());
+        let (arbiter, token) = (self.arbiter.clone(), self.life.token.clone());
+        let placement = CurrentPlacement { arbiter, slot: self.place(), token };
+        let is_newest = record.enter(self.life.incarnation, placement);
+        self.schedule.begin(record.limits.interval, self.life.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
-        if self.course.is_starting() {
-            self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
+        if self.lifecycle.is_starting() {
+            self.schedule.limit(DueWork::ReadyLimit, record.limits.ready_within);
         }
         // An incarnation that was abandoned before its placement was known was not told so.
-        if !is_newest || self.anchor.lane.owner() != Some(self.life.incarnation) {
+        if !is_newest || self.cell.queue.owner() != Some(self.life.incarnation) {
             self.life.token.end();
         }
     }
@@ -177,24 +178,24 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// The place where it lived is free.
     pub(crate) fn vacate(&self) {
-        self.seat.vacate();
+        self.arbiter.vacate();
     }
 
     /// The supervisor asks for a recovery within this life.
     pub(crate) fn reset(&mut self) {
-        self.course.handle_reset();
-        self.tell_news();
+        self.lifecycle.handle_reset();
+        self.pass_reports();
     }
 
     /// Activates or deactivates the component on request.
     pub(crate) fn activate(&mut self, active: bool) {
-        self.course.handle_activate(active);
+        self.lifecycle.handle_activate(active);
     }
 
     /// The supervisor asks for an end in order.
     pub(crate) fn stop(&mut self, end: EndReason) {
-        self.course.handle_stop(end);
-        self.tell_news();
+        self.lifecycle.handle_stop(end);
+        self.pass_reports();
     }
 
     /// One poll of everything. Ready when the last life here is over.
@@ -239,9 +240,9 @@ impl<C: Component> ComponentExecutor<C> {
         if self.over {
             return true;
         }
-        let mut chores_wait = !self.chores.is_empty();
-        if chores_wait && !std::mem::take(&mut self.step_first) {
-            chores_wait = false;
+        let mut work_waits = !self.schedule.is_empty();
+        if work_waits && !std::mem::take(&mut self.step_first) {
+            work_waits = false;
             if self.poll_chores(cx) {
                 return self.over;
             }
@@ -256,10 +257,10 @@ impl<C: Component> ComponentExecutor<C> {
                     if !matches!(self.service, Service::Idle) && !self.budget.lasts() {
                         return self.over;
                     }
-                    if !chores_wait && !self.chores.is_fresh() {
+                    if !work_waits && !self.schedule.is_fresh() {
                         return false;
                     }
-                    chores_wait = false;
+                    work_waits = false;
                     if self.poll_chores(cx) {
                         return self.over;
                     }
@@ -277,7 +278,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Says whether that has used the turn up.
     fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
-        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.chores.poll(cx))) {
+        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx))) {
             self.died(payload, "a task of its own");
         }
         self.handle_limits();
@@ -293,11 +294,11 @@ impl<C: Component> ComponentExecutor<C> {
         if !matches!(self.service, Service::Idle) {
             return self.advance(cx);
         }
-        if self.home.is_none() {
+        if self.component.is_none() {
             self.build();
         }
-        if !self.course.is_serving() {
-            match self.course.next() {
+        if !self.lifecycle.is_serving() {
+            match self.lifecycle.next() {
                 LifecycleStep::Run(hook) => {
                     self.begin_hook(hook);
                     return self.advance(cx);
@@ -313,15 +314,15 @@ impl<C: Component> ComponentExecutor<C> {
         // A message follows each round and timer, so that those which are late all the time leave
         // room.
         if !std::mem::take(&mut self.message_next)
-            && let Some(chore) = self.chores.next_due()
+            && let Some(work) = self.schedule.next_due()
         {
             self.message_next = true;
-            return self.do_chore(chore, cx);
+            return self.do_work(work, cx);
         }
-        match self.anchor.lane.take(self.life.incarnation, cx.waker()) {
+        match self.cell.queue.take(self.life.incarnation, cx.waker()) {
             Popped::Got(mail) => self.open(mail, cx),
-            Popped::Empty => match self.chores.next_due() {
-                Some(chore) => self.do_chore(chore, cx),
+            Popped::Empty => match self.schedule.next_due() {
+                Some(work) => self.do_work(work, cx),
                 None => Progress::Wait,
             },
             Popped::Retired => {
@@ -337,13 +338,13 @@ impl<C: Component> ComponentExecutor<C> {
         let brief = mail.brief();
         if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
             self.slot.stamp.expire();
-            self.anchor.return_mail(mail, DeliveryError::Expired);
+            self.cell.return_mail(mail, DeliveryError::Expired);
             return Progress::More;
         }
         if brief.is_followed
             && let Some(why) = self.follow(&*mail)
         {
-            self.anchor.return_mail(mail, why);
+            self.cell.return_mail(mail, why);
             return Progress::More;
         }
         self.begin_message(&brief, &mut *mail);
@@ -359,29 +360,29 @@ impl<C: Component> ComponentExecutor<C> {
         }
         let id = mail.id();
         if id.is_some()
-            && let Some(why) = self.anchor.record.refusal(id)
+            && let Some(why) = self.cell.record.refusal(id)
         {
             return Some(why);
         }
-        self.anchor.record.begin_service(mail.revocable(), id);
+        self.cell.record.begin_service(mail.revocable(), id);
         self.followed = id.is_some();
         None
     }
 
-    /// Fills the contract's nest, or builds it.
+    /// Fills the contract's future_slot, or builds it.
     #[inline]
     fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
-        let Some(home) = &self.home else { return };
+        let Some(component) = &self.component else { return };
         self.life.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
             self.logged = Some((id, brief.name, mail.revocable().is_some()));
-            let record = &self.anchor.record;
+            let record = &self.cell.record;
             message_log::begun(id, brief.name, &record.name, self.life.incarnation);
         }
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
             self.slot.stamp.begin(nested.label);
-            if nested.nest.as_mut().refill(mail.contents(), home) {
+            if nested.future_slot.as_mut().refill(mail.contents(), component) {
                 self.service = Service::Message(at);
             } else {
                 self.slot.stamp.step();
@@ -390,16 +391,16 @@ impl<C: Component> ComponentExecutor<C> {
         }
         let label = label(brief.name);
         self.slot.stamp.begin(label);
-        let Some(nest) = mail.nest(home) else { return self.slot.stamp.step() };
+        let Some(future_slot) = mail.future_slot(component) else { return self.slot.stamp.step() };
         self.nests.truncate(NESTS - 1);
-        self.nests.push(Nested { contract: brief.contract, label, nest });
+        self.nests.push(Nested { contract: brief.contract, label, future_slot });
         self.service = Service::Message(self.nests.len() - 1);
     }
 
     fn begin_hook(&mut self, hook: Hook) {
-        let Some(home) = &self.home else { return };
+        let Some(component) = &self.component else { return };
         self.slot.stamp.begin(label(hook.name()));
-        self.service = Service::Hook(hook, Box::pin(run_hook(home.clone(), hook)));
+        self.service = Service::Hook(hook, Box::pin(run_hook(component.clone(), hook)));
     }
 
     /// What is in service, a little further.
@@ -408,16 +409,16 @@ impl<C: Component> ComponentExecutor<C> {
         match &mut self.service {
             Service::Idle => return Progress::More,
             Service::Message(at) => {
-                if self.nests[*at].nest.as_mut().poll(cx).is_pending() {
+                if self.nests[*at].future_slot.as_mut().poll(cx).is_pending() {
                     return self.wait();
                 }
                 self.service = Service::Idle;
                 if self.followed {
                     self.followed = false;
-                    self.anchor.record.end_service();
+                    self.cell.record.end_service();
                 }
                 if let Some((id, contract, replies)) = self.logged.take() {
-                    message_log::served(id, contract, &self.anchor.record.name, replies);
+                    message_log::served(id, contract, &self.cell.record.name, replies);
                 }
             }
             Service::Hook(hook, future) => {
@@ -442,48 +443,50 @@ impl<C: Component> ComponentExecutor<C> {
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
         self.slot.stamp.begin(label(FACTORY));
-        let cx = Context::new(self.anchor.clone(), self.life.clone());
-        let component = (self.anchor.factory)();
-        self.home = Some(Rc::new(ComponentSlot::new(component, cx)));
+        let cx = Context::new(self.cell.clone(), self.life.clone());
+        let component = (self.cell.factory)();
+        self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
         self.slot.stamp.step();
-        self.tell_news();
+        self.pass_reports();
     }
 
     /// Fulfils what a handler or hook asked for.
     fn grant(&mut self) {
         let wishes = self.life.take_wishes();
         if let Some(interval) = wishes.interval
-            && self.chores.set_interval(interval)
+            && self.schedule.set_interval(interval)
         {
             self.slot.stamp.run_every(interval);
-            self.course.handle_rate_changed();
+            self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
-            self.course.handle_failure(failure);
+            self.lifecycle.handle_failure(failure);
         }
         if wishes.stop {
-            self.course.handle_stop(EndReason::Returned);
+            self.lifecycle.handle_stop(EndReason::Returned);
         }
-        self.chores.take_on(wishes.tasks, &wishes.cancelled, &self.budget);
-        self.tell_news();
+        self.schedule.take_on(wishes.tasks, &wishes.cancelled, &self.budget);
+        self.pass_reports();
     }
 
-    fn do_chore(&mut self, chore: DueWork, cx: &mut task::Context<'_>) -> Progress {
-        match chore {
+    fn do_work(&mut self, work: DueWork, cx: &mut task::Context<'_>) -> Progress {
+        match work {
             DueWork::Execute => {
                 self.begin_hook(Hook::Execute);
                 self.advance(cx)
             }
             DueWork::Timer(id) => {
-                if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
+                if let (Some(component), Some(mut action)) =
+                    (&self.component, self.schedule.lift(id))
+                {
                     self.slot.stamp.begin(label(TIMER));
                     {
-                        let mut chair = home.seat.borrow_mut();
-                        let (component, cx) = chair.both();
+                        let mut contents = component.contents.borrow_mut();
+                        let (component, cx) = contents.both();
                         action(component, cx);
                     }
                     self.slot.stamp.step();
-                    self.chores.put_back(id, action);
+                    self.schedule.put_back(id, action);
                 }
                 Progress::More
             }
@@ -492,23 +495,23 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     fn handle_limits(&mut self) {
-        if self.chores.take_limit(DueWork::Retry) && self.course.handle_retry() {
-            self.chores.limit(DueWork::ReadyLimit, self.anchor.record.limits.ready_within);
+        if self.schedule.take_limit(DueWork::Retry) && self.lifecycle.handle_retry() {
+            self.schedule.limit(DueWork::ReadyLimit, self.cell.record.limits.ready_within);
         }
-        if self.chores.take_limit(DueWork::ReadyLimit) && self.course.is_starting() {
+        if self.schedule.take_limit(DueWork::ReadyLimit) && self.lifecycle.is_starting() {
             self.drop_service();
-            let within = self.anchor.record.limits.ready_within;
-            self.course.handle_fatal(format!("it was not ready within {within:?}"));
-            self.tell_news();
+            let within = self.cell.record.limits.ready_within;
+            self.lifecycle.handle_fatal(format!("it was not ready within {within:?}"));
+            self.pass_reports();
         }
-        if self.chores.take_limit(DueWork::StopLimit)
-            && let Some(end) = self.course.end_reason()
+        if self.schedule.take_limit(DueWork::StopLimit)
+            && let Some(end) = self.lifecycle.end_reason()
         {
-            let within = self.anchor.record.limits.shutdown_within;
+            let within = self.cell.record.limits.shutdown_within;
             // Who gives it no time at all wants it cut off.
             if !within.is_zero() {
-                self.course.handle_cut_off(label::name(self.slot.stamp.read().during), within);
-                self.tell_news();
+                self.lifecycle.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.pass_reports();
             }
             self.drop_service();
             self.end(end);
@@ -529,11 +532,11 @@ impl<C: Component> ComponentExecutor<C> {
 
 #[expect(
     clippy::await_holding_refcell_ref,
-    reason = "messages wait while one is served; the control lane does not borrow"
+    reason = "messages wait while one is served; the control queue does not borrow"
 )]
-async fn run_hook<C: Component>(home: Rc<ComponentSlot<C>>, hook: Hook) -> Result<(), Failure> {
-    let mut chair = home.seat.borrow_mut();
-    let (component, cx) = chair.both();
+async fn run_hook<C: Component>(slot: Rc<ComponentSlot<C>>, hook: Hook) -> Result<(), Failure> {
+    let mut contents = slot.contents.borrow_mut();
+    let (component, cx) = contents.both();
     if let Some(injected) = cx.before() {
         injected.await;
     }

@@ -1,4 +1,4 @@
-//! What a pump has to tell, kept until its poll is over.
+//! What an executor has to tell, kept until its poll is over.
 
 use super::ComponentExecutor;
 use crate::component::Component;
@@ -21,7 +21,7 @@ impl<C: Component> ComponentExecutor<C> {
             return;
         }
         self.pulse.owe_exits(false);
-        let record = &self.anchor.record;
+        let record = &self.cell.record;
         let reports = &record.environment.reports;
         // Taken, not drained: one that has nothing to tell keeps no room for it.
         for notice in std::mem::take(&mut self.outbox) {

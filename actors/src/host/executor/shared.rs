@@ -1,4 +1,4 @@
-//! The pump as a future, and as something that the arbiter's hubs can reach.
+//! The executor as a future, and as something that the arbiter's hubs can reach.
 
 use super::ComponentExecutor;
 use crate::component::Component;
@@ -13,30 +13,31 @@ use std::sync::Arc;
 use std::task::{self, Poll};
 
 thread_local! {
-    /// The pumps of this arbiter, by the anchor that they serve, for its hubs.
-    static PUMPS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
+    /// The executors of this arbiter, by the cell that they serve, for its hubs.
+    static EXECUTORS: RefCell<BTreeMap<usize, Weak<dyn Any>>> =
+        const { RefCell::new(BTreeMap::new()) };
 }
 
-/// The pump of a component that lives on this arbiter.
+/// The executor of a component that lives on this arbiter.
 pub(crate) fn executor_here<C: Component>(
-    anchor: &Arc<ComponentCell<C>>,
+    cell: &Arc<ComponentCell<C>>,
 ) -> Option<Weak<RefCell<ComponentExecutor<C>>>> {
-    let key = Arc::as_ptr(anchor).addr();
-    let pump = PUMPS.with_borrow(|pumps| pumps.get(&key)?.upgrade())?;
-    let pump: Rc<RefCell<ComponentExecutor<C>>> = pump.downcast().ok()?;
-    Some(Rc::downgrade(&pump))
+    let key = Arc::as_ptr(cell).addr();
+    let executor = EXECUTORS.with_borrow(|executors| executors.get(&key)?.upgrade())?;
+    let executor: Rc<RefCell<ComponentExecutor<C>>> = executor.downcast().ok()?;
+    Some(Rc::downgrade(&executor))
 }
 
-/// The pump as a future, and as something that the arbiter's hubs can reach.
+/// The executor as a future, and as something that the arbiter's hubs can reach.
 pub(crate) struct SharedExecutor<C: Component>(pub(crate) Rc<RefCell<ComponentExecutor<C>>>);
 
 impl<C: Component> SharedExecutor<C> {
-    pub(crate) fn new(pump: ComponentExecutor<C>) -> Self {
-        let key = Arc::as_ptr(&pump.anchor).addr();
-        let pump = Rc::new(RefCell::new(pump));
-        let erased: Rc<dyn Any> = pump.clone();
-        PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
-        SharedExecutor(pump)
+    pub(crate) fn new(executor: ComponentExecutor<C>) -> Self {
+        let key = Arc::as_ptr(&executor.cell).addr();
+        let executor = Rc::new(RefCell::new(executor));
+        let erased: Rc<dyn Any> = executor.clone();
+        EXECUTORS.with_borrow_mut(|executors| executors.insert(key, Rc::downgrade(&erased)));
+        SharedExecutor(executor)
     }
 }
 
@@ -50,19 +51,19 @@ impl<C: Component> Future for SharedExecutor<C> {
 
 impl<C: Component> Drop for SharedExecutor<C> {
     fn drop(&mut self) {
-        let mut pump = self.0.borrow_mut();
-        let key = Arc::as_ptr(&pump.anchor).addr();
-        let _ = PUMPS.try_with(|pumps| {
-            let mut pumps = pumps.borrow_mut();
+        let mut executor = self.0.borrow_mut();
+        let key = Arc::as_ptr(&executor.cell).addr();
+        let _ = EXECUTORS.try_with(|executors| {
+            let mut executors = executors.borrow_mut();
             let mine = Rc::as_ptr(&self.0).addr();
-            let mine = pumps.get(&key).is_some_and(|known| {
+            let mine = executors.get(&key).is_some_and(|known| {
                 known.upgrade().is_none_or(|known| Rc::as_ptr(&known).cast::<()>().addr() == mine)
             });
             if mine {
-                pumps.remove(&key);
+                executors.remove(&key);
             }
         });
-        pump.anchor.record.environment.watch_list.leave(pump.slot.index);
-        pump.drop_before_the_end();
+        executor.cell.record.environment.watch_list.leave(executor.slot.index);
+        executor.drop_before_the_end();
     }
 }

@@ -8,170 +8,170 @@ fn failed(reason: &str) -> Result<(), Failure> {
 }
 
 /// Runs all hooks that are due; each succeeds.
-fn run(course: &mut IncarnationLifecycle) -> Vec<Hook> {
+fn run(lifecycle: &mut IncarnationLifecycle) -> Vec<Hook> {
     let mut ran = Vec::new();
-    while let LifecycleStep::Run(hook) = course.next() {
+    while let LifecycleStep::Run(hook) = lifecycle.next() {
         ran.push(hook);
-        course.handle_done(hook, Ok(()));
+        lifecycle.handle_done(hook, Ok(()));
     }
     ran
 }
 
-/// A life that has come as far as `state`, its news told.
+/// A life that has come as far as `state`, its reports told.
 fn life(state: Lifecycle) -> IncarnationLifecycle {
-    let mut course = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new(true);
     match state {
         Created => {}
         Initialized => {
-            run(&mut course);
-            course.handle_activate(false);
-            run(&mut course);
+            run(&mut lifecycle);
+            lifecycle.handle_activate(false);
+            run(&mut lifecycle);
         }
         Active => {
-            run(&mut course);
+            run(&mut lifecycle);
         }
         Error => {
-            run(&mut course);
-            course.handle_failure("broken".into());
-            run(&mut course);
+            run(&mut lifecycle);
+            lifecycle.handle_failure("broken".into());
+            run(&mut lifecycle);
         }
         Fatal => {
-            run(&mut course);
-            course.handle_failure(Failure::fatal("broken"));
+            run(&mut lifecycle);
+            lifecycle.handle_failure(Failure::fatal("broken"));
         }
         Finalized => {
-            run(&mut course);
-            course.handle_stop(EndReason::Stopped);
-            run(&mut course);
+            run(&mut lifecycle);
+            lifecycle.handle_stop(EndReason::Stopped);
+            run(&mut lifecycle);
         }
     }
-    course.poll_news();
-    assert_eq!(course.state, state);
-    course
+    lifecycle.poll_reports();
+    assert_eq!(lifecycle.state, state);
+    lifecycle
 }
 
-fn states(news: &[LifecycleReport]) -> Vec<Lifecycle> {
-    let state = |news: &LifecycleReport| match news {
+fn states(reports: &[LifecycleReport]) -> Vec<Lifecycle> {
+    let state = |reports: &LifecycleReport| match reports {
         LifecycleReport::State(state, _) => Some(*state),
         LifecycleReport::Child(_) | LifecycleReport::Unavailable { .. } => None,
     };
-    news.iter().filter_map(state).collect()
+    reports.iter().filter_map(state).collect()
 }
 
-fn answers(news: Vec<LifecycleReport>) -> Vec<ChildEvent> {
-    let answer = |news| match news {
+fn answers(reports: Vec<LifecycleReport>) -> Vec<ChildEvent> {
+    let answer = |reports| match reports {
         LifecycleReport::Child(event) => Some(event),
         LifecycleReport::State(..) | LifecycleReport::Unavailable { .. } => None,
     };
-    news.into_iter().filter_map(answer).collect()
+    reports.into_iter().filter_map(answer).collect()
 }
 
 #[test]
 fn a_life_is_initialised_started_and_activated() {
-    let mut course = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new(true);
 
-    assert_eq!(run(&mut course), [Hook::Initialize, Hook::Startup, Hook::Activated]);
+    assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
 
-    let news = course.poll_news();
-    assert_eq!(states(&news), [Created, Initialized, Active]);
-    assert_eq!(answers(news), [ChildEvent::Started]);
-    assert_eq!(course.next(), LifecycleStep::Serve);
-    assert!(course.is_serving());
+    let reports = lifecycle.poll_reports();
+    assert_eq!(states(&reports), [Created, Initialized, Active]);
+    assert_eq!(answers(reports), [ChildEvent::Started]);
+    assert_eq!(lifecycle.next(), LifecycleStep::Serve);
+    assert!(lifecycle.is_serving());
 }
 
 #[test]
 fn a_life_that_nobody_waits_for_tells_no_supervisor() {
-    let mut course = IncarnationLifecycle::new(false);
-    run(&mut course);
-    assert_eq!(answers(course.poll_news()), []);
+    let mut lifecycle = IncarnationLifecycle::new(false);
+    run(&mut lifecycle);
+    assert_eq!(answers(lifecycle.poll_reports()), []);
 }
 
 #[test]
 fn a_failed_initialisation_is_fatal() {
-    let mut course = IncarnationLifecycle::new(true);
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Initialize));
+    let mut lifecycle = IncarnationLifecycle::new(true);
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
 
-    course.handle_done(Hook::Initialize, failed("no device"));
+    lifecycle.handle_done(Hook::Initialize, failed("no device"));
 
-    assert_eq!(run(&mut course), [Hook::Finalize]);
-    assert_eq!(course.next(), LifecycleStep::End(EndReason::Fatal));
-    let news = course.poll_news();
-    assert_eq!(states(&news), [Created, Fatal, Finalized]);
-    assert_eq!(answers(news), [ChildEvent::StartFailed { reason: "no device".into() }]);
+    assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
+    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
+    let reports = lifecycle.poll_reports();
+    assert_eq!(states(&reports), [Created, Fatal, Finalized]);
+    assert_eq!(answers(reports), [ChildEvent::StartFailed { reason: "no device".into() }]);
 }
 
 #[test]
 fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
     for hook in [Hook::Execute, Hook::RateChanged] {
-        let mut course = life(Active);
-        course.handle_done(hook, failed("out of range"));
-        assert_eq!(run(&mut course), [Hook::Aborting, Hook::Error]);
-        assert_eq!(course.next(), LifecycleStep::Rest);
-        let news = course.poll_news();
-        assert_eq!(news, [LifecycleReport::State(Error, Some("out of range".into()))]);
+        let mut lifecycle = life(Active);
+        lifecycle.handle_done(hook, failed("out of range"));
+        assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
+        assert_eq!(lifecycle.next(), LifecycleStep::Rest);
+        let reports = lifecycle.poll_reports();
+        assert_eq!(reports, [LifecycleReport::State(Error, Some("out of range".into()))]);
 
-        course.handle_reset();
-        course.handle_reset();
-        assert_eq!(run(&mut course), [Hook::Reset, Hook::Activated]);
-        let news = course.poll_news();
-        assert_eq!(states(&news), [Initialized, Active]);
-        assert_eq!(answers(news), [ChildEvent::Reset]);
+        lifecycle.handle_reset();
+        lifecycle.handle_reset();
+        assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
+        let reports = lifecycle.poll_reports();
+        assert_eq!(states(&reports), [Initialized, Active]);
+        assert_eq!(answers(reports), [ChildEvent::Reset]);
     }
 }
 
 #[test]
 fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
     for hook in [Hook::Startup, Hook::Activated] {
-        let mut course = IncarnationLifecycle::new(true);
-        while let LifecycleStep::Run(next) = course.next() {
+        let mut lifecycle = IncarnationLifecycle::new(true);
+        while let LifecycleStep::Run(next) = lifecycle.next() {
             if next == hook {
-                course.handle_done(next, failed("jammed"));
+                lifecycle.handle_done(next, failed("jammed"));
                 break;
             }
-            course.handle_done(next, Ok(()));
+            lifecycle.handle_done(next, Ok(()));
         }
-        assert_eq!(course.state, Error);
+        assert_eq!(lifecycle.state, Error);
         let failed = ChildEvent::StartFailed { reason: "jammed".into() };
-        assert_eq!(answers(course.poll_news()), [failed]);
+        assert_eq!(answers(lifecycle.poll_reports()), [failed]);
     }
 }
 
 #[test]
 fn a_failed_reset_is_fatal() {
-    let mut course = life(Error);
-    course.handle_reset();
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Reset));
+    let mut lifecycle = life(Error);
+    lifecycle.handle_reset();
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
 
-    course.handle_done(Hook::Reset, failed("still broken"));
+    lifecycle.handle_done(Hook::Reset, failed("still broken"));
 
-    assert_eq!(run(&mut course), [Hook::Finalize]);
-    assert_eq!(course.next(), LifecycleStep::End(EndReason::Fatal));
+    assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
+    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
     let reason = "still broken".into();
-    assert_eq!(answers(course.poll_news()), [ChildEvent::ResetFailed { reason }]);
+    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::ResetFailed { reason }]);
 }
 
 #[test]
 fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
-    let mut course = life(Active);
-    course.handle_failure("one".into());
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Aborting));
-    course.handle_done(Hook::Aborting, failed("two"));
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Error));
+    let mut lifecycle = life(Active);
+    lifecycle.handle_failure("one".into());
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Aborting));
+    lifecycle.handle_done(Hook::Aborting, failed("two"));
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Error));
 
-    course.handle_done(Hook::Error, Err(Failure::fatal("three")));
+    lifecycle.handle_done(Hook::Error, Err(Failure::fatal("three")));
 
-    assert_eq!(course.state, Fatal);
-    assert_eq!(run(&mut course), [Hook::Finalize]);
+    assert_eq!(lifecycle.state, Fatal);
+    assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
 }
 
 #[test]
 fn stop_ends_every_state_in_its_own_way() {
     let check = |state, expected: &[Hook]| {
-        let mut course = life(state);
-        course.handle_stop(EndReason::Stopped);
-        assert_eq!(run(&mut course), expected, "{state}");
-        assert_eq!(course.next(), LifecycleStep::End(EndReason::Stopped), "{state}");
-        assert_eq!(course.state, Finalized);
+        let mut lifecycle = life(state);
+        lifecycle.handle_stop(EndReason::Stopped);
+        assert_eq!(run(&mut lifecycle), expected, "{state}");
+        assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Stopped), "{state}");
+        assert_eq!(lifecycle.state, Finalized);
     };
     check(Created, &[Hook::Finalize]);
     check(Initialized, &[Hook::Shutdown, Hook::Finalize]);
@@ -183,49 +183,49 @@ fn stop_ends_every_state_in_its_own_way() {
 
 #[test]
 fn a_stop_that_overtakes_the_activation_deactivates_again() {
-    let mut course = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new(true);
     for hook in [Hook::Initialize, Hook::Startup] {
-        assert_eq!(course.next(), LifecycleStep::Run(hook));
-        course.handle_done(hook, Ok(()));
+        assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
+        lifecycle.handle_done(hook, Ok(()));
     }
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Activated));
-    course.handle_stop(EndReason::Stopped);
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Activated));
+    lifecycle.handle_stop(EndReason::Stopped);
 
-    course.handle_done(Hook::Activated, Ok(()));
+    lifecycle.handle_done(Hook::Activated, Ok(()));
 
-    assert_eq!(run(&mut course), [Hook::Deactivated, Hook::Shutdown, Hook::Finalize]);
-    assert_eq!(answers(course.poll_news()), []);
+    assert_eq!(run(&mut lifecycle), [Hook::Deactivated, Hook::Shutdown, Hook::Finalize]);
+    assert_eq!(answers(lifecycle.poll_reports()), []);
 }
 
 #[test]
 fn reset_is_answered_in_every_state() {
     for state in [Created, Initialized, Fatal, Finalized] {
-        let mut course = life(state);
-        course.handle_reset();
-        let news = answers(course.poll_news());
-        assert!(matches!(news[..], [ChildEvent::ResetFailed { .. }]), "{state}");
+        let mut lifecycle = life(state);
+        lifecycle.handle_reset();
+        let reports = answers(lifecycle.poll_reports());
+        assert!(matches!(reports[..], [ChildEvent::ResetFailed { .. }]), "{state}");
     }
-    let mut course = life(Active);
-    course.handle_reset();
-    assert_eq!(answers(course.poll_news()), [ChildEvent::Reset]);
+    let mut lifecycle = life(Active);
+    lifecycle.handle_reset();
+    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Reset]);
 }
 
 #[test]
 fn activation_orders_act_only_between_initialized_and_active() {
     for state in [Created, Error, Fatal, Finalized] {
         for active in [true, false] {
-            let mut course = life(state);
-            let before = course.hooks.clone();
-            course.handle_activate(active);
-            assert_eq!(course.hooks, before);
+            let mut lifecycle = life(state);
+            let before = lifecycle.hooks.clone();
+            lifecycle.handle_activate(active);
+            assert_eq!(lifecycle.hooks, before);
         }
     }
-    let mut course = life(Initialized);
-    course.handle_activate(true);
-    assert_eq!(run(&mut course), [Hook::Activated]);
-    course.handle_activate(false);
-    assert_eq!(run(&mut course), [Hook::Deactivated]);
-    assert_eq!(course.state, Initialized);
+    let mut lifecycle = life(Initialized);
+    lifecycle.handle_activate(true);
+    assert_eq!(run(&mut lifecycle), [Hook::Activated]);
+    lifecycle.handle_activate(false);
+    assert_eq!(run(&mut lifecycle), [Hook::Deactivated]);
+    assert_eq!(lifecycle.state, Initialized);
 }
 
 #[test]
@@ -238,28 +238,28 @@ fn a_declared_failure_acts_in_every_state_that_can_still_fail() {
         (Fatal, Fatal),
         (Finalized, Finalized),
     ] {
-        let mut course = life(state);
-        course.handle_failure("declared".into());
-        assert_eq!(course.state, expected, "{state}");
+        let mut lifecycle = life(state);
+        lifecycle.handle_failure("declared".into());
+        assert_eq!(lifecycle.state, expected, "{state}");
     }
     for state in [Created, Initialized, Active, Error] {
-        let mut course = life(state);
-        course.handle_failure(Failure::fatal("declared"));
-        assert_eq!(course.state, Fatal, "{state}");
+        let mut lifecycle = life(state);
+        lifecycle.handle_failure(Failure::fatal("declared"));
+        assert_eq!(lifecycle.state, Fatal, "{state}");
     }
 }
 
 #[test]
 fn a_changed_rate_is_told_only_at_work() {
     for state in [Created, Initialized, Error, Fatal, Finalized] {
-        let mut course = life(state);
-        let before = course.hooks.clone();
-        course.handle_rate_changed();
-        assert_eq!(course.hooks, before, "{state}");
+        let mut lifecycle = life(state);
+        let before = lifecycle.hooks.clone();
+        lifecycle.handle_rate_changed();
+        assert_eq!(lifecycle.hooks, before, "{state}");
     }
-    let mut course = life(Active);
-    course.handle_rate_changed();
-    assert_eq!(run(&mut course), [Hook::RateChanged]);
+    let mut lifecycle = life(Active);
+    lifecycle.handle_rate_changed();
+    assert_eq!(run(&mut lifecycle), [Hook::RateChanged]);
 }
 
 fn missing() -> Result<(), Failure> {
@@ -267,57 +267,57 @@ fn missing() -> Result<(), Failure> {
 }
 
 /// The waits that were asked for.
-fn waits(course: &mut IncarnationLifecycle) -> Vec<Duration> {
-    let wait = |news| match news {
+fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
+    let wait = |reports| match reports {
         LifecycleReport::Unavailable { retry_in, .. } => Some(retry_in),
         LifecycleReport::State(..) | LifecycleReport::Child(_) => None,
     };
-    course.poll_news().into_iter().filter_map(wait).collect()
+    lifecycle.poll_reports().into_iter().filter_map(wait).collect()
 }
 
 #[test]
 fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_life() {
-    let mut course = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new(true);
     let mut waited = Vec::new();
     for _ in 0..10 {
-        assert_eq!(course.next(), LifecycleStep::Run(Hook::Initialize));
-        course.handle_done(Hook::Initialize, missing());
-        assert_eq!(course.next(), LifecycleStep::Rest, "it is not its time");
-        waited.extend(waits(&mut course));
-        assert!(course.handle_retry());
+        assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+        lifecycle.handle_done(Hook::Initialize, missing());
+        assert_eq!(lifecycle.next(), LifecycleStep::Rest, "it is not its time");
+        waited.extend(waits(&mut lifecycle));
+        assert!(lifecycle.handle_retry());
     }
 
     let tenths = |wait: &Duration| (wait.as_millis() + 50) / 100;
     assert_eq!(waited.iter().map(tenths).take(3).collect::<Vec<_>>(), [1, 2, 4]);
     assert!(waited.iter().all(|wait| *wait <= Duration::from_millis(5500)), "{waited:?}");
-    assert_eq!(run(&mut course), [Hook::Initialize, Hook::Startup, Hook::Activated]);
-    assert_eq!(answers(course.poll_news()), [ChildEvent::Started]);
-    assert_eq!(course.next(), LifecycleStep::Serve);
+    assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
+    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Started]);
+    assert_eq!(lifecycle.next(), LifecycleStep::Serve);
 }
 
 #[test]
 fn a_reset_whose_device_is_missing_goes_on_by_itself() {
-    let mut course = life(Error);
-    course.handle_reset();
-    assert_eq!(course.next(), LifecycleStep::Run(Hook::Reset));
-    course.handle_done(Hook::Reset, missing());
+    let mut lifecycle = life(Error);
+    lifecycle.handle_reset();
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
+    lifecycle.handle_done(Hook::Reset, missing());
     let unavailable = ChildEvent::Unavailable { reason: "no device".into() };
-    assert_eq!(answers(course.poll_news()), [unavailable]);
+    assert_eq!(answers(lifecycle.poll_reports()), [unavailable]);
 
-    assert!(course.handle_retry());
-    assert_eq!(run(&mut course), [Hook::Reset, Hook::Activated]);
+    assert!(lifecycle.handle_retry());
+    assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
 
-    assert_eq!(answers(course.poll_news()), [ChildEvent::Started]);
+    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Started]);
 }
 
 #[test]
 fn a_life_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
-        let mut course = IncarnationLifecycle::new(true);
-        while let LifecycleStep::Run(next) = course.next() {
-            course.handle_done(next, if next == hook { missing() } else { Ok(()) });
+        let mut lifecycle = IncarnationLifecycle::new(true);
+        while let LifecycleStep::Run(next) = lifecycle.next() {
+            lifecycle.handle_done(next, if next == hook { missing() } else { Ok(()) });
         }
-        course
+        lifecycle
     };
     let mut stopped = waiting(Hook::Initialize);
     stopped.handle_stop(EndReason::Stopped);
@@ -337,9 +337,9 @@ fn a_life_that_waits_is_stopped_fails_and_is_not_activated_twice() {
 
 #[test]
 fn a_device_that_is_missing_at_work_is_a_failure_like_any_other() {
-    let mut course = life(Active);
+    let mut lifecycle = life(Active);
 
-    course.handle_done(Hook::Execute, missing());
+    lifecycle.handle_done(Hook::Execute, missing());
 
-    assert_eq!(run(&mut course), [Hook::Aborting, Hook::Error]);
+    assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
 }

@@ -101,10 +101,10 @@ fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
         child.standing_order(order(5));
-        let pump = crate::host::executor::executor_here(&picky.0).unwrap().upgrade().unwrap();
+        let executor = crate::host::executor::executor_here(&picky.0).unwrap().upgrade().unwrap();
 
-        // On the spot, before the pump has its turn.
-        pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
+        // On the spot, before the executor has its turn.
+        executor.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
         child.abandon();
         settle().await;
 
@@ -120,12 +120,14 @@ fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_tu
     system.block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (_child, picky) = stage.start(picky("picky").0).await;
-        let anchor = picky.0.clone();
-        let seat = anchor.record.seat().unwrap().seat;
+        let cell = picky.0.clone();
+        let arbiter = cell.record.arbiter().unwrap().arbiter;
 
-        seat.handle.spawn_fn(move || {
-            let pump = crate::host::executor::executor_here(&anchor).unwrap().upgrade().unwrap();
-            pump.borrow_mut().die_of(Box::new("in a condition"), "a condition of a subscription");
+        arbiter.handle.spawn_fn(move || {
+            let executor = crate::host::executor::executor_here(&cell).unwrap().upgrade().unwrap();
+            executor
+                .borrow_mut()
+                .die_of(Box::new("in a condition"), "a condition of a subscription");
             actix_rt::Arbiter::current().stop();
         });
 

@@ -25,7 +25,7 @@ const AT_ONCE: usize = 64;
 #[derive(Clone)]
 pub(super) struct PeerBinding {
     object: ObjectName,
-    doorway: Arc<dyn Skeleton>,
+    skeleton: Arc<dyn Skeleton>,
     /// Of what comes this way the newest counts: it waits for nothing.
     newest: bool,
 }
@@ -74,15 +74,15 @@ impl GatewayActor {
         identity: &PeerIdentity,
     ) {
         let newest = identity.delivery == Delivery::Newest;
-        let mut open = |doorway| {
-            let bound = PeerBinding { object: object.clone(), doorway, newest };
-            self.doorways.insert((peer, binding), bound);
+        let mut open = |skeleton| {
+            let bound = PeerBinding { object: object.clone(), skeleton, newest };
+            self.skeletons.insert((peer, binding), bound);
         };
-        let result = match self.wiring.registry.doorway(object, &identity.name) {
+        let result = match self.wiring.registry.skeleton(object, &identity.name) {
             Err(why) => Err((why, None)),
-            Ok((known, doorway)) => match (known.check(identity), doorway.former(identity)) {
+            Ok((known, skeleton)) => match (known.check(identity), skeleton.former(identity)) {
                 (Ok(()), _) => {
-                    open(doorway);
+                    open(skeleton);
                     Ok(())
                 }
                 (Err(_), Some(former)) => {
@@ -94,7 +94,7 @@ impl GatewayActor {
                 (Err(difference), None) => {
                     let difference = difference.to_string();
                     error!(%object, "a peer's contract differs: {difference}");
-                    doorway.declare(FaultKind::ContractMismatch, difference.clone());
+                    skeleton.declare(FaultKind::ContractMismatch, difference.clone());
                     if let Some(peer) = self.peers.get_mut(&peer) {
                         peer.differs(&difference);
                     }
@@ -113,7 +113,7 @@ impl GatewayActor {
         reply_to: Option<ReplyTo>,
         context: &mut Context<Self>,
     ) {
-        let Some(bound) = self.doorways.get(&(peer, binding)) else {
+        let Some(bound) = self.skeletons.get(&(peer, binding)) else {
             match reply_to {
                 Some(reply_to) => reply_to(Err(DeliveryError::Unknown { name: "binding".into() })),
                 None => debug!(%peer, binding, "a message for what is not bound any more"),
@@ -123,7 +123,7 @@ impl GatewayActor {
         // A message does not overtake those that wait.
         let behind = self.queues.room.is_waiting(peer, &bound.object)
             && !bound.newest
-            && bound.doorway.room().is_some();
+            && bound.skeleton.room().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
             None if behind => {
@@ -131,7 +131,7 @@ impl GatewayActor {
             }
             reply_to => {
                 let told = reply_to.is_none();
-                match bound.doorway.deliver(payload, postmark, reply_to) {
+                match bound.skeleton.deliver(payload, postmark, reply_to) {
                     Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if told => {
                         self.hold((peer, binding), (payload, postmark), &why, context);
                     }
@@ -151,10 +151,10 @@ impl GatewayActor {
         why: &DeliveryError,
         context: &mut Context<Self>,
     ) {
-        let Some(bound) = self.doorways.get(&(peer, binding)).cloned() else { return };
-        let PeerBinding { object, doorway, newest } = bound;
-        let Some(room) = doorway.room().filter(|_| !newest) else {
-            return doorway.bury(why);
+        let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
+        let PeerBinding { object, skeleton, newest } = bound;
+        let Some(room) = skeleton.room().filter(|_| !newest) else {
+            return skeleton.record_dead_letter(why);
         };
         // A copy: what waits must not keep the whole frame that it came in.
         let payload = Bytes::copy_from_slice(payload);
@@ -167,7 +167,7 @@ impl GatewayActor {
                 self.watch(peer, object, room, context);
             }
             BacklogVerdict::Behind => {}
-            BacklogVerdict::Refused(_) => doorway.bury(why),
+            BacklogVerdict::Refused(_) => skeleton.record_dead_letter(why),
         }
     }
 
@@ -195,18 +195,18 @@ impl GatewayActor {
             else {
                 return;
             };
-            if let Some(PeerBinding { doorway, .. }) = self.doorways.get(&(peer, *binding))
-                && let Some(mut room) = doorway.room()
+            if let Some(PeerBinding { skeleton, .. }) = self.skeletons.get(&(peer, *binding))
+                && let Some(mut room) = skeleton.room()
             {
                 // Asked first, so that nothing is decoded in vain.
                 if room.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
                     return self.watch(peer, object, room, context);
                 }
                 let age = postmark.age + (platform::now() - *arrived);
-                match doorway.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
+                match skeleton.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
                     // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
-                        if let Some(room) = doorway.room() {
+                        if let Some(room) = skeleton.room() {
                             self.watch(peer, object, room, context);
                         }
                         return;
@@ -228,8 +228,8 @@ impl GatewayActor {
     pub(super) fn end_lines(&mut self, peer: NodeId, why: &DeliveryError) {
         for (object, held) in self.queues.room.handle_ended(peer) {
             self.queues.watches.remove(&(peer, object));
-            if let Some(bound) = self.doorways.get(&(peer, held.binding)) {
-                bound.doorway.bury(why);
+            if let Some(bound) = self.skeletons.get(&(peer, held.binding)) {
+                bound.skeleton.record_dead_letter(why);
             }
         }
     }

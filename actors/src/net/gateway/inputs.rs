@@ -26,21 +26,21 @@ impl Handler<SessionReported> for GatewayActor {
     fn handle(&mut self, message: SessionReported, context: &mut Context<Self>) {
         match message {
             SessionReported::Reachable { node, incarnation } => {
-                let (peer, gate) = self.meet(&node);
+                let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_reachable(peer);
-                gate.path_found();
+                send_state.path_found();
                 self.peers
                     .entry(peer)
                     .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
-                if !gate.has_session() {
+                if !send_state.has_session() {
                     self.set(peer, PeerCondition::Opening);
                 }
             }
             SessionReported::Unreachable { node } => {
-                let (peer, gate) = self.meet(&node);
+                let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_unreachable(peer);
-                gate.path_lost();
-                if !gate.has_session() {
+                send_state.path_lost();
+                if !send_state.has_session() {
                     self.set(peer, PeerCondition::Unreachable);
                 }
             }
@@ -48,8 +48,8 @@ impl Handler<SessionReported> for GatewayActor {
                 self.session_opened(node, incarnation, session);
             }
             SessionReported::Message { peer, message } => {
-                let gate = self.peers.get(&peer).map(|peer| &peer.gate);
-                if gate.is_some_and(|gate| gate.is_isolated()) {
+                let send_state = self.peers.get(&peer).map(|peer| &peer.send_state);
+                if send_state.is_some_and(|send_state| send_state.is_isolated()) {
                     self.kept_out += 1;
                     debug!(%peer, kept_out = self.kept_out, "an isolated node speaks");
                 } else {
@@ -63,10 +63,10 @@ impl Handler<SessionReported> for GatewayActor {
             }
             SessionReported::Ended { peer, why } => self.session_ended(peer, why),
             SessionReported::Full { peer, stream, load } => {
-                self.at_gate(peer, |gate| gate.stream_is_full(stream, load))
+                self.with_send_state(peer, |send_state| send_state.stream_is_full(stream, load))
             }
             SessionReported::Room { peer, stream, load } => {
-                self.at_gate(peer, |gate| gate.stream_has_room(stream, load))
+                self.with_send_state(peer, |send_state| send_state.stream_has_room(stream, load))
             }
         }
         self.drive(context);
@@ -75,7 +75,7 @@ impl Handler<SessionReported> for GatewayActor {
 
 impl GatewayActor {
     fn session_opened(&mut self, node: NodeName, incarnation: Incarnation, session: u32) {
-        let (id, gate) = self.meet(&node);
+        let (id, send_state) = self.meet(&node);
         self.begin_peer(id, session, incarnation);
         self.forget_past(id);
         let now = platform::now();
@@ -83,9 +83,9 @@ impl GatewayActor {
         for announcement in self.naming.handle_opened(node.clone(), incarnation) {
             self.exchange.handle_own_names(Some(id), &announcement, now);
         }
-        gate.begin();
+        send_state.begin();
         self.wiring.wardens.opened(node.clone());
-        self.tell_envoys(&PeerStatusChanged::Opened { node, incarnation });
+        self.report_peer(&PeerStatusChanged::Opened { node, incarnation });
     }
 
     fn session_ended(&mut self, peer: NodeId, why: DeliveryError) {
@@ -99,7 +99,7 @@ impl GatewayActor {
         self.naming.handle_ended(peer);
         if let Some(peer) = self.peers.get(&peer) {
             self.wiring.wardens.ended(&peer.node);
-            self.tell_envoys(&PeerStatusChanged::Ended { node: peer.node.clone() });
+            self.report_peer(&PeerStatusChanged::Ended { node: peer.node.clone() });
         }
     }
 }
@@ -115,7 +115,7 @@ impl Handler<IsolationChanged> for GatewayActor {
             let why = DeliveryError::Isolated { object: node.to_string() };
             self.exchange.handle_ended(peer, &why);
             self.naming.handle_ended(peer);
-            self.tell_envoys(&PeerStatusChanged::Ended { node });
+            self.report_peer(&PeerStatusChanged::Ended { node });
         } else {
             // What it said meanwhile was not heard: only a new session makes both agree again.
             self.wiring.sessions.begin_anew.do_send(ResetSession { peer: Some(peer) });
@@ -179,7 +179,7 @@ impl Handler<LocalEvent> for GatewayActor {
         self.credit = Some(credit);
         match self.forwards.get(&(peer, subscription)).map(|known| known.by) {
             Some(by) => self.exchange.handle_event(peer, by, event, sent),
-            None => self.bury_late((peer, subscription)),
+            None => self.record_late((peer, subscription)),
         }
         self.drive(context);
         self.credit = None;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 /// Another node.
 pub(super) struct GatewayPeer {
     pub(super) node: NodeName,
-    pub(super) gate: Arc<PeerSendState>,
+    pub(super) send_state: Arc<PeerSendState>,
     /// The number of the session that was opened last.
     pub(super) session: u32,
     /// The life that it is with, or was.
@@ -23,9 +23,9 @@ impl GatewayPeer {
     const DIFFERENCES_MAX: usize = 16;
 
     /// One that no session was open with yet.
-    pub(super) fn new(node: NodeName, gate: Arc<PeerSendState>) -> Self {
+    pub(super) fn new(node: NodeName, send_state: Arc<PeerSendState>) -> Self {
         let (session, incarnation, left) = (0, Incarnation::default(), false);
-        GatewayPeer { node, gate, session, incarnation, left, differences: Vec::new() }
+        GatewayPeer { node, send_state, session, incarnation, left, differences: Vec::new() }
     }
 
     /// A session begins. Says whether that ends what differed in an earlier incarnation.

@@ -52,20 +52,20 @@ impl GatewayActor {
             },
         };
         let Some(known) = self.peers.get(&peer) else { return };
-        let (gate, gateway) = (known.gate.clone(), context.address());
+        let (send_state, gateway) = (known.send_state.clone(), context.address());
         let (delivery, losses) = (by.1, self.losses(known, &key));
         let unsent = losses.clone();
         let forward: RemoteForward = Arc::new(move |event: &GatherBuffer, sent| {
-            let freight = CreditClass::of(delivery, event.len());
+            let class = CreditClass::of(delivery, event.len());
             // Publishing never waits: what a peer cannot take now is not sent.
             // Of which only the newest counts, nothing waits behind what does.
-            let open = if newest { gate.has_session() } else { gate.is_open(freight) };
-            match open.then(|| gate.lend_to_event(event.len(), freight)).flatten() {
+            let open = if newest { send_state.has_session() } else { send_state.is_open(class) };
+            match open.then(|| send_state.take_for_event(event.len(), class)).flatten() {
                 Some(credit) => {
                     let event = event.clone();
                     gateway.do_send(LocalEvent { peer, subscription, event, sent, credit });
                 }
-                None => unsent.take(gate.why_not()),
+                None => unsent.take(send_state.why_not()),
             }
         });
         self.end_forward((peer, subscription));

@@ -117,14 +117,14 @@ impl GatewayActor {
 
     /// Counts an event that found its subscription ended. If the peer has ended it, the
     /// event is not missed.
-    pub(super) fn bury_late(&self, forward: (NodeId, u32)) {
+    pub(super) fn record_late(&self, forward: (NodeId, u32)) {
         if let Some(past) = self.past.get(&forward) {
             past.losses.write_down(past.reason, 1);
         }
     }
 
     /// Counts a message to this peer that did not arrive, or perhaps not.
-    pub(super) fn bury(&self, peer: NodeId, to: MessageTarget, why: &DeliveryError) {
+    pub(super) fn record_undelivered(&self, peer: NodeId, to: MessageTarget, why: &DeliveryError) {
         match to {
             MessageTarget::Object(object, contract) => {
                 let node = self.peers.get(&peer).map(|peer| peer.node.clone());

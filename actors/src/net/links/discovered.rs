@@ -12,15 +12,15 @@ use blastema_core::detection::LinkCondition;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::{LinkId, LinkState};
 
-/// What those who tell others of our neighbours must know. A ground is a network, by its place
+/// What those who tell others of our neighbours must know. A domain is a network, by its place
 /// among those that discover.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) enum NeighbourChange {
     /// A link came up, or went down.
-    Neighbour { ground: usize, node: NodeName, remote: MediumAddress, up: bool },
+    Neighbour { domain: usize, node: NodeName, remote: MediumAddress, up: bool },
     /// The network is open at this port.
-    Open { ground: usize, port: u16 },
+    Open { domain: usize, port: u16 },
 }
 
 /// Make a link.
@@ -46,7 +46,7 @@ pub(crate) struct ReportNeighbours;
 impl LinksActor {
     /// Tells of a link's neighbour whom it is, where others are told.
     pub(super) fn tell_discovery(&self, number: LinkId, state: LinkState) {
-        let (Some((ground, discovery)), Some(spec)) =
+        let (Some((domain, discovery)), Some(spec)) =
             (&self.wiring.discovery, self.specs.get(&number))
         else {
             return;
@@ -59,17 +59,17 @@ impl LinksActor {
         let heard = self.bundle.get(number).and_then(|link| link.neighbour());
         let node = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
-            let (ground, remote) = (*ground, spec.remote.clone());
-            discovery.do_send(NeighbourChange::Neighbour { ground, node, remote, up });
+            let (domain, remote) = (*domain, spec.remote.clone());
+            discovery.do_send(NeighbourChange::Neighbour { domain, node, remote, up });
         }
     }
 
     /// Tells at which port we can be found.
     pub(super) fn tell_port(&self, local: &MediumAddress) {
-        if let (Some((ground, discovery)), MediumAddress::Ip(local)) =
+        if let (Some((domain, discovery)), MediumAddress::Ip(local)) =
             (&self.wiring.discovery, local)
         {
-            discovery.do_send(NeighbourChange::Open { ground: *ground, port: local.port() });
+            discovery.do_send(NeighbourChange::Open { domain: *domain, port: local.port() });
         }
     }
 }

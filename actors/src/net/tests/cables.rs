@@ -151,7 +151,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             mended: None,
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
-            envoys: Vec::new(),
+            observers: Vec::new(),
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

@@ -69,7 +69,7 @@ impl Handle<GrowMuch> for Desk {
 }
 
 /// A component at this module, and what took effect there.
-async fn desk(module: &Module) -> (Box<dyn Child>, Log) {
+async fn service_fn(module: &Module) -> (Box<dyn Child>, Log) {
     let log = Log::default();
     let kept = log.clone();
     let spec = ChildSpec::new("desk", move || Desk(kept.clone())).queue(100, WhenFull::Refuse);
@@ -101,7 +101,7 @@ fn restore_all(robot: &Robot) {
 fn a_request_whose_deadline_passed_in_the_queue_is_not_begun() {
     paused(async {
         let (_robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
         let sender = left.sender::<Book>("right:desk");
         assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
 
@@ -123,7 +123,7 @@ fn a_request_whose_deadline_passed_in_the_queue_is_not_begun() {
 fn a_request_that_was_late_on_the_way_is_not_begun() {
     paused(async {
         let (robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
         let sender = left.sender::<Book>("right:desk");
         assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
 
@@ -144,7 +144,7 @@ fn a_request_that_was_late_on_the_way_is_not_begun() {
 fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_known() {
     paused(async {
         let (robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
         let sender = left.sender::<Book>("right:desk");
         assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
 
@@ -168,7 +168,7 @@ fn where_the_way_was_lost_after_the_request_was_sent_the_outcome_is_not_known() 
 fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() {
     paused(async {
         let (robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
         let sender = left.sender::<SetTo>("right:desk");
         assert_eq!(sender.ask(SetTo(0)).await.unwrap(), 0);
 
@@ -193,7 +193,7 @@ fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;
         let right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
-        let (dying, log) = desk(&right).await;
+        let (dying, log) = service_fn(&right).await;
         advance(500 * MS).await;
         let sender = left.sender::<SetTo>("right:desk");
         assert_eq!(sender.ask(SetTo(0)).await.unwrap(), 0);
@@ -204,7 +204,7 @@ fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
         robot.kill("ethernet/right");
         drop((right, dying));
         let right = robot.module("right", 2, &[("ethernet", &["left"])]).await;
-        let (_desk, _) = desk(&right).await;
+        let (_service_fn, _) = service_fn(&right).await;
         advance(3000 * MS).await;
 
         assert_eq!(again.await.unwrap(), Ok(1));
@@ -220,7 +220,7 @@ fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
 fn a_request_that_is_sent_again_under_its_identity_takes_effect_once() {
     paused(async {
         let (robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
         let sender = left.sender::<Book>("right:desk");
         assert_eq!(sender.ask(Book(0)).await.unwrap(), 0);
         let repeatable = sender.repeatable(Book(1));
@@ -270,7 +270,7 @@ fn a_tell_by_another_contract_is_a_dead_letter_and_a_fault_of_the_sender() {
 fn a_reply_that_is_too_large_says_that_the_request_took_effect_and_whose_limit_it_is() {
     paused(async {
         let (_robot, left, right) = pair().await;
-        let (_desk, log) = desk(&right).await;
+        let (_service_fn, log) = service_fn(&right).await;
 
         let error = left.sender::<Grow>("right:desk").ask(Grow(70_000)).await.unwrap_err();
         assert_eq!(error.outcome(), Outcome::TookEffect);

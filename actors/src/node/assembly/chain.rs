@@ -48,11 +48,11 @@ pub(in crate::node) struct FaultChain {
     ending: Recipient<NodeEnding>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// Where its actors answer.
-    pub(super) inquiries: Vec<(ObjectName, Recipient<AreYouAlive>)>,
+    pub(super) pings: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     pub(super) notifier: Recipient<AddPort>,
     pub(super) recoverer: Recipient<Recover>,
     /// Looks at arbiters and components; it ends when it is dropped.
-    lookout: Mutex<Option<SamplerGuard>>,
+    sampler: Mutex<Option<SamplerGuard>>,
     /// Watches the chain itself; it ends when it is dropped.
     outside: Mutex<Option<ChainWatch>>,
     /// Whether the chain stands.
@@ -76,10 +76,10 @@ impl FaultChain {
         Ok(())
     }
 
-    /// Watches a component that was planted after the start.
-    pub(in crate::node) async fn enrol(&self, node: &NodeName, planted: &PreparedComponent) {
-        let name = planted.child.name();
-        if let Ok(enrolment) = enrolment(node, name, &planted.depends_on) {
+    /// Watches a component that was prepared after the start.
+    pub(in crate::node) async fn enrol(&self, node: &NodeName, prepared: &PreparedComponent) {
+        let name = prepared.child.name();
+        if let Ok(enrolment) = enrolment(node, name, &prepared.depends_on) {
             // A component that cannot be watched as it wishes still has its guard.
             let _: Result<Result<_, RegistrationError>, _> = self.enrol.send(enrolment).await;
         }
@@ -111,7 +111,7 @@ impl FaultChain {
     /// well.
     #[cfg_attr(not(feature = "journal"), expect(unused_variables, reason = "nothing keeps it"))]
     pub(in crate::node) fn stop(&self, cause: &str, in_order: bool) {
-        self.look_out(None);
+        self.start_sampler(None);
         let outside = self.outside.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(outside) = outside {
             outside.end(in_order);
@@ -138,8 +138,8 @@ impl FaultChain {
         *self.journal.lock().unwrap_or_else(PoisonError::into_inner) = Some(guard);
     }
 
-    pub(super) fn look_out(&self, lookout: Option<SamplerGuard>) {
-        *self.lookout.lock().unwrap_or_else(PoisonError::into_inner) = lookout;
+    pub(super) fn start_sampler(&self, sampler: Option<SamplerGuard>) {
+        *self.sampler.lock().unwrap_or_else(PoisonError::into_inner) = sampler;
     }
 
     pub(super) fn watch_from_outside(&self, outside: ChainWatch) {
@@ -152,7 +152,7 @@ pub(super) struct FaultChainParts {
     pub(super) guardian: Guardian,
     pub(super) chain: FaultChain,
     pub(super) monitor: Addr<MonitorActor>,
-    pub(super) keeper: Addr<NodeController>,
+    pub(super) controller: Addr<NodeController>,
     pub(super) state: watch::Receiver<NodeState>,
     pub(super) directory: SupervisorDirectory,
     pub(super) registry: Registry,
@@ -208,9 +208,10 @@ pub(super) fn make_chain(
         actuators: actuators.clone(),
         nodes: monitor.clone().recipient(),
     };
-    let keeper = guardian.start(named("keeper"), place, move |_: &mut Context<NodeController>| {
-        NodeController::new(setup)
-    });
+    let controller =
+        guardian.start(named("keeper"), place, move |_: &mut Context<NodeController>| {
+            NodeController::new(setup)
+        });
 
     let (directory, registry) = (SupervisorDirectory::default(), Registry::default());
     registry.watch_in(guardian.watched());
@@ -221,12 +222,12 @@ pub(super) fn make_chain(
         registry: registry.clone(),
         router: router.clone(),
         safe_outputs: safe_outputs.clone(),
-        rest_node: keeper.clone().recipient(),
+        rest_node: controller.clone().recipient(),
     });
-    let seed = platform::random_seed();
+    let spec = platform::random_seed();
     let plan = builder.plan.clone();
     let setup = RecovererSetup {
-        machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), seed),
+        machine: recovery::Recoverer::new(node.clone(), plan, RecovererLimits::default(), spec),
         strategies: builder.strategies.clone(),
         tools,
         detector: detector.clone().recipient(),
@@ -237,20 +238,20 @@ pub(super) fn make_chain(
         guardian.start(named("chain/recoverer"), place, move |_: &mut Context<RecovererActor>| {
             RecovererActor::new(setup)
         });
-    keeper.do_send(SubscribeSafeState(detector.clone().recipient()));
-    keeper.do_send(SubscribeSafeState(recoverer.clone().recipient()));
+    controller.do_send(SubscribeSafeState(detector.clone().recipient()));
+    controller.do_send(SubscribeSafeState(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
         port: RecovererPort::Local,
         recover: recoverer.clone().recipient(),
         stand_down: Some(recoverer.clone().recipient()),
     });
 
-    let inquiries = vec![
+    let pings = vec![
         (named("chain/notifier"), notifier.clone().recipient()),
         (named("chain/detector"), detector.clone().recipient()),
         (named("chain/monitor"), monitor.clone().recipient()),
         (named("chain/recoverer"), recoverer.clone().recipient()),
-        (named("keeper"), keeper.clone().recipient()),
+        (named("keeper"), controller.clone().recipient()),
     ];
     let (stands, seen) = watch::channel(false);
     let chain = FaultChain {
@@ -261,8 +262,8 @@ pub(super) fn make_chain(
         dismiss: monitor.clone().recipient(),
         ending: monitor.clone().recipient(),
         arbiter,
-        inquiries,
-        lookout: Mutex::default(),
+        pings,
+        sampler: Mutex::default(),
         outside: Mutex::default(),
         stands: seen,
         safe_outputs,
@@ -277,7 +278,7 @@ pub(super) fn make_chain(
         guardian,
         chain,
         monitor,
-        keeper,
+        controller,
         state,
         directory,
         registry,
@@ -315,7 +316,7 @@ impl FaultChainParts {
     ) -> Result<(), StartError> {
         let node = node.clone();
         let (safe_outputs, actuators) = (self.chain.safe_outputs.clone(), self.actuators.clone());
-        let rest: Recipient<EnterSafeState> = self.keeper.clone().recipient();
+        let rest: Recipient<EnterSafeState> = self.controller.clone().recipient();
         let last_resort = move |reason: String| {
             let now = platform::now();
             let fault = Fault::of_node(node.clone(), FaultKind::Hang, reason.clone(), now);
@@ -327,7 +328,7 @@ impl FaultChainParts {
         };
         let outside = ChainWatch::start(OutsideSetup {
             callbacks: self.chain.callbacks.clone(),
-            inquiries: self.chain.inquiries.clone(),
+            pings: self.chain.pings.clone(),
             watchdogs,
             stands: self.stands.clone(),
             last_resort: Box::new(last_resort),

@@ -93,13 +93,13 @@ pub(super) fn make_networks(
     let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
     let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
     for network in networks {
-        let laid = network.lay(node, guardian, arbiter.as_ref())?;
-        if let Some(cable) = laid.cable {
-            cables.insert(laid.spec.name.to_string(), cable);
+        let started = network.lay(node, guardian, arbiter.as_ref())?;
+        if let Some(cable) = started.cable {
+            cables.insert(started.spec.name.to_string(), cable);
         }
-        enrolments.extend(laid.transports.into_iter().map(|name| middleware(name, None)));
-        neighbours.extend(laid.neighbours);
-        specs.push(laid.spec);
+        enrolments.extend(started.transports.into_iter().map(|name| middleware(name, None)));
+        neighbours.extend(started.neighbours);
+        specs.push(started.spec);
     }
     let mut described = neighbours.clone();
     described.extend(specs.iter().flat_map(admitted).cloned());
@@ -125,7 +125,7 @@ pub(super) fn make_networks(
         mended: Some(monitor.clone().recipient()),
         judges,
         session_timeout,
-        envoys: Vec::new(),
+        observers: Vec::new(),
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
     let setup = claims_setup((node, incarnation), parts, environment);
@@ -135,18 +135,18 @@ pub(super) fn make_networks(
         ..setup
     };
     let claims = GlobalNamesActor::start(setup, guardian, arbiter.as_ref());
-    enrolments.push(middleware(named("net/claims"), Some(claims.inquiries)));
+    enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
     let setup =
         RestSetup { registry: environment.registry.clone(), nodes: monitor.clone().recipient() };
     let rest = SafeStateActor::start(setup, guardian, arbiter.as_ref());
-    parts.keeper.do_send(SubscribeSafeState(rest.own));
-    enrolments.push(middleware(named("net/rest"), Some(rest.inquiries)));
-    let envoys = vec![claims.peers, rest.peers];
-    let net_environment = NetEnvironment { envoys, ..net_environment };
+    parts.controller.do_send(SubscribeSafeState(rest.own));
+    enrolments.push(middleware(named("net/rest"), Some(rest.pings)));
+    let observers = vec![claims.peers, rest.peers];
+    let net_environment = NetEnvironment { observers, ..net_environment };
     let handle = net::start(net_environment, specs)
         .map_err(|error| StartError::Network(error.to_string()))?;
-    let own = handle.inquiries().into_iter();
-    enrolments.extend(own.map(|(name, inquiries)| middleware(name, Some(inquiries))));
+    let own = handle.pings().into_iter();
+    enrolments.extend(own.map(|(name, pings)| middleware(name, Some(pings))));
     // The recipient is set once, here.
     let _ = chain.router.set((handle.reroute(), handle.isolation()));
     for neighbour in neighbours {

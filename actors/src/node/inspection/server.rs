@@ -36,16 +36,16 @@ pub(super) struct InspectionServer {
     listener: Option<PathListener>,
     /// Whether the last report was that it cannot; unknown at first, and after a restart.
     told: Option<bool>,
-    audience: SnapshotServer,
-    /// Those who are not given their picture yet.
+    machine: SnapshotServer,
+    /// Those who are not given their snapshot yet.
     waiting: BTreeMap<ClientId, UnixStream>,
-    /// Those who are given it: as many as the audience has seats.
+    /// Those who are given it: as many as the machine has seats.
     looking: BTreeMap<ClientId, AbortHandle>,
     work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
 }
 
 enum Done {
-    Taken { picture: SnapshotId, text: Arc<str> },
+    Taken { snapshot: SnapshotId, text: Arc<str> },
     Seen(ClientId),
     Closed,
 }
@@ -63,7 +63,7 @@ impl InspectionServer {
             reports,
             listener,
             told: None,
-            audience: SnapshotServer::default(),
+            machine: SnapshotServer::default(),
             waiting: BTreeMap::new(),
             looking: BTreeMap::new(),
             work: FuturesUnordered::new(),
@@ -75,14 +75,14 @@ impl InspectionServer {
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         while self.carry_out() {
-            let due = self.audience.poll_timeout();
+            let due = self.machine.poll_timeout();
             tokio::select! {
-                viewer = accept(self.listener.as_ref()), if self.audience.is_open() => {
-                    let number = self.audience.handle_arrival(platform::now());
-                    self.waiting.insert(number, viewer);
+                client = accept(self.listener.as_ref()), if self.machine.is_open() => {
+                    let number = self.machine.handle_arrival(platform::now());
+                    self.waiting.insert(number, client);
                 }
                 Some(done) = self.work.next() => self.done(done),
-                () = until(due) => self.audience.handle_timeout(platform::now()),
+                () = until(due) => self.machine.handle_timeout(platform::now()),
                 _ = looks.tick() => self.look_after_the_socket(),
             }
         }
@@ -90,17 +90,17 @@ impl InspectionServer {
 
     /// Answers whether the node is still there.
     fn carry_out(&mut self) -> bool {
-        while let Some(output) = self.audience.poll_output() {
+        while let Some(output) = self.machine.poll_output() {
             match output {
-                SnapshotServerOutput::Take(picture) => {
+                SnapshotServerOutput::Take(snapshot) => {
                     let Some(node) = self.node.upgrade().map(Node) else { return false };
                     self.work.push(Box::pin(async move {
                         let text = (node.snapshot().await.to_json() + "\n").into();
-                        Done::Taken { picture, text }
+                        Done::Taken { snapshot, text }
                     }));
                 }
-                SnapshotServerOutput::Close(viewer) => {
-                    if let Some(looking) = self.looking.remove(&viewer) {
+                SnapshotServerOutput::Close(client) => {
+                    if let Some(looking) = self.looking.remove(&client) {
                         looking.abort();
                     }
                 }
@@ -111,27 +111,27 @@ impl InspectionServer {
 
     fn done(&mut self, done: Done) {
         match done {
-            Done::Taken { picture, text } => {
-                for viewer in self.audience.handle_taken(picture, platform::now()) {
-                    self.give(viewer, text.clone());
+            Done::Taken { snapshot, text } => {
+                for client in self.machine.handle_taken(snapshot, platform::now()) {
+                    self.give(client, text.clone());
                 }
             }
-            Done::Seen(viewer) => {
-                self.looking.remove(&viewer);
-                self.audience.handle_gone(viewer, platform::now());
+            Done::Seen(client) => {
+                self.looking.remove(&client);
+                self.machine.handle_gone(client, platform::now());
             }
             Done::Closed => {}
         }
     }
 
-    fn give(&mut self, viewer: ClientId, text: Arc<str>) {
-        let Some(mut stream) = self.waiting.remove(&viewer) else { return };
+    fn give(&mut self, client: ClientId, text: Arc<str>) {
+        let Some(mut stream) = self.waiting.remove(&client) else { return };
         let (seen, looking) = abortable(async move {
             // A client may disconnect before it has read all.
             let _ = stream.write_all(text.as_bytes()).await;
-            Done::Seen(viewer)
+            Done::Seen(client)
         });
-        self.looking.insert(viewer, looking);
+        self.looking.insert(client, looking);
         self.work.push(Box::pin(async move { seen.await.unwrap_or(Done::Closed) }));
     }
 
@@ -163,7 +163,7 @@ async fn accept(listener: Option<&PathListener>) -> UnixStream {
     let Some(listener) = listener else { return future::pending().await };
     loop {
         match listener.accept().await {
-            Ok(viewer) => return viewer,
+            Ok(client) => return client,
             Err(_) => sleep(PAUSE).await,
         }
     }

@@ -135,7 +135,7 @@ impl Monitor {
     /// The watch, or the whole process, was not scheduled for `gap`: every silence up to now is
     /// void. Which fault that is, if any, the detector decides.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
-        self.inquiry.handle_stall(gap, now);
+        self.pings.handle_stall(gap, now);
         let (place, life) = (FaultLocation::Node(self.node.clone()), Incarnation::default());
         let finding = Finding::Node(NodeCondition::Paused { span: gap });
         self.observe(place, life, finding, now);

@@ -8,17 +8,17 @@ fn node(name: &str) -> NodeName {
     NodeName::new(name).unwrap()
 }
 
-fn ground(name: &str, medium: &str, admission: DiscoveryAdmission) -> DiscoveryDomain {
+fn domain(name: &str, medium: &str, admission: DiscoveryAdmission) -> DiscoveryDomain {
     DiscoveryDomain { name: name.into(), medium: medium.into(), admission }
 }
 
-fn of(name: &str, grounds: Vec<DiscoveryDomain>) -> Discovery {
-    Discovery::new(DiscoveryConfig::new(node(name), grounds), ms(0))
+fn of(name: &str, domains: Vec<DiscoveryDomain>) -> Discovery {
+    Discovery::new(DiscoveryConfig::new(node(name), domains), ms(0))
 }
 
 /// Node `a` with `b` beside it on one network.
 fn beside_b(admission: DiscoveryAdmission) -> Discovery {
-    let mut a = of("a", vec![ground("ethernet", "udp", admission)]);
+    let mut a = of("a", vec![domain("ethernet", "udp", admission)]);
     a.handle_up(0, node("b"), "b:1".into(), ms(0));
     while a.poll_output().is_some() {}
     a
@@ -33,17 +33,17 @@ fn gossip(network: &str, medium: &str, neighbours: &[(&str, &str)]) -> Vec<u8> {
 fn told(discovery: &mut Discovery) -> Vec<String> {
     let text = |output| match output {
         DiscoveryOutput::Send { to, .. } => format!("tell {to}"),
-        DiscoveryOutput::Connect { ground, node, address } => {
-            format!("{ground}: try {node} at {address}")
+        DiscoveryOutput::Connect { domain, node, address } => {
+            format!("{domain}: try {node} at {address}")
         }
-        DiscoveryOutput::Disconnect { ground, node } => format!("{ground}: give {node} up"),
+        DiscoveryOutput::Disconnect { domain, node } => format!("{domain}: give {node} up"),
     };
     std::iter::from_fn(|| discovery.poll_output()).map(text).collect()
 }
 
 #[test]
 fn two_that_know_only_the_one_between_learn_of_each_other() {
-    let mut b = of("b", vec![ground("ethernet", "udp", DiscoveryAdmission::Only(BTreeSet::new()))]);
+    let mut b = of("b", vec![domain("ethernet", "udp", DiscoveryAdmission::Only(BTreeSet::new()))]);
     b.handle_up(0, node("a"), "a:1".into(), ms(0));
     b.handle_up(0, node("c"), "c:1".into(), ms(5));
     b.handle_timeout(ms(20));
@@ -51,7 +51,7 @@ fn two_that_know_only_the_one_between_learn_of_each_other() {
     for (name, learns) in [("a", "0: try c at c:1"), ("c", "0: try a at a:1")] {
         let Some(DiscoveryOutput::Send { to, message }) = b.poll_output() else { panic!() };
         assert_eq!(to, node(name));
-        let mut other = of(name, vec![ground("eth0", "udp", DiscoveryAdmission::Anybody)]);
+        let mut other = of(name, vec![domain("eth0", "udp", DiscoveryAdmission::Anybody)]);
         other.handle_up(0, node("b"), "b:1".into(), ms(0));
         other.handle_message(&node("b"), &message, ms(30));
         assert_eq!(told(&mut other), [learns]);
@@ -72,8 +72,8 @@ fn only_who_is_admitted_and_not_described_is_tried() {
 fn what_is_told_counts_on_networks_of_the_same_medium_that_the_teller_is_on() {
     let admission = || DiscoveryAdmission::Anybody;
     let names = [("left", "udp"), ("right", "udp"), ("wire", "tcp"), ("far", "udp")];
-    let grounds = names.map(|(name, medium)| ground(name, medium, admission()));
-    let mut a = of("a", grounds.into());
+    let domains = names.map(|(name, medium)| domain(name, medium, admission()));
+    let mut a = of("a", domains.into());
     for n in 0..3 {
         a.handle_up(n, node("b"), "b:1".into(), ms(0));
     }
@@ -172,7 +172,7 @@ fn a_flood_of_gossip_and_of_nodes_is_bounded_and_counted_by_who_says_it() {
 #[test]
 fn a_node_says_by_beacon_where_it_is() {
     let mut a =
-        of("a", vec![ground("ethernet", "udp", DiscoveryAdmission::Only([node("c")].into()))]);
+        of("a", vec![domain("ethernet", "udp", DiscoveryAdmission::Only([node("c")].into()))]);
     for name in ["a", "b", "c"] {
         a.handle_beacon(0, node(name), format!("{name}:1"), ms(0));
     }

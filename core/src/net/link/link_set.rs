@@ -24,7 +24,7 @@ use std::time::Duration;
 /// The machine of all links over one transport.
 #[derive(Debug, Default)]
 pub struct LinkSet {
-    crowd: MachineSet<LinkId, Link>,
+    machines: MachineSet<LinkId, Link>,
     bytes_per_second: Option<u64>,
     /// The largest frame; 0 while that is not known.
     mtu: usize,
@@ -71,13 +71,13 @@ impl LinkSet {
             bus.remove(&number);
         }
         link.handle_mtu(self.mtu);
-        self.crowd.insert(number, link);
+        self.machines.insert(number, link);
         self.pace();
     }
 
     /// Takes a link out.
     pub fn remove(&mut self, number: LinkId) {
-        self.crowd.remove(number);
+        self.machines.remove(number);
         if let Some(bus) = &mut self.bus {
             bus.remove(&number);
         }
@@ -85,17 +85,17 @@ impl LinkSet {
 
     /// A link.
     pub fn get(&self, number: LinkId) -> Option<&Link> {
-        self.crowd.get(number)
+        self.machines.get(number)
     }
 
     /// A link that is to be given an input; its outputs are polled next.
     pub fn get_mut(&mut self, number: LinkId) -> Option<&mut Link> {
-        self.crowd.get_mut(number)
+        self.machines.get_mut(number)
     }
 
     /// All links, in the order of their numbers.
     pub fn iter(&self) -> impl Iterator<Item = (LinkId, &Link)> {
-        self.crowd.iter()
+        self.machines.iter()
     }
 
     /// Every node of the medium receives every frame: one greeting is sent for all links.
@@ -123,9 +123,9 @@ impl LinkSet {
     }
 
     fn each(&mut self, mut what: impl FnMut(&mut Link)) {
-        let numbers: Vec<_> = self.crowd.iter().map(|(number, _)| number).collect();
+        let numbers: Vec<_> = self.machines.iter().map(|(number, _)| number).collect();
         for number in numbers {
-            self.crowd.get_mut(number).into_iter().for_each(&mut what);
+            self.machines.get_mut(number).into_iter().for_each(&mut what);
         }
     }
 
@@ -142,8 +142,8 @@ impl LinkSet {
                 });
             }
             (rate, Some(_)) => {
-                let links = self.crowd.iter().count();
-                let Some((_, link)) = self.crowd.iter().next() else { return };
+                let links = self.machines.iter().count();
+                let Some((_, link)) = self.machines.iter().next() else { return };
                 let word = NeighbourEntry {
                     to: NodeId(0),
                     stance: HelloState::Ready,
@@ -155,7 +155,7 @@ impl LinkSet {
                 let bytes = length * (links as u64 + 1) * Self::SHARE;
                 let nanos = bytes * 1_000_000_000 / rate.unwrap_or(u64::MAX).max(1);
                 // One greeting for all: its interval is the longest that any of the links wants.
-                let wanted = self.crowd.iter().map(|(_, link)| link.hello_interval());
+                let wanted = self.machines.iter().map(|(_, link)| link.hello_interval());
                 let interval = wanted.max().unwrap_or_default().max(Duration::from_nanos(nanos));
                 self.each(|link| link.slow_down(interval));
             }
@@ -171,7 +171,7 @@ impl LinkSet {
         }
         let (Some(sequence), Some(told)) = (due, &mut self.bus) else { return };
         let mut words: Vec<(LinkId, bool, u64, NeighbourEntry)> = Vec::new();
-        for (number, link) in self.crowd.iter() {
+        for (number, link) in self.machines.iter() {
             let Some(word) = link.word(now) else { continue };
             let before = told.get(&number);
             let changed = before.is_none_or(|before| before.stance != word.stance);
@@ -187,7 +187,7 @@ impl LinkSet {
         for ((number, _, _, word), at) in words.iter().zip(last + 1..) {
             told.insert(*number, Told { stance: word.stance, at });
         }
-        let Some((_, link)) = self.crowd.iter().next() else { return };
+        let Some((_, link)) = self.machines.iter().next() else { return };
         let words = words.into_iter().map(|(_, _, _, word)| word).collect();
         let greeting = link.greeting(sequence, turn, words);
         self.greetings.push_back(Frame::Greeting(greeting).parcel());
@@ -204,18 +204,18 @@ impl Machine for LinkSet {
         if let Some(greeting) = self.greetings.pop_front() {
             return Some(LinkSetOutput::Greet(greeting));
         }
-        let (number, output) = self.crowd.poll_output()?;
+        let (number, output) = self.machines.poll_output()?;
         Some(LinkSetOutput::Of(number, output))
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.crowd.poll_timeout()
+        self.machines.poll_timeout()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
         let late = self.poll_timeout().map_or(Duration::ZERO, |due| now - due);
         self.stalled = (late >= Self::STALL).then_some(late);
-        self.crowd.handle_timeout(now);
+        self.machines.handle_timeout(now);
         self.greet(now);
     }
 }

@@ -6,7 +6,7 @@ use crate::net::session::size_class::SizeClass;
 /// to stop.
 pub(super) const MESSAGES: usize = 1024;
 /// The bytes of small ones, likewise; of bulk half as many, beside them: for it that is one round
-/// trip's worth, and the first large one closes the hall in any case.
+/// trip's worth, and the first large one closes the budget in any case.
 const BYTES: usize = 1 << 20;
 /// So many times as much of either waits at most, whatever senders were told: what should, the one
 /// that was too much, and what is on its way here meanwhile, by two ways (`redundant` has its own)
@@ -95,44 +95,44 @@ mod tests {
             (bulk, 4, BYTES / 8),
             (bulk, 2, BYTES / 4),
         ] {
-            let mut hall = PendingBudget::default();
+            let mut budget = PendingBudget::default();
             for _ in 1..messages {
-                assert_eq!(hall.enter(each), BudgetVerdict::Open);
+                assert_eq!(budget.enter(each), BudgetVerdict::Open);
             }
-            assert_eq!(hall.enter(each), BudgetVerdict::Closing(load));
+            assert_eq!(budget.enter(each), BudgetVerdict::Closing(load));
             for _ in 0..(TIMES - 1) * messages {
-                assert_eq!(hall.enter(each), BudgetVerdict::Open, "it was on its way");
+                assert_eq!(budget.enter(each), BudgetVerdict::Open, "it was on its way");
             }
 
             let half = || std::iter::repeat_n(each, TIMES / 2 * messages);
-            assert_eq!(hall.leave(half()), [], "half has gone");
-            assert_eq!(hall.leave(half()), [load]);
-            assert_eq!(hall.leave(std::iter::empty()), [], "it is told once");
+            assert_eq!(budget.leave(half()), [], "half has gone");
+            assert_eq!(budget.leave(half()), [load]);
+            assert_eq!(budget.leave(std::iter::empty()), [], "it is told once");
         }
     }
 
     #[test]
     fn what_is_on_its_way_when_senders_are_told_to_stop_has_room() {
-        let mut hall = PendingBudget::default();
-        assert_eq!(hall.enter(BYTES / 2 - 1), BudgetVerdict::Open);
-        assert_eq!(hall.enter(1 << 20), BudgetVerdict::Closing(SizeClass::Bulk));
+        let mut budget = PendingBudget::default();
+        assert_eq!(budget.enter(BYTES / 2 - 1), BudgetVerdict::Open);
+        assert_eq!(budget.enter(1 << 20), BudgetVerdict::Closing(SizeClass::Bulk));
         for n in 1..=4 {
-            assert_eq!(hall.enter(1 << 20), BudgetVerdict::Open, "{n} MiB were on their way");
+            assert_eq!(budget.enter(1 << 20), BudgetVerdict::Open, "{n} MiB were on their way");
         }
     }
 
     #[test]
     fn what_is_small_enters_however_much_bulk_waits_and_the_other_way_round() {
-        let mut hall = PendingBudget::default();
-        let fill = |hall: &mut PendingBudget, each| {
-            while !matches!(hall.enter(each), BudgetVerdict::Shut(_)) {}
+        let mut budget = PendingBudget::default();
+        let fill = |budget: &mut PendingBudget, each| {
+            while !matches!(budget.enter(each), BudgetVerdict::Shut(_)) {}
         };
-        fill(&mut hall, BYTES);
-        assert_eq!(hall.enter(20), BudgetVerdict::Open);
+        fill(&mut budget, BYTES);
+        assert_eq!(budget.enter(20), BudgetVerdict::Open);
 
-        fill(&mut hall, SizeClass::SMALL_MAX);
-        assert_eq!(hall.enter(BYTES), BudgetVerdict::Shut(SizeClass::Bulk));
-        assert_eq!(hall.leave([BYTES; TIMES].into_iter()), [SizeClass::Bulk]);
-        assert_eq!(hall.enter(BYTES), BudgetVerdict::Closing(SizeClass::Bulk));
+        fill(&mut budget, SizeClass::SMALL_MAX);
+        assert_eq!(budget.enter(BYTES), BudgetVerdict::Shut(SizeClass::Bulk));
+        assert_eq!(budget.leave([BYTES; TIMES].into_iter()), [SizeClass::Bulk]);
+        assert_eq!(budget.enter(BYTES), BudgetVerdict::Closing(SizeClass::Bulk));
     }
 }

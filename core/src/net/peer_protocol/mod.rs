@@ -207,7 +207,7 @@ impl PeerProtocol {
             let sent = session.send(peer, bound, waiting, &mut self.next_call);
             return self.outputs.push_back(sent);
         }
-        match session.hall.enter(waiting.payload.len()) {
+        match session.budget.enter(waiting.payload.len()) {
             BudgetVerdict::Open => {}
             BudgetVerdict::Closing(load) => {
                 self.outputs.push_back(PeerProtocolOutput::Full { peer, load });

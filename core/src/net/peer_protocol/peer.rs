@@ -41,7 +41,7 @@ pub(super) struct PeerSession {
     /// The peer's objects that have no room, and by which of our bindings it has said so.
     pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
     /// How much waits for bindings.
-    pub(super) hall: PendingBudget,
+    pub(super) budget: PendingBudget,
 }
 
 /// Its number, how it travels, and with what it stays in order.
@@ -96,7 +96,7 @@ impl PeerSession {
             redundant: BTreeSet::new(),
             redundant_calls: BTreeSet::new(),
             full: BTreeMap::new(),
-            hall: PendingBudget::default(),
+            budget: PendingBudget::default(),
         }
     }
 
@@ -162,7 +162,7 @@ impl PeerSession {
         peer: NodeId,
         waiting: &[QueuedMessage],
     ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
-        let again = self.hall.leave(waiting.iter().map(|waiting| waiting.payload.len()));
+        let again = self.budget.leave(waiting.iter().map(|waiting| waiting.payload.len()));
         again.into_iter().map(move |load| PeerProtocolOutput::Room { peer, load })
     }
 

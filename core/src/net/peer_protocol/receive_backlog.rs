@@ -29,11 +29,11 @@ pub const BYTES_MAX: usize = 20 << 20;
 #[derive(Debug)]
 pub struct ReceiveBacklog<T> {
     /// Peers of which something waits, or did not fit.
-    peers: BTreeMap<NodeId, Guest<T>>,
+    peers: BTreeMap<NodeId, PeerBacklog<T>>,
 }
 
 #[derive(Debug)]
-struct Guest<T> {
+struct PeerBacklog<T> {
     lines: BTreeMap<ObjectName, Line<T>>,
     messages: usize,
     bytes: usize,
@@ -83,19 +83,19 @@ impl<T> ReceiveBacklog<T> {
         binding: u32,
         (message, bytes): (T, usize),
     ) -> BacklogVerdict<T> {
-        let guest = self.peers.entry(peer).or_default();
-        if guest.messages >= MESSAGES_MAX || guest.bytes + bytes > BYTES_MAX {
-            guest.refusals.too_large += 1;
+        let backlog = self.peers.entry(peer).or_default();
+        if backlog.messages >= MESSAGES_MAX || backlog.bytes + bytes > BYTES_MAX {
+            backlog.refusals.too_large += 1;
             return BacklogVerdict::Refused(message);
         }
-        guest.messages += 1;
-        guest.bytes += bytes;
-        if let Some(line) = guest.lines.get_mut(object) {
+        backlog.messages += 1;
+        backlog.bytes += bytes;
+        if let Some(line) = backlog.lines.get_mut(object) {
             line.waiting.push_back((message, bytes));
             return BacklogVerdict::Behind;
         }
         let line = Line { binding, waiting: VecDeque::from([(message, bytes)]) };
-        guest.lines.insert(object.clone(), line);
+        backlog.lines.insert(object.clone(), line);
         BacklogVerdict::First
     }
 
@@ -108,22 +108,22 @@ impl<T> ReceiveBacklog<T> {
     /// That message does not wait any more. Answers the binding by which the peer is to be told to
     /// go on, if it was the last.
     pub fn handle_taken(&mut self, peer: NodeId, object: &ObjectName) -> Option<u32> {
-        let guest = self.peers.get_mut(&peer)?;
-        let line = guest.lines.get_mut(object)?;
+        let backlog = self.peers.get_mut(&peer)?;
+        let line = backlog.lines.get_mut(object)?;
         if let Some((_, bytes)) = line.waiting.pop_front() {
-            guest.messages -= 1;
-            guest.bytes -= bytes;
+            backlog.messages -= 1;
+            backlog.bytes -= bytes;
         }
         if !line.waiting.is_empty() {
             return None;
         }
-        let line = guest.lines.remove(object)?;
+        let line = backlog.lines.remove(object)?;
         Some(line.binding)
     }
 
     /// The session with this peer is over. Answers what waited, in order for each object.
     pub fn handle_ended(&mut self, peer: NodeId) -> impl Iterator<Item = (ObjectName, T)> + use<T> {
-        let lines = self.peers.remove(&peer).map(|guest| guest.lines).unwrap_or_default();
+        let lines = self.peers.remove(&peer).map(|backlog| backlog.lines).unwrap_or_default();
         lines.into_iter().flat_map(|(object, line)| {
             line.waiting.into_iter().map(move |(message, _)| (object.clone(), message))
         })
@@ -131,14 +131,14 @@ impl<T> ReceiveBacklog<T> {
 
     /// What did not fit, by peer.
     pub fn refusals(&self) -> impl Iterator<Item = (NodeId, Refusals)> {
-        self.peers.iter().map(|(peer, guest)| (*peer, guest.refusals))
+        self.peers.iter().map(|(peer, backlog)| (*peer, backlog.refusals))
     }
 }
 
-impl<T> Default for Guest<T> {
+impl<T> Default for PeerBacklog<T> {
     fn default() -> Self {
         let refusals = Refusals::default();
-        Guest { lines: BTreeMap::new(), messages: 0, bytes: 0, refusals }
+        PeerBacklog { lines: BTreeMap::new(), messages: 0, bytes: 0, refusals }
     }
 }
 

@@ -90,7 +90,7 @@ pub(super) enum ChildPhase {
     Unavailable,
     Resetting {
         due: Instant,
-        ticket: CallId,
+        call: CallId,
     },
     Stopping {
         due: Instant,

@@ -66,7 +66,7 @@ enum Wish {
 
 #[derive(Clone, Debug)]
 struct Pending {
-    ticket: CallId,
+    call: CallId,
     key: ChildKey,
     child: ObjectName,
     wish: Wish,
@@ -166,8 +166,8 @@ impl Supervisor {
     }
 
     /// Stops a child and forgets it.
-    pub fn handle_remove(&mut self, name: &ObjectName, ticket: CallId, now: Instant) {
-        let Some(key) = self.admit(name, ticket, Wish::Leave) else { return };
+    pub fn handle_remove(&mut self, name: &ObjectName, call: CallId, now: Instant) {
+        let Some(key) = self.admit(name, call, Wish::Leave) else { return };
         self.dismiss(key, ChildTarget::Leave, ReplacementCause::Faulty, now);
         self.advance(now);
     }
@@ -213,8 +213,8 @@ impl Supervisor {
             .partition(|pending: &Pending| pending.wish == Wish::Work);
         self.pending = others;
         let work: Vec<Pending> = work;
-        for Pending { ticket, child, .. } in work {
-            self.answer_gave_up(ticket, child, GiveUpReason::NotAtWork);
+        for Pending { call, child, .. } in work {
+            self.answer_gave_up(call, child, GiveUpReason::NotAtWork);
         }
     }
 
@@ -245,12 +245,12 @@ impl Supervisor {
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
-        ticket: CallId,
+        call: CallId,
         cause: ReplacementCause,
         struck: Option<Incarnation>,
         now: Instant,
     ) {
-        let Some(key) = self.admit(name, ticket, Wish::Work) else { return };
+        let Some(key) = self.admit(name, call, Wish::Work) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next life, if there is one.
@@ -266,7 +266,7 @@ impl Supervisor {
             }
             Phase::Leaving => return self.settle(),
             Phase::Idle | Phase::Ending { .. } | Phase::Escalated { .. } => {
-                return self.refuse(ticket, GiveUpReason::NotAtWork);
+                return self.refuse(call, GiveUpReason::NotAtWork);
             }
         }
         let child = self.kept(key);
@@ -288,22 +288,22 @@ impl Supervisor {
         if self.kept(key).goal == ChildTarget::Run
             && let Err(why) = self.replace(key, cause, now)
         {
-            self.refuse(ticket, why);
+            self.refuse(call, why);
         }
         self.advance(now);
     }
 
     /// A reset is wanted.
-    pub fn handle_reset(&mut self, name: &ObjectName, ticket: CallId, now: Instant) {
+    pub fn handle_reset(&mut self, name: &ObjectName, call: CallId, now: Instant) {
         let Some(&key) = self.index.get(name) else {
-            return self.answer_gave_up(ticket, name.clone(), GiveUpReason::Unknown);
+            return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
         let child = self.kept(key);
         let (name, due) = (child.name.clone(), now + child.rules.ready_within);
         if child.state != ChildPhase::Running || self.going.contains(&key) {
-            return self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
+            return self.answer_gave_up(call, name, GiveUpReason::NoLife);
         }
-        self.set_state(key, ChildPhase::Resetting { due, ticket });
+        self.set_state(key, ChildPhase::Resetting { due, call });
         self.outputs.push_back(SupervisorOutput::Reset { child: name });
     }
 
@@ -312,11 +312,11 @@ impl Supervisor {
         &mut self,
         name: &ObjectName,
         isolated: bool,
-        ticket: CallId,
+        call: CallId,
         now: Instant,
     ) {
         let Some(&key) = self.index.get(name) else {
-            return self.answer_gave_up(ticket, name.clone(), GiveUpReason::Unknown);
+            return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
         self.set_isolated(key, isolated);
         self.grant(key, now);
@@ -329,7 +329,7 @@ impl Supervisor {
             self.coming.remove(&key);
         }
         let child = name.clone();
-        self.outputs.push_back(SupervisorOutput::Recovered { ticket, child, incarnation });
+        self.outputs.push_back(SupervisorOutput::Recovered { call, child, incarnation });
         self.advance(now);
     }
 
@@ -337,11 +337,11 @@ impl Supervisor {
     pub fn handle_rest(
         &mut self,
         name: &ObjectName,
-        ticket: CallId,
+        call: CallId,
         cause: ReplacementCause,
         now: Instant,
     ) {
-        let Some(key) = self.admit(name, ticket, Wish::Rest) else { return };
+        let Some(key) = self.admit(name, call, Wish::Rest) else { return };
         self.set_isolated(key, true);
         self.dismiss(key, ChildTarget::Rest, cause, now);
         let essential = self.children.get(&key).is_some_and(|child| child.rules.essential);
@@ -385,11 +385,11 @@ impl Supervisor {
         let name = child.name.clone();
         match child.state {
             ChildPhase::Down | ChildPhase::Stopping { .. } => return,
-            ChildPhase::Resetting { ticket, .. } => {
+            ChildPhase::Resetting { call, .. } => {
                 // It has taken its recovery into its own hands.
                 self.set_state(key, ChildPhase::Running);
                 let child = name;
-                self.outputs.push_back(SupervisorOutput::Waits { ticket, child, incarnation });
+                self.outputs.push_back(SupervisorOutput::Waits { call, child, incarnation });
             }
             ChildPhase::Starting { .. } | ChildPhase::Running | ChildPhase::Unavailable => {}
         }
@@ -440,17 +440,17 @@ impl Supervisor {
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
         let child = self.kept(key);
-        let ChildPhase::Resetting { ticket, .. } = child.state else { return };
+        let ChildPhase::Resetting { call, .. } = child.state else { return };
         let (child, life) = (child.name.clone(), child.incarnation);
         self.set_state(key, ChildPhase::Running);
         match outcome {
             Ok(()) => self.outputs.push_back(SupervisorOutput::Recovered {
-                ticket,
+                call,
                 child,
                 incarnation: Some(life),
             }),
             Err(reason) => {
-                self.answer_gave_up(ticket, child, GiveUpReason::ResetFailed { reason });
+                self.answer_gave_up(call, child, GiveUpReason::ResetFailed { reason });
             }
         }
     }

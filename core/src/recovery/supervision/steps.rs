@@ -64,11 +64,11 @@ impl Supervisor {
             return;
         }
         let pending = std::mem::take(&mut self.pending);
-        for Pending { ticket, key, child, wish } in pending {
+        for Pending { call, key, child, wish } in pending {
             match self.outcome(key, wish) {
-                None => self.pending.push(Pending { ticket, key, child, wish }),
+                None => self.pending.push(Pending { call, key, child, wish }),
                 Some(Ok(Some(incarnation))) if self.is_unavailable(key) => {
-                    self.outputs.push_back(SupervisorOutput::Waits { ticket, child, incarnation });
+                    self.outputs.push_back(SupervisorOutput::Waits { call, child, incarnation });
                 }
                 Some(Ok(incarnation)) => {
                     if wish == Wish::Work && incarnation.is_none() {
@@ -76,12 +76,12 @@ impl Supervisor {
                         self.outputs.push_back(SupervisorOutput::Retire { child });
                     }
                     self.outputs.push_back(SupervisorOutput::Recovered {
-                        ticket,
+                        call,
                         child,
                         incarnation,
                     });
                 }
-                Some(Err(why)) => self.answer_gave_up(ticket, child, why),
+                Some(Err(why)) => self.answer_gave_up(call, child, why),
             }
         }
     }
@@ -126,9 +126,9 @@ impl Supervisor {
         }
     }
 
-    /// A child whose incarnation has ended in the meantime delays those behind it until the recoverer
-    /// has decided on its fault. That may wait in turn for what is being answered here. So does a
-    /// child that waits for a device that is not there yet.
+    /// A child whose incarnation has ended in the meantime delays those behind it until the
+    /// recoverer has decided on its fault. That may wait in turn for what is being answered here.
+    /// So does a child that waits for a device that is not there yet.
     fn is_held_up(&self) -> bool {
         let first = self.coming.first().and_then(|key| self.children.get(key));
         first.is_some_and(|child| child.failed.is_some() || child.state == ChildPhase::Unavailable)
@@ -349,10 +349,10 @@ impl Supervisor {
                 }
                 self.after_end(key, now);
             }
-            ChildPhase::Resetting { ticket, .. } => {
+            ChildPhase::Resetting { call, .. } => {
                 let limit = rules.ready_within;
                 self.set_state(key, ChildPhase::Running);
-                self.answer_gave_up(ticket, name, GiveUpReason::Overdue { limit });
+                self.answer_gave_up(call, name, GiveUpReason::Overdue { limit });
             }
             ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => {}
         }
@@ -403,10 +403,9 @@ impl Supervisor {
         let child = self.kept(key);
         let before = std::mem::replace(&mut child.state, state);
         let (timed, name) = (child.due().is_some(), child.name.clone());
-        if let (ChildPhase::Resetting { ticket, .. }, false) =
-            (before, state == ChildPhase::Running)
+        if let (ChildPhase::Resetting { call, .. }, false) = (before, state == ChildPhase::Running)
         {
-            self.answer_gave_up(ticket, name, GiveUpReason::NoLife);
+            self.answer_gave_up(call, name, GiveUpReason::NoLife);
         }
         if timed {
             self.timed.insert(key);
@@ -529,31 +528,31 @@ impl Supervisor {
     pub(super) fn admit(
         &mut self,
         name: &ObjectName,
-        ticket: CallId,
+        call: CallId,
         wish: Wish,
     ) -> Option<ChildKey> {
         let child = name.clone();
         let Some(&key) = self.index.get(name) else {
-            self.answer_gave_up(ticket, child, GiveUpReason::Unknown);
+            self.answer_gave_up(call, child, GiveUpReason::Unknown);
             return None;
         };
         if self.pending.len() == PENDING_LIMIT {
-            self.answer_gave_up(ticket, child, GiveUpReason::Full { limit: PENDING_LIMIT });
+            self.answer_gave_up(call, child, GiveUpReason::Full { limit: PENDING_LIMIT });
             return None;
         }
-        self.pending.push(Pending { ticket, key, child, wish });
+        self.pending.push(Pending { call, key, child, wish });
         Some(key)
     }
 
     /// Takes back what [`admit`](Self::admit) has just noted.
-    pub(super) fn refuse(&mut self, ticket: CallId, why: GiveUpReason) {
+    pub(super) fn refuse(&mut self, call: CallId, why: GiveUpReason) {
         if let Some(Pending { child, .. }) = self.pending.pop() {
-            self.answer_gave_up(ticket, child, why);
+            self.answer_gave_up(call, child, why);
         }
     }
 
-    pub(super) fn answer_gave_up(&mut self, ticket: CallId, child: ObjectName, why: GiveUpReason) {
-        self.outputs.push_back(SupervisorOutput::GaveUp { ticket, child, why });
+    pub(super) fn answer_gave_up(&mut self, call: CallId, child: ObjectName, why: GiveUpReason) {
+        self.outputs.push_back(SupervisorOutput::GaveUp { call, child, why });
     }
 
     /// The child that a report is about, unless the report is about an earlier life.

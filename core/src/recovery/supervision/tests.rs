@@ -17,7 +17,7 @@ const MINUTE: Duration = Duration::from_secs(60);
 struct Rig {
     machine: Supervisor,
     now: Instant,
-    tickets: u64,
+    calls: u64,
 }
 
 fn name(text: &str) -> ObjectName {
@@ -53,7 +53,7 @@ impl Rig {
         for (child, rules) in children {
             machine.add_child(name(child), *rules, now).expect("a free name");
         }
-        Rig { machine, now, tickets: 0 }
+        Rig { machine, now, calls: 0 }
     }
 
     /// Three permanent children at work.
@@ -86,17 +86,17 @@ impl Rig {
                 SupervisorOutput::StandingOrder { child, order: None } => {
                     format!("withdraw {child}")
                 }
-                SupervisorOutput::Recovered { ticket, child, incarnation: Some(life) } => {
-                    format!("{} recovered {child} {life}", ticket.0)
+                SupervisorOutput::Recovered { call, child, incarnation: Some(life) } => {
+                    format!("{} recovered {child} {life}", call.0)
                 }
-                SupervisorOutput::Recovered { ticket, child, incarnation: None } => {
-                    format!("{} let {child} go", ticket.0)
+                SupervisorOutput::Recovered { call, child, incarnation: None } => {
+                    format!("{} let {child} go", call.0)
                 }
-                SupervisorOutput::Waits { ticket, child, incarnation } => {
-                    format!("{} {child} {incarnation} waits", ticket.0)
+                SupervisorOutput::Waits { call, child, incarnation } => {
+                    format!("{} {child} {incarnation} waits", call.0)
                 }
-                SupervisorOutput::GaveUp { ticket, child, why } => {
-                    format!("{} gave {child} up: {why}", ticket.0)
+                SupervisorOutput::GaveUp { call, child, why } => {
+                    format!("{} gave {child} up: {why}", call.0)
                 }
                 SupervisorOutput::Refused { child, incarnation, reason } => {
                     format!("refused {child} {incarnation}: {reason}")
@@ -114,9 +114,9 @@ impl Rig {
         said
     }
 
-    fn ticket(&mut self) -> CallId {
-        self.tickets += 1;
-        CallId(self.tickets)
+    fn call(&mut self) -> CallId {
+        self.calls += 1;
+        CallId(self.calls)
     }
 
     fn begin(&mut self) -> Vec<String> {
@@ -130,21 +130,21 @@ impl Rig {
     }
 
     fn restart(&mut self, child: &str, cause: ReplacementCause, life: u64) -> Vec<String> {
-        let ticket = self.ticket();
+        let call = self.call();
         let struck = Some(Incarnation(life));
-        self.machine.handle_restart(&name(child), ticket, cause, struck, self.now);
+        self.machine.handle_restart(&name(child), call, cause, struck, self.now);
         self.said()
     }
 
     fn restart_by_hand(&mut self, child: &str) -> Vec<String> {
-        let ticket = self.ticket();
-        self.machine.handle_restart(&name(child), ticket, ReplacementCause::Asked, None, self.now);
+        let call = self.call();
+        self.machine.handle_restart(&name(child), call, ReplacementCause::Asked, None, self.now);
         self.said()
     }
 
     fn reset(&mut self, child: &str) -> Vec<String> {
-        let ticket = self.ticket();
-        self.machine.handle_reset(&name(child), ticket, self.now);
+        let call = self.call();
+        self.machine.handle_reset(&name(child), call, self.now);
         self.said()
     }
 
@@ -155,20 +155,20 @@ impl Rig {
     }
 
     fn rest(&mut self, child: &str, cause: ReplacementCause) -> Vec<String> {
-        let ticket = self.ticket();
-        self.machine.handle_rest(&name(child), ticket, cause, self.now);
+        let call = self.call();
+        self.machine.handle_rest(&name(child), call, cause, self.now);
         self.said()
     }
 
     fn isolate(&mut self, child: &str, isolated: bool) -> Vec<String> {
-        let ticket = self.ticket();
-        self.machine.handle_isolate(&name(child), isolated, ticket, self.now);
+        let call = self.call();
+        self.machine.handle_isolate(&name(child), isolated, call, self.now);
         self.said()
     }
 
     fn remove(&mut self, child: &str) -> Vec<String> {
-        let ticket = self.ticket();
-        self.machine.handle_remove(&name(child), ticket, self.now);
+        let call = self.call();
+        self.machine.handle_remove(&name(child), call, self.now);
         self.said()
     }
 

@@ -121,7 +121,7 @@ pub enum SupervisorOutput {
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
         /// Whose.
-        ticket: CallId,
+        call: CallId,
         /// The child.
         child: ObjectName,
         /// The life at work; `None` where no life is wanted.
@@ -131,7 +131,7 @@ pub enum SupervisorOutput {
     /// there yet, and tries again by itself.
     Waits {
         /// Whose.
-        ticket: CallId,
+        call: CallId,
         /// The child.
         child: ObjectName,
         /// The life that waits.
@@ -140,7 +140,7 @@ pub enum SupervisorOutput {
     /// The request is not going to be fulfilled.
     GaveUp {
         /// Whose.
-        ticket: CallId,
+        call: CallId,
         /// The child.
         child: ObjectName,
         /// Why.

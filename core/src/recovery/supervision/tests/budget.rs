@@ -27,7 +27,7 @@ fn the_end_of_the_root_is_the_end_of_hope() {
     let mut machine = Supervisor::new(rules);
     let now = Instant::from_millis(1);
     machine.add_child(name("a"), permanent(), now).expect("a free name");
-    let mut rig = Rig { machine, now, tickets: 0 };
+    let mut rig = Rig { machine, now, calls: 0 };
     rig.begin();
     rig.started("a", 1);
 

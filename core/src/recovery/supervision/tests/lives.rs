@@ -173,13 +173,13 @@ fn a_child_is_told_whether_another_life_follows() {
         told
     };
     let mut rig = Rig::serving(Strategy::OneForAll);
-    let (now, tickets) = (rig.now, [CallId(1), CallId(2)]);
+    let (now, calls) = (rig.now, [CallId(1), CallId(2)]);
 
-    rig.machine.handle_restart(&name("a"), tickets[0], ReplacementCause::Died, None, now);
+    rig.machine.handle_restart(&name("a"), calls[0], ReplacementCause::Died, None, now);
     assert_eq!(told(&mut rig), [("c".into(), true)]);
 
     let mut rig = Rig::serving(Strategy::OneForOne);
-    rig.machine.handle_rest(&name("b"), tickets[1], ReplacementCause::Faulty, now);
+    rig.machine.handle_rest(&name("b"), calls[1], ReplacementCause::Faulty, now);
     assert_eq!(told(&mut rig), [("b".into(), false)]);
     rig.machine.handle_end(now);
     rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);

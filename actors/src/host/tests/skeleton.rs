@@ -49,7 +49,7 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         let (mut child, _) = stage.start(spec).await;
         child.standing_order(order(9));
         let registry = &stage.environment.registry;
-        let (identity, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
+        let (identity, add) = registry.skeleton(&name("acc"), Add::NAME).unwrap();
         assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);
 
         let (place, reply_to) = reply();
@@ -58,12 +58,12 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         let bytes = place.lock().unwrap().take().unwrap().unwrap();
         assert_eq!(codec::decode_reply::<Add>(&bytes.into_bytes()).unwrap(), 4);
 
-        let (_, note) = registry.doorway(&name("acc"), Note::NAME).unwrap();
+        let (_, note) = registry.skeleton(&name("acc"), Note::NAME).unwrap();
         note.deliver(&encoded(&Note(7)), postmark(None), None).unwrap();
         settle().await;
         assert_eq!(logged(&log), [7]);
 
-        let (_, kill) = registry.doorway(&name("acc"), Boom::NAME).unwrap();
+        let (_, kill) = registry.skeleton(&name("acc"), Boom::NAME).unwrap();
         for life in 1..=3 {
             let (place, reply_to) = reply();
             kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap();
@@ -84,7 +84,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         let stage = Stage::new();
         let (_child, acc) = stage.start(acc("acc").0).await;
         let registry = &stage.environment.registry;
-        let (_, add) = registry.doorway(&name("acc"), Add::NAME).unwrap();
+        let (_, add) = registry.skeleton(&name("acc"), Add::NAME).unwrap();
 
         let (place, reply_to) = reply();
         let why = add
@@ -94,8 +94,8 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         assert!(matches!(why, DeliveryError::Undecodable { .. }), "{why}");
         assert_eq!(place.lock().unwrap().take(), Some(Err(why)));
         assert_eq!(stage.environment.dead_letters.total(), 1);
-        assert!(registry.doorway(acc.name(), "no such contract").is_err());
-        assert!(registry.doorway(&name("nobody"), Add::NAME).is_err());
+        assert!(registry.skeleton(acc.name(), "no such contract").is_err());
+        assert!(registry.skeleton(&name("nobody"), Add::NAME).is_err());
     });
 }
 
@@ -105,7 +105,7 @@ fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_whe
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (_child, acc) = stage.start(spec.queue(1, WhenFull::Refuse)).await;
-        let (_, note) = stage.environment.registry.doorway(&name("acc"), Note::NAME).unwrap();
+        let (_, note) = stage.environment.registry.skeleton(&name("acc"), Note::NAME).unwrap();
 
         note.deliver(&encoded(&Note(1)), postmark(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap_err();
@@ -114,7 +114,7 @@ fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_whe
         note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(3)), postmark(None), None).unwrap_err();
         assert_eq!(stage.environment.dead_letters.total(), 0);
-        note.bury(&why);
+        note.record_dead_letter(&why);
         settle().await;
 
         assert_eq!(logged(&log), [1, 2]);
@@ -192,7 +192,7 @@ struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
 
 impl StubFactory for Mirror {
     fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
-        Arc::new(MirrorDoor(self.0.doorway(&to.object, contract.name).unwrap().1))
+        Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
     }
 }
 impl RemoteStub for MirrorDoor {
@@ -308,7 +308,7 @@ fn a_large_blob_is_not_copied_into_the_reply_that_goes_to_another_node() {
         let shown = picture.clone();
         let spec = ChildSpec::new("camera", move || Camera(shown.clone()));
         let (_child, _) = stage.start(spec).await;
-        let (_, look) = stage.environment.registry.doorway(&name("camera"), Look::NAME).unwrap();
+        let (_, look) = stage.environment.registry.skeleton(&name("camera"), Look::NAME).unwrap();
 
         let (place, reply_to) = reply();
         look.deliver(&encoded(&Look), postmark(None), Some(reply_to)).unwrap();

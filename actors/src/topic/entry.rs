@@ -21,9 +21,9 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the
 /// others.
-pub(super) struct Ear<E> {
+pub(super) struct ListenerEntry<E> {
     pub(super) only_if: Option<EventFilter<E>>,
-    /// Which ear of the subscription is served now, and which this one is.
+    /// Which entry of the subscription is served now, and which this one is.
     pub(super) present: Arc<AtomicU64>,
     pub(super) number: u64,
     /// The number of the first event that it gets here.
@@ -33,13 +33,13 @@ pub(super) struct Ear<E> {
     pub(super) listener: Box<dyn EventListener<E>>,
 }
 
-impl<E> Ear<E> {
+impl<E> ListenerEntry<E> {
     pub(super) fn is_present(&self) -> bool {
         self.present.load(Relaxed) == self.number
     }
 }
 
-/// The component behind an ear.
+/// The component behind an entry.
 pub(super) trait EventListener<E> {
     /// Serves the event, or queues it where the component is busy. Answers where the component is.
     fn take(
@@ -47,7 +47,7 @@ pub(super) trait EventListener<E> {
         event: E,
         at: Times,
         pulse: &ArbiterHeartbeat,
-        ear: &Ear<E>,
+        entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef>;
     /// Where the component is.
     fn place(&self) -> Option<ActivitySlotRef>;
@@ -57,25 +57,25 @@ pub(super) trait EventListener<E> {
     fn overdraw(&self);
     /// Its condition panicked, and the event is lost to it.
     fn die(&self, payload: Box<dyn Any + Send>);
-    fn bury(&self, why: &DeliveryError);
+    fn record_dead_letter(&self, why: &DeliveryError);
 }
 
 pub(super) struct Resident<C: Component> {
-    pub(super) anchor: Arc<ComponentCell<C>>,
-    pub(super) pump: RefCell<Weak<RefCell<ComponentExecutor<C>>>>,
+    pub(super) cell: Arc<ComponentCell<C>>,
+    pub(super) executor: RefCell<Weak<RefCell<ComponentExecutor<C>>>>,
 }
 
 impl<C: Component> Resident<C> {
     #[inline]
-    fn with_pump<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
-        let mut known = self.pump.borrow_mut();
+    fn with_executor<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
+        let mut known = self.executor.borrow_mut();
         if known.strong_count() == 0 {
-            *known = executor::executor_here(&self.anchor)?; // It was born again.
+            *known = executor::executor_here(&self.cell)?; // It was born again.
         }
-        let pump = known.upgrade()?;
+        let executor = known.upgrade()?;
         drop(known);
-        let mut pump = pump.try_borrow_mut().ok()?;
-        Some(then(&mut pump))
+        let mut executor = executor.try_borrow_mut().ok()?;
+        Some(then(&mut executor))
     }
 }
 
@@ -86,54 +86,56 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         event: E,
         at: Times,
         pulse: &ArbiterHeartbeat,
-        ear: &Ear<E>,
+        entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef> {
         let mut event = Some(event);
-        let place = self.with_pump(|pump| {
-            let place = pump.place();
+        let place = self.with_executor(|executor| {
+            let place = executor.place();
             pulse.run(Some(place.index));
-            if pump.is_free()
+            if executor.is_free()
                 && let Some(event) = event.take()
             {
-                pump.serve_at_once(&mut envelope::seal_event(event, at));
+                executor.serve_at_once(&mut envelope::seal_event(event, at));
             }
             place
         });
         // One that has gone meanwhile has brought along what is not served here.
-        if let Some(event) = event.filter(|_| ear.is_present()) {
-            self.anchor.queue_event(event, at);
+        if let Some(event) = event.filter(|_| entry.is_present()) {
+            self.cell.queue_event(event, at);
         }
         place
     }
 
     fn place(&self) -> Option<ActivitySlotRef> {
-        self.with_pump(|pump| pump.place())
+        self.with_executor(|executor| executor.place())
     }
 
     #[inline]
     fn call_up(&self) {
-        black_box(self.pump.borrow().strong_count());
+        black_box(self.executor.borrow().strong_count());
     }
 
     fn overdraw(&self) {
-        self.with_pump(|pump| pump.overdraw());
+        self.with_executor(|executor| executor.overdraw());
     }
 
     fn die(&self, payload: Box<dyn Any + Send>) {
-        self.bury(&DeliveryError::PeerDied { incarnation: self.anchor.record.incarnation() });
+        self.record_dead_letter(&DeliveryError::PeerDied {
+            incarnation: self.cell.record.incarnation(),
+        });
         let mut payload = Some(payload);
-        self.with_pump(|pump| {
-            payload = payload.take().and_then(|payload| pump.die_of(payload, CONDITION));
+        self.with_executor(|executor| {
+            payload = payload.take().and_then(|payload| executor.die_of(payload, CONDITION));
         });
         // After one incarnation and before the next there is none that dies of it.
         if let Some(payload) = payload {
             let (at, text) = (panics::take_place(), panics::text_of(payload));
             let detail = format!("{CONDITION} panicked at {at}: {text}");
-            self.anchor.record.declare(FaultKind::CheckFailed, detail);
+            self.cell.record.declare(FaultKind::CheckFailed, detail);
         }
     }
 
-    fn bury(&self, why: &DeliveryError) {
-        self.anchor.record.record_dead_letter(E::NAME, why);
+    fn record_dead_letter(&self, why: &DeliveryError) {
+        self.cell.record.record_dead_letter(E::NAME, why);
     }
 }
