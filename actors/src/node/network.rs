@@ -50,7 +50,7 @@ pub struct Network {
 
 /// Who is admitted, as it was written.
 enum Admitted {
-    Anybody,
+    AnyNode,
     Only(Vec<String>),
 }
 
@@ -177,7 +177,7 @@ impl Network {
 
     /// Learns of neighbours, whatever they are called, and tells neighbours of each other.
     pub fn discover_anybody(mut self) -> Self {
-        self.admission = Some(Admitted::Anybody);
+        self.admission = Some(Admitted::AnyNode);
         self
     }
 

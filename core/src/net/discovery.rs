@@ -41,7 +41,7 @@ pub const MESSAGE_MAX: usize = 32 * 1024;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DiscoveryAdmission {
     /// Each node that is heard of.
-    Anybody,
+    AnyNode,
     /// These, and no others.
     Only(BTreeSet<NodeName>),
 }
@@ -49,7 +49,7 @@ pub enum DiscoveryAdmission {
 impl DiscoveryAdmission {
     fn admits(&self, node: &NodeName) -> bool {
         match self {
-            DiscoveryAdmission::Anybody => true,
+            DiscoveryAdmission::AnyNode => true,
             DiscoveryAdmission::Only(names) => names.contains(node),
         }
     }

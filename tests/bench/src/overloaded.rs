@@ -1,7 +1,7 @@
 //! A component with rounds of its own beside a neighbour that gets more than it can serve.
 //!
 //! Both live on one thread. The neighbour needs 30 ms for a message and gets 40 a second, so that
-//! its queue is full and the thread never idle. It is stopped, and begun anew, again and again: a
+//! its queue is full and the thread never idle. It is stopped, and started again, many times: a
 //! stop has to wait for the handler that runs, and for no other. `STOPS=n` sets how often.
 
 use crate::measure::{Quantiles, Table};

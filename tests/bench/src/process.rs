@@ -48,7 +48,7 @@ impl Drop for Peer {
     }
 }
 
-/// Says that this process is ready, and waits until nobody needs it any more.
+/// Says that this process is ready, and waits until its parent ends it.
 pub(crate) fn serve_until_told() {
     println!("ready");
     let _ = std::io::stdout().flush();

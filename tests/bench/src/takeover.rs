@@ -4,7 +4,7 @@
 //! Three processes carry a service; a fourth, this one, asks it without a pause. At a random moment
 //! the one that serves is killed as `kill -9` does, and is started again. A row ends with what
 //! became of all requests: every one adds one, so that the last sum tells whether any was lost or
-//! done twice. With cold standbys the sum begins anew, and requests in flight end as
+//! done twice. With cold standbys the sum starts from zero, and requests in flight end as
 //! `OutcomeUnknown`, which is counted. `N=n` sets how often each kind is killed,
 //! `KINDS=hot,warm,cold` which.
 
@@ -114,7 +114,7 @@ fn kind_of(name: &str) -> StandbyKind {
 /// One of the processes: its kind, its number, and all addresses.
 pub(crate) fn child(arguments: &[String]) {
     let [kind, number, addresses @ ..] = arguments else { return };
-    // Whatever becomes of the measurement, nobody is left behind.
+    // Whatever becomes of the measurement, no process is left behind.
     let _ = blastema::platform::end_with_parent(std::os::unix::process::parent_id());
     let number: u8 = number.parse().expect("the parent writes a number");
     let addresses: Vec<SocketAddr> =

@@ -43,7 +43,7 @@ fuzz_target!(|script: Vec<(u8, u16, bool, Vec<u8>)>| {
             if let RouterOutput::Packet { packet, .. } = output {
                 assert!(
                     Packet::decode(packet.into_bytes()).is_ok(),
-                    "what nobody may send is passed on"
+                    "what no node may send is passed on"
                 );
             }
         }

@@ -154,7 +154,7 @@ async fn run(seed: u64, patient: bool) {
     }
 }
 
-/// Nothing lives, nobody is kept waiting, and the node can be ended.
+/// Nothing lives, no caller is kept waiting, and the node can be ended.
 async fn is_at_rest(seed: u64, node: &TestNode, strings: &Strings) {
     strings.diary();
     for name in NAMES {

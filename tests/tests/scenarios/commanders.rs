@@ -155,7 +155,7 @@ async fn a_commanders_loss_is_told_each_time_and_stands_until_somebody_commands_
         let commander = robot.commander("console");
         commander.claim().await.unwrap();
         robot.here.settle().await;
-        assert_eq!(lost().await, vec![false; round - 1], "somebody commands");
+        assert_eq!(lost().await, vec![false; round - 1], "a commander holds the lease");
         robot.here.cable("ethernet").unwrap().cut(Direction::Both, false);
         robot.here.advance(2 * BOUND).await;
         assert_eq!(lost().await.last(), Some(&true), "round {round}");

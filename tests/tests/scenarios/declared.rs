@@ -181,7 +181,7 @@ async fn what_is_found_downstream_of_a_dead_part_is_marked_as_its_symptom() {
     let order: Vec<_> = record.entries.iter().map(|entry| entry.fault.id).collect();
     assert_eq!(order, [root.id, symptom.id, other.id], "roots first, symptoms behind theirs");
     node.await_recovered(FaultKind::Panic, "laser").await;
-    assert_eq!(life(&node, "planner").await, 1, "nobody restarted the victim");
+    assert_eq!(life(&node, "planner").await, 1, "the victim was not restarted");
 }
 
 #[blastema_testkit::test]

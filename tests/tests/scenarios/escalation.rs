@@ -191,7 +191,7 @@ async fn a_supervisor_that_escalates_too_often_is_stopped_alone() {
 #[blastema_testkit::test]
 async fn a_thousand_components_that_fail_at_once_are_all_treated() {
     const COUNT: u64 = 1000;
-    // Some are begun anew by their guards, the others by the whole chain.
+    // Some are restarted by their guards, the others by the whole chain.
     for kind in [FaultKind::Panic, FaultKind::Fatal] {
         let strings = Strings::default();
         let names: Vec<&'static str> =

@@ -1,6 +1,6 @@
 //! A handler that keeps its thread: on real threads, since only there can it be given up.
 //!
-//! Nothing here measures time, and nobody sleeps: each test waits for what it says.
+//! Nothing here measures time, and no test sleeps: each test waits for what it says.
 
 use crate::puppet::{Deed, Do, Note, Pull, Strings, life};
 use blastema::core::detection::{FaultEntry, Opinion};
@@ -182,7 +182,7 @@ fn at(diary: &[String], line: &str) -> usize {
 fn a_hang_in_a_group_is_over_with_the_grace_and_moves_each_outsider_once() {
     blastema::run(async {
         let strings = Strings::default();
-        // They share one thread: nobody can stop in order, and nobody's deadline is waited for.
+        // They share one thread: none can stop in order, and no deadline is waited for.
         let patient = |name| strings.spec(name).shutdown_within(Duration::from_secs(3600));
         let group = SupervisorSpec::new("group", Strategy::RestForOne)
             .child(strings.spec("a").max_block(Duration::from_millis(150)))

@@ -167,7 +167,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
         let node = TestNode::start(builder).await;
 
         assert_eq!(node.state(), NodeState::Running, "{hook}");
-        assert_eq!(life(&node, "eye").await, 1, "nobody waits for a camera");
+        assert_eq!(life(&node, "eye").await, 1, "no component waits for a camera");
         node.advance(Duration::from_secs(60)).await;
         assert_eq!(standing(&node).await, [FaultKind::Unavailable], "{hook}");
         let tree = node.tree().await.unwrap();

@@ -89,15 +89,15 @@ async fn only_others_that_are_known_are_isolated_and_a_slip_of_the_pen_is_told()
 
     let oneself = node.isolate("module1").expect_err("it has no say on itself");
     assert!(matches!(oneself, IsolateError::Oneself { .. }), "{oneself}");
-    let misspelt = node.isolate("modul3").expect_err("nobody is called so");
+    let misspelt = node.isolate("modul3").expect_err("no node is called so");
     assert!(misspelt.to_string().ends_with("did you mean module3?"), "{misspelt}");
-    let unlike = node.admit("gripper").expect_err("nobody is called so");
+    let unlike = node.admit("gripper").expect_err("no node is called so");
     assert!(unlike.to_string().contains("it knows module2, module3"), "{unlike}");
     let wrong = node.isolate("module 3").expect_err("it is no name");
     assert!(matches!(wrong, IsolateError::Name(_)), "{wrong}");
 
     node.advance(1000 * MS).await;
-    assert_eq!(robot.asks(1, 3).await, Ok(1), "nobody was isolated");
+    assert_eq!(robot.asks(1, 3).await, Ok(1), "no node was isolated");
     node.expect_no_faults().await;
 }
 
@@ -113,7 +113,7 @@ async fn what_was_under_way_with_an_isolated_node_is_resolved() {
         robot.nodes[0].advance(100 * MS).await;
     };
     let (asked, ()) = tokio::join!(asking, isolate);
-    let why = asked.expect_err("nobody listens there any more").kind;
+    let why = asked.expect_err("the node is isolated").kind;
     assert!(
         matches!(why, DeliveryError::Isolated { .. } | DeliveryError::OutcomeUnknown { .. }),
         "{why}"
@@ -144,7 +144,7 @@ async fn one_node_that_isolates_everybody_shuts_out_itself_alone_and_a_majority_
     robot.nodes[2].isolate("module2").unwrap();
     robot.nodes[0].advance(3000 * MS).await;
 
-    assert_eq!(robot.asks(1, 2).await, Ok(1), "nobody has followed it");
+    assert_eq!(robot.asks(1, 2).await, Ok(1), "no node has followed it");
     assert_eq!(robot.asks(3, 1).await, isolated("module1"), "it refuses them");
     assert!(robot.asks(2, 3).await.is_err(), "and cannot be reached");
 

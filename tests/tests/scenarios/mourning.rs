@@ -42,9 +42,9 @@ async fn who_watches_somebody_who_is_not_there_is_told_at_once() {
     let strings = Strings::default();
     let node = node_of(&strings).await;
 
-    ask(&node, "widow", Deed::Watch("nobody".into())).await.unwrap();
+    ask(&node, "widow", Deed::Watch("absent".into())).await.unwrap();
 
-    assert_eq!(mourned(&node, &strings).await, ["widow#1 mourns nobody#0: Unknown"]);
+    assert_eq!(mourned(&node, &strings).await, ["widow#1 mourns absent#0: Unknown"]);
 }
 
 #[blastema_testkit::test]

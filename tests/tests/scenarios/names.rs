@@ -146,7 +146,7 @@ async fn a_standby_has_the_name_when_the_lease_of_a_node_that_died_is_over() {
 
     let epoch = second.epoch().expect("it has taken over");
     assert_eq!(second.changed().await, Some(ClaimState::Held { epoch }));
-    assert!(first.epoch().expect("nobody has told it") < epoch);
+    assert!(first.epoch().expect("it was not told") < epoch);
     assert_eq!(robot.answers().await[1..], ["module2#1", "module2#1"]);
 }
 
@@ -259,7 +259,7 @@ async fn after_joining_and_rejoining_names_are_known_within_the_stated_bound() {
     nodes[0].advance(JOINED).await;
     assert!(nodes[0].holder("map").is_some(), "rejoined");
 
-    // A process that begins anew.
+    // A process that starts again.
     let gone = nodes.remove(0);
     gone.cable("ethernet").expect("a cable").cut(Direction::Both, false);
     gone.shutdown().await;
@@ -307,7 +307,7 @@ impl Handle<Boom> for Brief {
     }
 }
 
-/// Whether the fault that somebody goes without a name stands here, and its text.
+/// Whether the fault that a node goes without a name stands here, and its text.
 async fn goes_without(node: &TestNode) -> Option<String> {
     let record = node.faults().await;
     let mut standing = record.entries.into_iter().filter(|entry| {

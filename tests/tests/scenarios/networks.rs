@@ -125,11 +125,11 @@ async fn the_death_of_a_remote_object_is_told_to_who_asked_it() {
 #[blastema_testkit::test]
 async fn who_is_unknown_or_different_on_another_node_is_told_so() {
     let robot = Robot::start(&Strings::default()).await;
-    let unknown = robot.module1.sender::<Do>("module2:nobody").unwrap();
+    let unknown = robot.module1.sender::<Do>("module2:absent").unwrap();
     let differs = robot.module1.sender::<OtherDo>("module2:laser").unwrap();
     let nowhere = robot.module1.sender::<Do>("module9:laser").unwrap();
 
-    let unknown = unknown.ask(Do(Deed::Nothing)).await.expect_err("nobody is there").kind;
+    let unknown = unknown.ask(Do(Deed::Nothing)).await.expect_err("it is not there").kind;
     let other = OtherDo { text: "hello".into() };
     let differs = differs.ask(other).await.expect_err("it is another contract").kind;
     let nowhere = nowhere.ask(Do(Deed::Nothing)).await.expect_err("there is no such node").kind;

@@ -77,7 +77,7 @@ async fn a_panic_in_a_hook_is_the_components_death() {
     for hook in ["on_activated", "on_startup", "on_initialize", "factory"] {
         let strings = Strings::default();
         let mut node = node_of(&strings).await;
-        // The life after this one dies as it begins; whoever restarts it tries once more.
+        // The life after this one dies as it begins; its supervisor tries once more.
         strings.pull("laser", hook, Pull::Panic("in a hook"));
         strike(&node, "laser").await;
 

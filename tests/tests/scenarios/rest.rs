@@ -191,7 +191,7 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
     assert_eq!(standing(&node).await, []);
-    // It is held against nobody, also where it is at work.
+    // No fault follows, also where it is at work.
     for next in 3..10 {
         let restarted = node.restart_child("motors").await.unwrap();
         assert_eq!(restarted, RestartedChild::Running(blastema::Incarnation(next)));

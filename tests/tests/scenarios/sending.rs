@@ -37,7 +37,7 @@ async fn a_request_whose_deadline_passed_in_the_queue_is_not_served() {
     node.advance(Duration::from_secs(5)).await;
 
     assert_eq!(late.expect_err("it waits too long").kind, DeliveryError::DeadlinePassed);
-    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "nobody died of it");
+    assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1, "no life ended by it");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::DeadlinePassed), 1);
 }

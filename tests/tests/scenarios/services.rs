@@ -141,9 +141,9 @@ async fn whoever_asks_a_service_need_not_know_who_serves() {
         counter.ask(Add(1)).await.unwrap();
     }
     assert_eq!(robot.add(0).await, Ok(6));
-    let nobody = robot.asker.service::<Add>("weather").unwrap();
-    let nobody = nobody.ask_within(Add(1), 100 * MS).await.unwrap_err();
-    assert_eq!(nobody.kind, DeliveryError::DeadlinePassed);
+    let unserved = robot.asker.service::<Add>("weather").unwrap();
+    let unserved = unserved.ask_within(Add(1), 100 * MS).await.unwrap_err();
+    assert_eq!(unserved.kind, DeliveryError::DeadlinePassed);
 }
 
 #[blastema_testkit::test]

@@ -1,4 +1,4 @@
-//! Things of the user's that panic where nobody expects it: in `Drop`, while stopping.
+//! Things of the user's that panic in unusual places: in `Drop`, while stopping.
 
 use crate::puppet::{Deed, Note, Pull, Strings, ask, life, strike};
 use blastema::SpecError;
@@ -182,7 +182,7 @@ async fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
 
     assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 });
     assert!(refused.message.is_some());
-    assert_eq!(life(&node, "arm").await, 4, "nobody died of it this time");
+    assert_eq!(life(&node, "arm").await, 4, "no life ended by it this time");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::Quarantined), 1);
     // Another message of the same contract, word for word, is another message.
@@ -278,7 +278,7 @@ async fn timers_and_tasks_whose_drops_panic_end_with_their_life_and_are_named() 
     assert_eq!(node.state(), NodeState::Running);
 }
 
-/// A reply that explodes where nobody takes it.
+/// A reply that explodes where it is not taken.
 #[derive(Clone, Debug, Structure)]
 struct Shell {
     armed: bool,

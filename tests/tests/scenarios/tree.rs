@@ -66,7 +66,7 @@ async fn a_component_that_is_removed_ends_in_order_and_leaves_no_trace() {
 
     let hooks = ["hand#1 on_deactivated", "hand#1 on_shutdown", "hand#1 on_finalize"];
     assert_eq!(strings.diary(), hooks);
-    let refused = notes.tell(Note(1)).expect_err("nobody is there");
+    let refused = notes.tell(Note(1)).expect_err("absent is there");
     assert_eq!((refused.kind, refused.message), (DeliveryError::Stopped, Note(1)));
     assert!(matches!(node.sender::<Note>("hand"), Err(DeliveryError::Unknown { .. })));
     assert!(node.actor::<Puppet>("hand").is_err());
@@ -106,7 +106,7 @@ async fn what_is_not_directly_under_the_root_cannot_be_removed() {
     let group = SupervisorSpec::new("group", Strategy::OneForOne).child(strings.spec("arm"));
     let node = TestNode::start(Node::builder("module1").supervisor(group)).await;
 
-    for name in ["arm", "nobody", "not a name"] {
+    for name in ["arm", "absent", "not a name"] {
         let refused = node.remove_child(name).await.expect_err("the root does not keep it");
         assert!(matches!(refused, DeliveryError::Unknown { .. }), "{refused}");
     }

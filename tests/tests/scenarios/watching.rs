@@ -103,7 +103,7 @@ async fn who_watches_an_object_of_another_node_is_told_of_every_end_once() {
     robot.module1.advance(65 * SECOND).await;
     ask(&robot.module2, "laser", Deed::Stop).await.unwrap();
     let second = robot.mourned().await;
-    robot.watch("module2:nobody").await;
+    robot.watch("module2:absent").await;
     let unknown = robot.mourned().await;
     strike(&robot.module1, "widow").await;
     strike(&robot.module2, "laser").await;
@@ -112,7 +112,7 @@ async fn who_watches_an_object_of_another_node_is_told_of_every_end_once() {
     let expected = "widow#1 mourns module2:laser#1: Panicked { text: \"struck\"";
     assert!(first.starts_with(expected), "{first}");
     assert_eq!(second, ["widow#1 mourns module2:laser#2: Returned"]);
-    assert_eq!(unknown, ["widow#1 mourns module2:nobody#0: Unknown"]);
+    assert_eq!(unknown, ["widow#1 mourns module2:absent#0: Unknown"]);
     assert_eq!(robot.mourned().await, [""; 0], "the life that asked is over");
 }
 

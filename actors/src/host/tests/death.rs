@@ -265,7 +265,7 @@ fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
             downs.into_iter().map(|down| (down.incarnation.0, down.ending)).collect::<Vec<_>>()
         };
 
-        widow.tell(Look("nobody".into())).unwrap();
+        widow.tell(Look("absent".into())).unwrap();
         settle().await;
         assert_eq!(endings(), [(0, DownReason::Unknown)]);
 

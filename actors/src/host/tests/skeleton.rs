@@ -95,7 +95,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
         assert_eq!(place.lock().unwrap().take(), Some(Err(why)));
         assert_eq!(stage.environment.dead_letters.total(), 1);
         assert!(registry.skeleton(acc.name(), "no such contract").is_err());
-        assert!(registry.skeleton(&name("nobody"), Add::NAME).is_err());
+        assert!(registry.skeleton(&name("absent"), Add::NAME).is_err());
     });
 }
 
@@ -162,7 +162,7 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
 
         assert!(registry.sender::<Add>("acc").is_ok());
         assert!(registry.sender::<Add>("here:acc").is_ok());
-        for unknown in ["nobody", "no name", ":"] {
+        for unknown in ["absent", "no name", ":"] {
             let why = registry.sender::<Add>(unknown).unwrap_err();
             assert_eq!(why, DeliveryError::Unknown { name: unknown.into() });
         }

@@ -188,7 +188,7 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
         stage.environment.topics().on_interest(Arc::new(move |key| {
             kept.lock().unwrap().push(key.topic.to_string());
         }));
-        let (spec, _) = widow("widow", &["arm", "widow", "nobody"]);
+        let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
         let (mut child, widow) = stage.start(spec).await;
         child.standing_order(order(1000));
         settle().await;

@@ -138,7 +138,7 @@ fn who_floods_by_its_own_link_is_told_as_an_offender() {
 }
 
 #[test]
-fn what_is_of_the_past_is_told_and_held_against_nobody_for_others_may_repeat_it() {
+fn what_is_of_the_past_is_told_and_held_against_absent_for_others_may_repeat_it() {
     paused(async {
         let (_robot, [left, _right, middle]) = three().await;
         let past = &stale(99)[..4];
@@ -184,11 +184,11 @@ fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
 }
 
 #[test]
-fn who_speaks_for_a_node_that_nobody_knows_is_counted_and_told() {
+fn who_speaks_for_a_node_that_absent_knows_is_counted_and_told() {
     paused(async {
         let (_robot, [left, _right, middle]) = three().await;
 
-        let declared = under_fire((&left, &middle), ("nobody", false), &stale(99)).await;
+        let declared = under_fire((&left, &middle), ("absent", false), &stale(99)).await;
 
         assert_eq!(declared.len(), 1, "{declared:?}");
         let detail = &declared[0].detail;

@@ -67,8 +67,8 @@ fn an_unknown_object_and_an_unknown_node_are_told_apart() {
     paused(async {
         let (_robot, left, _right) = pair().await;
 
-        let nobody = left.sender::<Add>("right:nobody").ask(Add(1)).await.unwrap_err();
-        assert!(matches!(nobody.kind, DeliveryError::Unknown { .. }), "{nobody:?}");
+        let unknown = left.sender::<Add>("right:absent").ask(Add(1)).await.unwrap_err();
+        assert!(matches!(unknown.kind, DeliveryError::Unknown { .. }), "{unknown:?}");
         let nowhere = left.sender::<Add>("nowhere:acc").ask(Add(1)).await.unwrap_err();
         assert_eq!(nowhere.kind, DeliveryError::Unreachable { node: "nowhere".into() });
     });

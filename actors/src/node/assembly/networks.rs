@@ -161,7 +161,7 @@ pub(super) fn make_networks(
 fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
     let names = match spec.discovery.as_ref().map(|discovery| &discovery.admission) {
         Some(DiscoveryAdmission::Only(names)) => Some(names),
-        Some(DiscoveryAdmission::Anybody) | None => None,
+        Some(DiscoveryAdmission::AnyNode) | None => None,
     };
     names.into_iter().flatten()
 }

@@ -202,7 +202,7 @@ impl Network {
                 return Err(StartError::Network(text));
             }
             None => None,
-            Some(Admitted::Anybody) => Some(DiscoveryAdmission::Anybody),
+            Some(Admitted::AnyNode) => Some(DiscoveryAdmission::AnyNode),
             Some(Admitted::Only(nodes)) => {
                 let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
                 let of = format!("the name of a node that network {name} is discovered by");

@@ -51,7 +51,7 @@ fn two_that_know_only_the_one_between_learn_of_each_other() {
     for (name, learns) in [("a", "0: try c at c:1"), ("c", "0: try a at a:1")] {
         let Some(DiscoveryOutput::Send { to, message }) = b.poll_output() else { panic!() };
         assert_eq!(to, node(name));
-        let mut other = of(name, vec![domain("eth0", "udp", DiscoveryAdmission::Anybody)]);
+        let mut other = of(name, vec![domain("eth0", "udp", DiscoveryAdmission::AnyNode)]);
         other.handle_up(0, node("b"), "b:1".into(), ms(0));
         other.handle_message(&node("b"), &message, ms(30));
         assert_eq!(told(&mut other), [learns]);
@@ -70,7 +70,7 @@ fn only_who_is_admitted_and_not_described_is_tried() {
 
 #[test]
 fn what_is_told_counts_on_networks_of_the_same_medium_that_the_teller_is_on() {
-    let admission = || DiscoveryAdmission::Anybody;
+    let admission = || DiscoveryAdmission::AnyNode;
     let names = [("left", "udp"), ("right", "udp"), ("wire", "tcp"), ("far", "udp")];
     let domains = names.map(|(name, medium)| domain(name, medium, admission()));
     let mut a = of("a", domains.into());
@@ -88,7 +88,7 @@ fn what_is_told_counts_on_networks_of_the_same_medium_that_the_teller_is_on() {
 
 #[test]
 fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
-    let mut a = beside_b(DiscoveryAdmission::Anybody);
+    let mut a = beside_b(DiscoveryAdmission::AnyNode);
     let forged = gossip("ethernet", "udp", &[("c", "nowhere:1")]);
     a.handle_message(&node("b"), &forged, ms(0));
     told(&mut a);
@@ -108,7 +108,7 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
 
 #[test]
 fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
-    let mut a = beside_b(DiscoveryAdmission::Anybody);
+    let mut a = beside_b(DiscoveryAdmission::AnyNode);
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(0));
     a.handle_up(0, node("c"), "c:1".into(), ms(500));
     a.handle_down(0, node("b"), "b:1".into(), ms(1_000));
@@ -125,7 +125,7 @@ fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
 
 #[test]
 fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
-    let mut a = beside_b(DiscoveryAdmission::Anybody);
+    let mut a = beside_b(DiscoveryAdmission::AnyNode);
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(0));
     a.handle_up(0, node("c"), "c:1".into(), ms(500));
     told(&mut a);
@@ -141,7 +141,7 @@ fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
 
 #[test]
 fn a_flood_of_gossip_and_of_nodes_is_bounded_and_counted_by_who_says_it() {
-    let mut a = beside_b(DiscoveryAdmission::Anybody);
+    let mut a = beside_b(DiscoveryAdmission::AnyNode);
     let names: Vec<_> = (0..5_000).map(|n| (format!("n{n}"), format!("10.0.0.1:{n}"))).collect();
     for (round, some) in names.chunks(100).enumerate() {
         let some: Vec<_> = some.iter().map(|(n, at)| (n.as_str(), at.as_str())).collect();

@@ -1,4 +1,4 @@
-//! Services of whose state nobody but the primary holds a copy.
+//! Services of whose state only the primary holds a copy.
 
 use super::*;
 
@@ -44,7 +44,7 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
     }
     robot.asker.advance(3000 * MS).await;
 
-    assert_eq!(robot.add(1).await, Ok(1), "nobody was left who had it");
+    assert_eq!(robot.add(1).await, Ok(1), "no replica was left that had it");
     let next = robot.primary();
     let told = standing(&robot.members[next], &FaultKind::StateLost).await.expect("it is told");
     assert!(told.detail.contains("begins anew"), "{}", told.detail);

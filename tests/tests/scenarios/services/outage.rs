@@ -1,4 +1,4 @@
-//! Services that nobody serves.
+//! Services without a primary.
 
 use super::*;
 
@@ -16,7 +16,7 @@ async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_unti
         assert_eq!(outage(&robot.members[member]).await, None, "a takeover is none");
     }
     let told = standing(&robot.members[first], &FaultKind::ServiceUnavailable).await;
-    let told = told.expect("whoever is cut off sees nobody who serves");
+    let told = told.expect("a node that is cut off sees no primary");
     assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
     assert!(told.detail.contains("service counter: nobody is known here"), "{}", told.detail);
 
@@ -45,7 +45,7 @@ async fn a_service_whose_components_were_all_stopped_says_so_on_each_node() {
     robot.asker.advance(3000 * MS).await;
 
     for own in &robot.members {
-        let told = outage(own).await.expect("nobody can serve");
+        let told = outage(own).await.expect("no replica can serve");
         assert!(told.contains("its component here takes nothing"), "{told}");
     }
 }

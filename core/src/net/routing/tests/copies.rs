@@ -65,7 +65,7 @@ fn where_there_is_one_way_only_routes_are_followed() {
     let copies = copies_to(&mut router, "far");
 
     assert_eq!(copies, [(FIRST, Payload::Segment(Bytes::from_static(b"segment").into()))]);
-    router.handle_copies(id("nobody"), PacketPriority::Data, &Bytes::new().into());
+    router.handle_copies(id("absent"), PacketPriority::Data, &Bytes::new().into());
     assert!(matches!(router.poll_output(), Some(RouterOutput::Undelivered { .. })));
 }
 
@@ -80,7 +80,7 @@ fn a_copy_is_passed_on_by_its_own_way_and_by_no_other() {
     assert_eq!(passed, [(SECOND, copy_to("right", 8, 1, &[]))]);
 
     // The next is no neighbour, or never was; another way is known.
-    for gone in [copy_to("far", 9, 0, &[]), copy_to("far", 9, 0, &["nobody", "right"])] {
+    for gone in [copy_to("far", 9, 0, &[]), copy_to("far", 9, 0, &["absent", "right"])] {
         assert_eq!(come(&mut router, &gone), []);
     }
     assert_eq!(router.refusals().astray, 2);
