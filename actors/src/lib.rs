@@ -96,6 +96,7 @@ mod parameters;
 mod registry;
 mod runtime;
 mod service;
+mod settings;
 mod sync;
 mod topic;
 mod variable;
@@ -140,7 +141,7 @@ pub use crate::host::reference::ActorRef;
 pub use crate::messaging::dead_letters::DeadLetterLog;
 pub use crate::messaging::death_watch::{Down, DownReason};
 pub use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
-pub use crate::messaging::sender::{DEFAULT_DEADLINE, Repeatable, Sender};
+pub use crate::messaging::sender::{Repeatable, Sender};
 pub use blastema_core::delivery::dead_letters::DeadReason;
 pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
@@ -149,6 +150,7 @@ pub use blastema_core::{
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
+pub use settings::DEFAULT_DEADLINE;
 pub use topic::ports::ListenPort;
 pub use topic::{Publisher, TopicRow};
 pub use variable::{

@@ -16,6 +16,7 @@ pub(crate) use table::{ActuatorTable, DeclaredActuator};
 use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::registry::Registry;
+use crate::settings::LEASE;
 use blastema_core::contract::codec;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, Incarnation, Instant, PeerIdentity,
@@ -29,13 +30,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::Notify;
 
-/// Until told otherwise: three renewals may be late or lost, and nothing moves on for longer than a
-/// person takes to be startled.
-const SPAN: Duration = Duration::from_millis(200);
-/// A shorter lease would end whenever a computer is busy for a moment; a longer one would let a
-/// robot move without a commander for longer than it takes to walk up to it.
-pub(crate) const SPANS: RangeInclusive<Duration> =
-    Duration::from_millis(20)..=Duration::from_secs(60);
 /// How long a claim or a release may take.
 const CLAIM_WITHIN: Duration = Duration::from_secs(1);
 /// A claim that waits for its actuator asks again after this, and after twice as long each time: a
@@ -54,7 +48,7 @@ impl<M: Contract> ActuatorSpec<M> {
     /// An actuator that `safe` brings to rest: zero speed, brakes on. The component gets this
     /// command like any other when its commander has gone.
     pub fn new(safe: M) -> Self {
-        ActuatorSpec { safe, span: SPAN, cut_off: None }
+        ActuatorSpec { safe, span: LEASE.default, cut_off: None }
     }
 
     /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a

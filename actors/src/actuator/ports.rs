@@ -1,7 +1,7 @@
 //! How components are commanded, and command.
 
 use super::table::{ActuatorTable, DeclaredActuator};
-use super::{ActuatorSpec, Commander, SPANS};
+use super::{ActuatorSpec, Commander};
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
 use crate::component::declaration::{CellListener, Declarations};
@@ -11,6 +11,7 @@ use crate::component::ports::{PortConstructor, Ports};
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
+use crate::settings::LEASE;
 use blastema_core::{Contract, DeliveryError, ObjectName};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -57,10 +58,8 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
         let mut commanded = BTreeSet::new();
         for (actuator, _) in &self.0 {
             let contract = actuator.identity.name;
-            if !SPANS.contains(&actuator.span) {
-                let (value, cure) = (format!("{:?}", actuator.span), "write 20 ms to 60 s");
-                return Err(SpecError::setting(component.as_str(), "a lease", value, cure));
-            }
+            let refused = |error| SpecError::setting(component.as_str(), error);
+            LEASE.check(actuator.span).map_err(refused)?;
             // A message that needs no lease would move the actuator.
             if served.contains(contract) {
                 return twice(contract, "one for every sender and one for the commander");

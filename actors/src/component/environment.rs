@@ -5,8 +5,9 @@ use crate::component::extension::Extensions;
 use crate::liveness::sampler::SampledComponents;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::registry::Registry;
-use crate::runtime::callbacks::{CALLBACK_LIMIT, Callbacks};
+use crate::runtime::callbacks::Callbacks;
 use crate::runtime::reports::FaultReports;
+use crate::settings::CALLBACK_LIMIT;
 use blastema_core::suggestion::nearest;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -52,7 +53,7 @@ impl ComponentEnvironment {
     pub(crate) fn new(arbiters: ArbiterPool, reports: FaultReports) -> Self {
         let callbacks = match arbiters.are_here() {
             true => Callbacks::default(),
-            false => Callbacks::on_threads(CALLBACK_LIMIT, arbiters.clone()),
+            false => Callbacks::on_threads(CALLBACK_LIMIT.default, arbiters.clone()),
         };
         ComponentEnvironment {
             reports,

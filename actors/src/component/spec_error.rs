@@ -1,7 +1,7 @@
 //! Why a component cannot be declared as it is.
 
-use crate::liveness::limits::LimitError;
 use crate::registry::NameTaken;
+use crate::settings::SettingError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::parameters::ParameterError;
 use blastema_core::{DeliveryError, NameError, ObjectName};
@@ -115,17 +115,8 @@ impl SpecError {
         }
     }
 
-    pub(crate) fn setting(
-        name: &str,
-        setting: &'static str,
-        value: impl Into<String>,
-        cure: &'static str,
-    ) -> Self {
-        SpecError::Setting { name: name.to_owned(), setting, value: value.into(), cure }
-    }
-
-    /// A limit of the component called so that makes no sense.
-    pub(crate) fn limit(name: &str, LimitError { setting, value, cure }: LimitError) -> Self {
-        SpecError::setting(name, setting, value, cure)
+    /// A setting of the component or supervisor called so that makes no sense.
+    pub(crate) fn setting(name: &str, SettingError { setting, value, cure }: SettingError) -> Self {
+        SpecError::Setting { name: name.to_owned(), setting, value, cure }
     }
 }

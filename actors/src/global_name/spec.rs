@@ -9,6 +9,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
 use crate::component::spec_error::SpecError;
 use crate::host::spec::ChildSpec;
+use crate::settings::SettingError;
 use blastema_core::ObjectName;
 use blastema_core::global_name::ClaimRequest;
 use std::collections::BTreeSet;
@@ -34,7 +35,8 @@ impl<C: Component> Declarations<C> for ClaimedNames {
             ObjectName::new(name)?;
             if !names.insert(name) {
                 let (value, cure) = (format!("{name} twice"), "claim each name once");
-                return Err(SpecError::setting(component.as_str(), "a claim", value, cure));
+                let error = SettingError { setting: "a claim", value, cure };
+                return Err(SpecError::setting(component.as_str(), error));
             }
         }
         Ok(())

@@ -10,16 +10,13 @@ use crate::host::reference::ActorRef;
 use crate::liveness::limits::ComponentLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
+use crate::settings::{QUEUE, RATE_HZ, SettingError};
 use blastema_contract::child::Child;
 use blastema_core::ObjectName;
 use blastema_core::detection::Liveness;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Messages that a queue may hold: seconds of the fastest sender there is, and still a bound. More
-/// would be a leak with a name.
-const QUEUE_LIMIT: usize = 1 << 20;
 
 /// What a component is called, how it is built, and how it is run and watched.
 #[must_use = "a child spec does nothing until it is given to a node or a supervisor"]
@@ -52,7 +49,7 @@ impl<C: Component> ChildSpec<C> {
         ChildSpec {
             name: name.to_owned(),
             factory: Box::new(factory),
-            queue: (64, WhenFull::Refuse),
+            queue: (QUEUE.default, WhenFull::Refuse),
             rate_hz: None,
             limits: ComponentLimits::default(),
             depends_on: Vec::new(),
@@ -83,7 +80,7 @@ impl<C: Component> ChildSpec<C> {
 
     /// How its signs of life come.
     pub fn liveness(mut self, watch: Liveness) -> Self {
-        self.limits.watch = watch;
+        self.limits.set_watch(watch);
         self
     }
 
@@ -96,20 +93,20 @@ impl<C: Component> ChildSpec<C> {
     /// How long a handler may keep its arbiter before it counts as hanging; at least 10 ms. Longer
     /// tolerates slow handlers, and leaves neighbours standing longer behind one that really hangs.
     pub fn max_block(mut self, span: Duration) -> Self {
-        self.limits.max_block = span;
+        self.limits.hang().max_block = span;
         self
     }
 
     /// How long a handler may await something before it counts as hanging; at least 1 ms.
     pub fn max_wait(mut self, span: Duration) -> Self {
-        self.limits.max_wait = span;
+        self.limits.hang().max_wait = span;
         self
     }
 
     /// How long a message may wait in the queue while the component works, before that is an
     /// [overload](blastema_core::FaultKind::Overload); one second unless set, at least 1 ms.
     pub fn max_delay(mut self, span: Duration) -> Self {
-        self.limits.max_delay = span;
+        self.limits.hang().max_delay = span;
         self
     }
 
@@ -117,7 +114,7 @@ impl<C: Component> ChildSpec<C> {
     /// [overload](blastema_core::FaultKind::Overload) of what keeps its thread; 25 unless set, 100
     /// for any number.
     pub fn max_missed_rounds(mut self, percent: u8) -> Self {
-        self.limits.max_missed_percent = percent;
+        self.limits.hang().max_missed_percent = percent;
         self
     }
 
@@ -170,19 +167,10 @@ impl<C: Component> ChildSpec<C> {
         environment: &Arc<ComponentEnvironment>,
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
-        limits.interval = self.interval()?;
-        limits.check().map_err(|error| SpecError::limit(&self.name, error))?;
-        if self.queue.0 == 0 {
-            return Err(self.setting("the queue", "0", "a queue holds at least one message"));
-        }
-        if self.queue.0 > QUEUE_LIMIT {
-            let value = self.queue.0.to_string();
-            return Err(self.setting(
-                "the queue",
-                &value,
-                "a queue holds a million messages at most",
-            ));
-        }
+        let refused = |error| SpecError::setting(&self.name, error);
+        limits.interval = self.interval().map_err(refused)?;
+        limits.check().map_err(refused)?;
+        QUEUE.check(self.queue.0).map_err(refused)?;
         let name = SpecError::check_name(ObjectName::new(&self.name)?)?;
         let more_ports = self.more_ports;
         environment.watch_list.declare(Some(name.clone()));
@@ -204,20 +192,12 @@ impl<C: Component> ChildSpec<C> {
         Ok((Box::new(child), ActorRef(cell)))
     }
 
-    fn interval(&self) -> Result<Option<Duration>, SpecError> {
+    fn interval(&self) -> Result<Option<Duration>, SettingError> {
         let Some(rate_hz) = self.rate_hz else { return Ok(None) };
-        // Faster than an arbiter can serve anything else beside it.
-        if !(rate_hz > 0.0 && rate_hz <= 100_000.0) {
-            let value = rate_hz.to_string();
-            return Err(self.setting("rate_hz", &value, "write a rate above 0 and up to 100000"));
-        }
+        RATE_HZ.check(rate_hz)?;
         let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
         interval.map(Some).map_err(|_| {
-            self.setting("rate_hz", &rate_hz.to_string(), "an interval that long cannot be kept")
+            RATE_HZ.refuse(rate_hz.to_string(), "an interval that long cannot be kept")
         })
-    }
-
-    fn setting(&self, setting: &'static str, value: &str, cure: &'static str) -> SpecError {
-        SpecError::setting(&self.name, setting, value, cure)
     }
 }

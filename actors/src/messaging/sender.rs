@@ -6,15 +6,13 @@ use crate::messaging::message_id::next_id;
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::retry;
 use crate::messaging::sink::MessageSink;
+use crate::settings::DEFAULT_DEADLINE;
 use blastema_core::{Contract, DeliveryError, MessageId, RetryPolicy};
 use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// How long [`Sender::ask`] waits for a reply.
-pub const DEFAULT_DEADLINE: Duration = Duration::from_secs(1);
 
 /// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and
 /// remote receivers are alike.

@@ -132,7 +132,7 @@ impl DiscoveryActor {
             neighbour: Some(node.clone()),
             cost: None,
             hello_interval: field.spec.hello_interval,
-            expected_within: None,
+            expected_within: Duration::MAX,
         };
         self.made.insert((domain, node), (number, remote));
         links.learn.do_send(AddDiscoveredLink { number, spec });

@@ -50,7 +50,7 @@ fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
     let LinksRecipients { node, incarnation, .. } = wiring;
     let config = LinkConfig {
         expected: spec.neighbour.clone(),
-        peer_timeout: spec.expected_within.unwrap_or(Duration::MAX),
+        peer_timeout: spec.expected_within,
         hello_interval: spec.hello_interval,
         ..LinkConfig::new(node.clone(), *incarnation)
     };

@@ -97,8 +97,8 @@ pub(crate) struct LinkSpec {
     /// How often we say hello, unless the medium is too slow for that. A dead link is found after
     /// three and a half of the neighbour's.
     pub(crate) hello_interval: Duration,
-    /// How soon after the start the neighbour must be there; `None` for no limit.
-    pub(crate) expected_within: Option<Duration>,
+    /// How soon after the start the neighbour must be there; [`Duration::MAX`] for no limit.
+    pub(crate) expected_within: Duration,
 }
 
 impl LinkSpec {
@@ -110,8 +110,8 @@ impl LinkSpec {
             remote,
             neighbour: None,
             cost: None,
-            hello_interval: Duration::from_millis(50),
-            expected_within: Some(Duration::from_secs(5)),
+            hello_interval: blastema_core::net::HELLO_INTERVAL,
+            expected_within: blastema_core::net::PEER_TIMEOUT,
         }
     }
 }

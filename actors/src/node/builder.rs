@@ -9,9 +9,8 @@ use crate::component::Component;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::{Running, SampledComponents};
-use crate::runtime::callbacks::CALLBACK_LIMIT;
 use crate::service::{Carried, ServiceSpec, ServiceSpecError, Stateful};
-use blastema_core::net::session::IDLE_TIMEOUT;
+use crate::settings::{CALLBACK_LIMIT, GRACE, SESSION_TIMEOUT};
 use blastema_core::recovery::{Plan, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind};
 use std::fmt;
@@ -85,10 +84,9 @@ impl NodeBuilder {
             strategies: StrategyTable::default(),
             safe_outputs: None,
             placement: ActorPlacement::Threads { shared: cores },
-            // Twenty beats: a handler that was merely slow has come back by then.
-            grace: Duration::from_millis(200),
-            callback_limit: CALLBACK_LIMIT,
-            session_timeout: IDLE_TIMEOUT,
+            grace: GRACE.default,
+            callback_limit: CALLBACK_LIMIT.default,
+            session_timeout: SESSION_TIMEOUT.default,
             process_watchdogs: ProcessWatchdogs::default(),
             handles_signals: true,
             networks: Vec::new(),

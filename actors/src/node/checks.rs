@@ -6,15 +6,13 @@ use super::network::Network;
 use super::tree::PreparedTree;
 use crate::registry::NameTaken;
 use crate::service::Carried;
+use crate::settings::{CALLBACK_LIMIT, GRACE, SESSION_TIMEOUT, WORK_THREADS};
 use blastema_core::detection::dependencies::{Dependencies, DependencyError, circle};
-use blastema_core::net::session::IDLE_TIMEOUT_RANGE;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
 use blastema_core::{NodeName, ObjectName};
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::RangeInclusive;
 use std::path::Path;
-use std::time::Duration;
 
 /// Who needs whom of the objects of this node.
 pub(super) fn dependencies(node: &NodeName, tree: &PreparedTree) -> Dependencies {
@@ -52,42 +50,18 @@ pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     Err(StartError::Service { name: name.clone(), reason })
 }
 
-/// Shared arbiters that a node may have: more than computers have cores. Each is a thread with its
-/// stack.
-const THREADS: RangeInclusive<usize> = 1..=1024;
-/// The neighbours of a handler that hangs stand still for so long at most.
-const GRACE_MAX: Duration = Duration::from_secs(60 * 60);
-
-/// A call that takes no longer than a beat blocks no component, and safe outputs wait at most a
-/// minute.
-const CALLBACK_LIMITS: RangeInclusive<Duration> =
-    Duration::from_millis(10)..=Duration::from_secs(60);
-
 /// Every number and name that is the node's own makes sense.
 pub(super) fn check_settings(builder: &NodeBuilder) -> Result<(), StartError> {
-    let wrong = |setting, value, cure| Err(StartError::Setting { setting, value, cure });
-    if let ActorPlacement::Threads { shared } = builder.placement
-        && !THREADS.contains(&shared)
-    {
-        let cure = "write 1 to 1024, or leave it out for one per core";
-        return wrong("work_threads", shared.to_string(), cure);
+    if let ActorPlacement::Threads { shared } = builder.placement {
+        WORK_THREADS.check(shared)?;
     }
-    if builder.grace > GRACE_MAX {
-        let cure = "the neighbours of what hangs stand still for so long: an hour at most";
-        return wrong("grace", format!("{:?}", builder.grace), cure);
-    }
-    if !CALLBACK_LIMITS.contains(&builder.callback_limit) {
-        let cure = "write 10 ms to a minute, or leave it out for 500 ms";
-        return wrong("callback_limit", format!("{:?}", builder.callback_limit), cure);
-    }
-    if !IDLE_TIMEOUT_RANGE.contains(&builder.session_timeout) {
-        let cure = "write 200 ms to an hour, or leave it out for 2 s";
-        return wrong("session_timeout", format!("{:?}", builder.session_timeout), cure);
-    }
+    GRACE.check(builder.grace)?;
+    CALLBACK_LIMIT.check(builder.callback_limit)?;
+    SESSION_TIMEOUT.check(builder.session_timeout)?;
     check_watchdogs(builder)?;
     if let Some(name) = &builder.strategy_twice {
-        let cure = "hand over one strategy of a name";
-        return wrong("recovery", format!("{name:?} twice"), cure);
+        let (value, cure) = (format!("{name:?} twice"), "hand over one strategy of a name");
+        return Err(StartError::Setting { setting: "recovery", value, cure });
     }
     builder.kept_in.as_deref().map_or(Ok(()), check_kept_file)?;
     builder.parameters.iter().try_for_each(check_configuration)?;

@@ -2,6 +2,7 @@
 
 use crate::component::spec_error::SpecError;
 use crate::service::ServiceSpecError;
+use crate::settings::SettingError;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::PlanError;
@@ -126,6 +127,12 @@ impl StartError {
     pub(crate) fn name_of(of: impl fmt::Display) -> impl FnOnce(NameError) -> StartError {
         let of = of.to_string();
         move |error| StartError::Name { of, error }
+    }
+}
+
+impl From<SettingError> for StartError {
+    fn from(SettingError { setting, value, cure }: SettingError) -> Self {
+        StartError::Setting { setting, value, cure }
     }
 }
 

@@ -6,6 +6,7 @@ mod checks;
 pub(crate) mod start;
 
 use crate::net::Interface;
+use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
 use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore,
@@ -214,7 +215,7 @@ pub struct Link {
     neighbour: String,
     remote: Remote,
     cost: Option<u16>,
-    hello_interval: Option<Duration>,
+    hello_interval: Duration,
     expected_within: Duration,
 }
 
@@ -249,8 +250,14 @@ impl Link {
 
     fn at(neighbour: &str, remote: Remote) -> Self {
         let neighbour = neighbour.to_owned();
-        let expected_within = Duration::from_secs(5);
-        Link { name: None, neighbour, remote, cost: None, hello_interval: None, expected_within }
+        Link {
+            name: None,
+            neighbour,
+            remote,
+            cost: None,
+            hello_interval: HELLO_INTERVAL.default,
+            expected_within: EXPECTED_WITHIN.default,
+        }
     }
 
     /// How people call it; no two links of a node are called the same. Unless this says otherwise,
@@ -273,7 +280,7 @@ impl Link {
     /// that hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs
     /// more; the neighbour finds this end dead after three and a half of them. From 1 ms to 15 s.
     pub fn hello_every(mut self, interval: Duration) -> Self {
-        self.hello_interval = Some(interval);
+        self.hello_interval = interval;
         self
     }
 

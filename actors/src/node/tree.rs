@@ -8,6 +8,7 @@ use crate::fault_chain::monitor::MonitorActor;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
+use crate::settings::{INTENSITY, INTENSITY_PERIOD, SettingError};
 use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;
@@ -204,25 +205,13 @@ pub(super) struct ComponentFacts {
     pub(super) restart: Restart,
 }
 
-/// Restarts that a supervisor may count: each of them is remembered for one period.
-const INTENSITY_MAX: u32 = 1_000_000;
-/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go
-/// on for ever.
-const PERIOD_MIN: Duration = Duration::from_millis(1);
-
 impl SupervisorSpec {
-    fn check_intensity(&self) -> Result<(), SpecError> {
+    fn check_intensity(&self) -> Result<(), SettingError> {
         let SupervisorRules { intensity, period, .. } = self.rules;
-        if intensity > INTENSITY_MAX {
-            let cure = "write a million at most";
-            let value = intensity.to_string();
-            return Err(SpecError::setting(&self.name, "the intensity", value, cure));
-        }
+        INTENSITY.check(intensity)?;
         // Where none is allowed, each is too many, whatever the period.
-        if intensity > 0 && period < PERIOD_MIN {
-            let cure = "no restarts would ever be too many: write 1 ms at least";
-            let value = format!("{period:?}");
-            return Err(SpecError::setting(&self.name, "the intensity's period", value, cure));
+        if intensity > 0 {
+            INTENSITY_PERIOD.check(period)?;
         }
         Ok(())
     }
@@ -235,7 +224,7 @@ impl SupervisorSpec {
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
         let name = SpecError::check_name(name)?;
-        self.check_intensity()?;
+        self.check_intensity().map_err(|error| SpecError::setting(&self.name, error))?;
         let mut children: Vec<(Box<dyn Child>, ChildRules)> = Vec::new();
         for entry in self.children {
             match entry {

@@ -25,10 +25,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-/// How long one call may keep its thread, unless the node is told otherwise: as long as a handler
-/// of a component.
-pub(crate) const CALLBACK_LIMIT: Duration = Duration::from_millis(500);
-
 /// What a call is for. Each kind has a queue and a thread of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum CallKind {

@@ -45,7 +45,10 @@ pub mod wire;
 
 pub use crate::machine_set::MachineSet;
 pub use link::link_set::{LinkSet, LinkSetOutput};
-pub use link::{Link, LinkConfig, LinkOutput, LinkState, Neighbour, Quality};
+pub use link::{
+    HELLO_INTERVAL, HELLO_INTERVAL_RANGE, Link, LinkConfig, LinkOutput, LinkState, Neighbour,
+    PEER_TIMEOUT, Quality,
+};
 pub use peer_protocol::receive_backlog::ReceiveBacklog;
 pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;

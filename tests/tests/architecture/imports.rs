@@ -44,8 +44,8 @@ const TO_NET: &[&str] = &[
 ];
 /// The top layer imports all others.
 const TOP: &str = "node";
-/// What every layer may name: the atomics, and the pages of the manual.
-const EVERYWHERE: &[&str] = &["sync", "manual"];
+/// What every layer may name: the atomics, the table of settings, and the pages of the manual.
+const EVERYWHERE: &[&str] = &["sync", "settings", "manual"];
 
 /// The folders whose files may import each other in a circle, and why.
 const CIRCLES: &[(&str, &str)] = &[

@@ -147,7 +147,7 @@ impl<C: Component> ComponentExecutor<C> {
             inside: cell,
             pulse: executor.pulse.clone(),
             stamp: executor.slot.stamp,
-            limits: record.limits.judged(),
+            limits: record.limits.hang.clone(),
         };
         record.environment.watch_list.enter(executor.slot.index, watched);
         executor

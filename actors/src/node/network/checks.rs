@@ -1,18 +1,12 @@
 //! What can be known to be wrong with a network before anything is started.
 
-use super::start::HELLO_INTERVAL;
 use super::{Link, Medium, Network, Remote};
 use crate::net::Interface;
 use crate::node::error::StartError;
+use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL, SettingError};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
 use blastema_transports::endpoint::is_interface;
-use std::ops::RangeInclusive;
-use std::time::Duration;
-
-/// How often a hello may be said: more often is taken for an attack by the neighbour, and a link
-/// must be known to be dead within a minute.
-const HELLO_RANGE: RangeInclusive<Duration> = Duration::from_millis(1)..=Duration::from_secs(15);
 
 impl Network {
     pub(in crate::node) fn name(&self) -> &str {
@@ -91,17 +85,15 @@ impl Network {
         if *cost == Some(0) {
             return Some(format!("the link to {neighbour} costs 0: a link costs 1 at least"));
         }
-        let interval = hello_interval.unwrap_or(HELLO_INTERVAL);
-        if !HELLO_RANGE.contains(&interval) {
-            return Some(format!(
-                "the hello to {neighbour} cannot be said every {interval:?}: 1 ms to 15 s"
-            ));
+        let refused = |SettingError { setting, value, cure }| {
+            format!("{setting} of the link to {neighbour} is {value}: {cure}")
+        };
+        if let Err(error) = HELLO_INTERVAL.check(*hello_interval) {
+            return Some(refused(error));
         }
-        (*expected_within < interval).then(|| {
-            format!(
-                "{neighbour} is expected within {expected_within:?}, and says hello every {interval:?}: \
-                 give it the time of some hellos, or Duration::MAX if it need not come"
-            )
+        (expected_within < hello_interval).then(|| {
+            let value = format!("{expected_within:?}, less than its {hello_interval:?}");
+            refused(EXPECTED_WITHIN.refuse(value, EXPECTED_WITHIN.cure))
         })
     }
 

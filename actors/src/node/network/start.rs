@@ -5,6 +5,7 @@ use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
 use crate::runtime::guardian::Guardian;
+use crate::settings::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;
@@ -18,7 +19,6 @@ use blastema_transports::{
 };
 #[cfg(feature = "ip")]
 use blastema_transports::{Tcp, Udp};
-use std::time::Duration;
 
 /// A network whose transport runs.
 pub(in crate::node) struct StartedNetwork {
@@ -27,10 +27,6 @@ pub(in crate::node) struct StartedNetwork {
     pub(in crate::node) neighbours: Vec<NodeName>,
     pub(in crate::node) transports: Vec<ObjectName>,
 }
-
-/// A dead link is found after three and a half hellos: 175 ms. A process that gets no time for so
-/// long looks dead to its neighbours; on a computer that is never overloaded, less is fine.
-pub(super) const HELLO_INTERVAL: Duration = Duration::from_millis(50);
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
@@ -162,10 +158,8 @@ impl Network {
             let remote = medium
                 .remote(remote)
                 .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            let hello_interval = hello_interval.unwrap_or(HELLO_INTERVAL);
             neighbours.push(node.clone());
             let neighbour = Some(node);
-            let expected_within = Some(expected_within);
             specs.push(LinkSpec {
                 name: link_name.into(),
                 remote,
@@ -212,7 +206,7 @@ impl Network {
         let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
             medium,
             admission,
-            hello_interval: HELLO_INTERVAL,
+            hello_interval: HELLO_INTERVAL.default,
             beacons,
         });
         let mut transport = medium.start(&name, object, guardian, arbiter)?;

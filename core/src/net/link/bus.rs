@@ -1,6 +1,6 @@
 //! A link on a bus, where one greeting says hello to all.
 
-use super::{Link, LinkConfig, percent};
+use super::{HELLO_INTERVAL_RANGE, Link, LinkConfig, percent};
 use crate::Instant;
 use crate::net::wire::bus_hello::{BusHello, CompactEcho, NeighbourEntry};
 use crate::net::wire::frame::{Echo, Hello};
@@ -40,7 +40,7 @@ impl Link {
         words: Vec<NeighbourEntry>,
     ) -> BusHello {
         let LinkConfig { node, incarnation, hello_interval, .. } = &self.config;
-        let interval = (*hello_interval).max(Self::INTERVAL_MIN);
+        let interval = (*hello_interval).max(*HELLO_INTERVAL_RANGE.start());
         BusHello {
             node: node.clone(),
             incarnation: *incarnation,
@@ -61,7 +61,7 @@ impl Link {
 
     /// Hellos are said at least so far apart.
     pub(in crate::net) fn slow_down(&mut self, interval: Duration) {
-        let interval = interval.min(Self::INTERVAL_MAX);
+        let interval = interval.min(*HELLO_INTERVAL_RANGE.end());
         if interval > self.config.hello_interval {
             self.config.hello_interval = interval;
             // Hellos are numbered by their interval: echoes of the old numbers say nothing any

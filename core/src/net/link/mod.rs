@@ -32,7 +32,10 @@ mod types;
 pub mod link_set;
 
 pub use self::quality::Quality;
-pub use self::types::{LinkConfig, LinkOutput, LinkState, Neighbour, PeerRefusal};
+pub use self::types::{
+    HELLO_INTERVAL, HELLO_INTERVAL_RANGE, LinkConfig, LinkOutput, LinkState, Neighbour,
+    PEER_TIMEOUT, PeerRefusal,
+};
 
 use self::acquaintance::Claimant;
 use self::quality::{QualityEstimator, QualityLimits};
@@ -113,10 +116,6 @@ struct NeighbourRecord {
 }
 
 impl Link {
-    /// The shortest interval that a neighbour may announce: shorter ones are an attack or an error.
-    const INTERVAL_MIN: Duration = Duration::from_millis(1);
-    /// The longest: a link must be known to be dead within a minute.
-    const INTERVAL_MAX: Duration = Duration::from_secs(15);
     /// What a medium adds to a frame: a UDP header, or a serial line's framing.
     pub(super) const FRAMING: u64 = 8;
     /// A timer that is so late means that received frames may be unread. Timers alone are up to 1
@@ -307,7 +306,7 @@ impl Link {
 
     fn handle_hello(&mut self, hello: Hello, now: Instant) {
         let interval = Duration::from_micros(hello.interval_us.into());
-        if interval < Self::INTERVAL_MIN || interval > Self::INTERVAL_MAX {
+        if !HELLO_INTERVAL_RANGE.contains(&interval) {
             self.refusals.count(&WireError::Malformed { what: "a hello's interval" });
             return;
         }
@@ -431,7 +430,7 @@ impl Link {
     }
 
     fn interval(&self) -> Duration {
-        self.config.hello_interval.max(Self::INTERVAL_MIN)
+        self.config.hello_interval.max(*HELLO_INTERVAL_RANGE.start())
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {

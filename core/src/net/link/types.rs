@@ -5,7 +5,20 @@ use crate::net::wire::node_id::NodeId;
 use crate::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use std::fmt;
+use std::ops::RangeInclusive;
 use std::time::Duration;
+
+/// How often a hello is sent unless a link says otherwise. A link whose hellos stop is down after
+/// three and a half of them, 175 ms. A process that shares its cores stands still for some 100 ms
+/// when they are overloaded; its links are then suspect, and not yet down.
+pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);
+/// The intervals that a link may have, and a neighbour may announce: shorter ones are an attack or
+/// an error, and a link must be known to be down within a minute.
+pub const HELLO_INTERVAL_RANGE: RangeInclusive<Duration> =
+    Duration::from_millis(1)..=Duration::from_secs(15);
+/// When a neighbour that has not come is reported. A process begins within a second, and a computer
+/// that is switched on with it takes longer and is found later.
+pub const PEER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// How a link behaves.
 #[derive(Clone, Debug)]
@@ -45,12 +58,8 @@ impl LinkConfig {
             node,
             incarnation,
             expected: None,
-            // A process begins within a second, and a computer that is switched on with it takes
-            // longer and is found later.
-            peer_timeout: Duration::from_secs(5),
-            // A process that shares its cores stands still for some 100 ms when they are
-            // overloaded; with 50 ms, such a link is suspect, and not yet down.
-            hello_interval: Duration::from_millis(50),
+            peer_timeout: PEER_TIMEOUT,
+            hello_interval: HELLO_INTERVAL,
             // Expected at 1, suspect at 2, down at 3.5 intervals after the last hello: two lost in
             // a row divert traffic, three take the link down (ITU-T G.8013: 3.5 intervals).
             suspect_after_percent: 100,

@@ -1,16 +1,10 @@
 //! How a session behaves.
 
 use crate::{Incarnation, NodeName};
-use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// How long a peer may owe an answer, or be without a path, unless a node says otherwise.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(2);
-/// What a node may say: a link is declared down after 175 ms, and what a session holds for a peer
-/// that does not come back within an hour is of no use to it.
-pub const IDLE_TIMEOUT_RANGE: RangeInclusive<Duration> =
-    Duration::from_millis(200)..=Duration::from_secs(60 * 60);
-
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;
 /// What an exchange puts before a message at most: its kind, four numbers and an identity.

@@ -43,7 +43,7 @@ mod transmission;
 pub mod ordering_key;
 pub mod size_class;
 
-pub use self::config::{IDLE_TIMEOUT, IDLE_TIMEOUT_RANGE, PAYLOAD_MAX, SessionConfig};
+pub use self::config::{IDLE_TIMEOUT, PAYLOAD_MAX, SessionConfig};
 pub use self::output::{Refused, SessionCounters, SessionOutput};
 pub use self::status::{SessionState, SessionStatus};
 

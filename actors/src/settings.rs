@@ -1,0 +1,234 @@
+//! The settings of a node and of its components: the name, the default and the range of each, and
+//! what to write instead of a value outside of the range.
+//!
+//! The manual's page on limits shows the same to users. A setting of a session, a link or the
+//! supervision has its default in the core, beside the machine that goes by it.
+
+use blastema_core::net::session::IDLE_TIMEOUT;
+use blastema_core::net::{HELLO_INTERVAL_RANGE, PEER_TIMEOUT};
+use std::fmt::Debug;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const SECOND: Duration = Duration::from_secs(1);
+const MINUTE: Duration = Duration::from_secs(60);
+const HOUR: Duration = Duration::from_secs(60 * 60);
+
+/// One setting. Those without a default of their own have `()` in its place.
+pub(crate) struct Setting<T: 'static, D = T> {
+    /// As error texts call it.
+    name: &'static str,
+    pub(crate) default: D,
+    range: RangeInclusive<T>,
+    /// What to write instead of a value outside of the range.
+    pub(crate) cure: &'static str,
+}
+
+/// A value that makes no sense.
+#[derive(Debug)]
+pub(crate) struct SettingError {
+    pub(crate) setting: &'static str,
+    pub(crate) value: String,
+    /// What to write instead.
+    pub(crate) cure: &'static str,
+}
+
+impl<T: PartialOrd + Debug, D> Setting<T, D> {
+    /// Refuses a value outside of the range.
+    pub(crate) fn check(&self, value: T) -> Result<(), SettingError> {
+        match self.range.contains(&value) {
+            true => Ok(()),
+            false => Err(self.refuse(format!("{value:?}"), self.cure)),
+        }
+    }
+
+    /// Refuses a value for another reason than its range.
+    pub(crate) fn refuse(&self, value: String, cure: &'static str) -> SettingError {
+        SettingError { setting: self.name, value, cure }
+    }
+}
+
+/// How long [`Sender::ask`](crate::Sender::ask) waits for a reply: longer than any healthy handler
+/// takes.
+pub const DEFAULT_DEADLINE: Duration = SECOND;
+
+/// Shared arbiters: more than computers have cores. Each is a thread with its stack.
+pub(crate) const WORK_THREADS: Setting<usize, ()> = Setting {
+    name: "work_threads",
+    default: (),
+    range: 1..=1024,
+    cure: "write 1 to 1024, or leave it out for one per core",
+};
+
+/// Twenty heartbeats: a handler that was merely slow has come back by then. The neighbours of a
+/// handler that hangs stand still for as long.
+pub(crate) const GRACE: Setting<Duration> = Setting {
+    name: "grace",
+    default: Duration::from_millis(200),
+    range: Duration::ZERO..=HOUR,
+    cure: "the neighbours of what hangs stand still for so long: an hour at most",
+};
+
+/// A call of the application's code from the fault chain. A call that takes no longer than a
+/// heartbeat blocks no component, and safe outputs wait at most a minute.
+pub(crate) const CALLBACK_LIMIT: Setting<Duration> = Setting {
+    name: "callback_limit",
+    default: Duration::from_millis(500),
+    range: Duration::from_millis(10)..=MINUTE,
+    cure: "write 10 ms to a minute, or leave it out for 500 ms",
+};
+
+/// A link is declared down after 175 ms, and what a session holds for a peer that does not come
+/// back within an hour is of no use to it.
+pub(crate) const SESSION_TIMEOUT: Setting<Duration> = Setting {
+    name: "session_timeout",
+    default: IDLE_TIMEOUT,
+    range: Duration::from_millis(200)..=HOUR,
+    cure: "write 200 ms to an hour, or leave it out for 2 s",
+};
+
+/// More hellos are taken for an attack by the neighbour, and a link must be known to be down
+/// within a minute.
+pub(crate) const HELLO_INTERVAL: Setting<Duration> = Setting {
+    name: "the hello interval",
+    default: blastema_core::net::HELLO_INTERVAL,
+    range: HELLO_INTERVAL_RANGE,
+    cure: "write 1 ms to 15 s",
+};
+
+/// A neighbour that has not come by then is a fault; [`Duration::MAX`] is for one that need not.
+pub(crate) const EXPECTED_WITHIN: Setting<Duration> = Setting {
+    name: "expected_within",
+    default: PEER_TIMEOUT,
+    range: Duration::ZERO..=Duration::MAX,
+    cure: "give it the time of some hellos, or Duration::MAX if it need not come",
+};
+
+/// Restarts that a supervisor may count: each of them is remembered for one period.
+pub(crate) const INTENSITY: Setting<u32, ()> = Setting {
+    name: "the intensity",
+    default: (),
+    range: 0..=1_000_000,
+    cure: "write a million at most",
+};
+
+/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go
+/// on for ever.
+pub(crate) const INTENSITY_PERIOD: Setting<Duration, ()> = Setting {
+    name: "the intensity's period",
+    default: (),
+    range: MS..=Duration::MAX,
+    cure: "no restarts would ever be too many: write 1 ms at least",
+};
+
+/// Messages that a queue holds: a second or two of a robot's rates. A million are seconds of the
+/// fastest sender there is; more would be a leak with a name.
+pub(crate) const QUEUE: Setting<usize> = Setting {
+    name: "the queue",
+    default: 64,
+    range: 1..=1 << 20,
+    cure: "a queue holds one message at least, and a million at most",
+};
+
+/// Rounds a second. Faster, an arbiter serves nothing else.
+pub(crate) const RATE_HZ: Setting<f64, ()> = Setting {
+    name: "rate_hz",
+    default: (),
+    range: f64::MIN_POSITIVE..=100_000.0,
+    cure: "write a rate above 0 and up to 100000",
+};
+
+/// Fifty heartbeats: far beyond what a loaded machine adds, and short for a robot's standstill.
+/// The sampler looks once in a heartbeat: with less than one, a component at work at two looks
+/// would be hanging.
+pub(crate) const MAX_BLOCK: Setting<Duration> = Setting {
+    name: "max_block",
+    default: Duration::from_millis(500),
+    range: Duration::from_millis(10)..=Duration::MAX,
+    cure: "10 ms at least: the watch looks no more often",
+};
+
+/// Ten times the default deadline of a request that the handler may be waiting for.
+pub(crate) const MAX_WAIT: Setting<Duration> = Setting {
+    name: "max_wait",
+    default: Duration::from_secs(10),
+    range: MS..=Duration::MAX,
+    cure: "no handler awaits anything so short: 1 ms at least",
+};
+
+/// A message that is older is too late for a caller with the default deadline.
+pub(crate) const MAX_DELAY: Setting<Duration> = Setting {
+    name: "max_delay",
+    default: DEFAULT_DEADLINE,
+    range: MS..=Duration::MAX,
+    cure: "a message in the queue takes 1 ms at least",
+};
+
+/// Percent. A controller that loses one round in four is not the one that was tuned. Less is lost
+/// to a busy machine without real-time priorities. One may be under way whenever they are counted.
+pub(crate) const MAX_MISSED_ROUNDS: Setting<u8> = Setting {
+    name: "max_missed_rounds",
+    default: 25,
+    range: 1..=100,
+    cure: "write 1 to 99 %, or 100 for any number",
+};
+
+/// A device that has to warm up, a map that has to be loaded.
+pub(crate) const READY_WITHIN: Setting<Duration> = Setting {
+    name: "ready_within",
+    default: Duration::from_secs(10),
+    range: MS..=Duration::MAX,
+    cure: "nothing starts so fast: 1 ms at least",
+};
+
+/// Outputs are brought to rest within a second or two. Zero gives no time at all.
+pub(crate) const SHUTDOWN_WITHIN: Setting<Duration> = Setting {
+    name: "shutdown_within",
+    default: Duration::from_secs(5),
+    range: Duration::ZERO..=Duration::MAX,
+    cure: "write any span",
+};
+
+/// Signs of life that come more seldom than once a day are of no use.
+pub(crate) const WATCH_INTERVAL: Setting<Duration, ()> = Setting {
+    name: "the watch's interval",
+    default: (),
+    range: MS..=Duration::from_secs(24 * 60 * 60),
+    cure: "write 1 ms to 24 h, or Liveness::Guard",
+};
+
+/// Signs of life that may be missing. A thousand is an hour of one in four seconds.
+pub(crate) const WATCH_TOLERANCE: Setting<u32, ()> = Setting {
+    name: "the watch's tolerance",
+    default: (),
+    range: 1..=1000,
+    cure: "write 1 to 1000 signs of life",
+};
+
+/// Until the first sign of life.
+pub(crate) const WATCH_START_UP: Setting<Duration, ()> = Setting {
+    name: "the watch's start_up",
+    default: (),
+    range: MS..=Duration::MAX,
+    cure: "no life gives a sign at once: 1 ms at least",
+};
+
+/// Until an answer.
+pub(crate) const WATCH_WITHIN: Setting<Duration, ()> = Setting {
+    name: "the watch's within",
+    default: (),
+    range: MS..=Duration::MAX,
+    cure: "an answer takes 1 ms at least",
+};
+
+/// Three renewals may be late or lost, and nothing moves on for longer than a person takes to be
+/// startled. A shorter lease than the range allows would end whenever a computer is busy for a
+/// moment; a longer one would let a robot move without a commander for longer than it takes to walk
+/// up to it.
+pub(crate) const LEASE: Setting<Duration> = Setting {
+    name: "a lease",
+    default: Duration::from_millis(200),
+    range: Duration::from_millis(20)..=MINUTE,
+    cure: "write 20 ms to 60 s",
+};
