@@ -524,7 +524,8 @@ impl Registry {
         Ok(())
     }
 
-    /// Tells `mourner` whenever a life of this object ends, and at once if it does not live.
+    /// Tells `mourner` whenever an incarnation of this object ends, and at once if it does not
+    /// live.
     pub(crate) fn watch(&self, object: ObjectName, mourner: Watcher) {
         let inner = self.lock();
         let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());

@@ -25,8 +25,8 @@ const RETRY: Duration = Duration::from_millis(10);
 pub struct CommanderId {
     /// Its name, unique in the robot.
     pub name: String,
-    /// In which of its lives.
-    pub life: Incarnation,
+    /// In which incarnation.
+    pub incarnation: Incarnation,
 }
 
 /// A right to command.
@@ -111,8 +111,8 @@ struct Awaited {
 }
 
 impl Lease {
-    /// A lease without a holder. Epochs are above `last_epoch`; let it rise with every life of the
-    /// node, so that commands from before are known as such.
+    /// A lease without a holder. Epochs are above `last_epoch`; let it rise with every incarnation
+    /// of the node, so that commands from before are known as such.
     pub fn new(span: Duration, last_epoch: u64) -> Self {
         Lease { span, last_epoch, state: State::Free, outputs: VecDeque::new() }
     }
@@ -143,8 +143,8 @@ impl Lease {
     /// A commander claims the lease.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes
-    /// over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
+    /// [`DeliveryError::Held`] while another one does; a later incarnation of the same commander
+    /// takes over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
     /// applied, or the cut-off has not returned.
     pub fn handle_claim(
         &mut self,
@@ -155,9 +155,11 @@ impl Lease {
         match &self.state {
             State::Settling { .. } => return Err(DeliveryError::Restarting),
             State::Held { commander: holder, .. }
-                if holder.name != commander.name || holder.life > commander.life =>
+                if holder.name != commander.name || holder.incarnation > commander.incarnation =>
             {
-                return Err(DeliveryError::Held { by: format!("{}{}", holder.name, holder.life) });
+                return Err(DeliveryError::Held {
+                    by: format!("{}{}", holder.name, holder.incarnation),
+                });
             }
             State::Free | State::Held { .. } => {}
         }
@@ -274,8 +276,8 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn who(name: &str, life: u64) -> CommanderId {
-        CommanderId { name: name.into(), life: Incarnation(life) }
+    fn who(name: &str, incarnation: u64) -> CommanderId {
+        CommanderId { name: name.into(), incarnation: Incarnation(incarnation) }
     }
 
     fn held() -> (Lease, u64) {
@@ -367,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_life_of_a_commander_takes_over_and_fences_the_one_before() {
+    fn the_next_incarnation_of_a_commander_takes_over_and_fences_the_one_before() {
         let (mut lease, old) = held();
         let grant = lease.handle_claim(who("planner", 2), ms(10)).unwrap();
         assert_eq!(

@@ -95,7 +95,7 @@ impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
 }
 
 /// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
-/// component that commands lives and its thread turns; with the last clone it is given back.
+/// component that commands incarnations and its thread turns; with the last clone it is given back.
 pub struct Commander<M: Contract>(Arc<Helm>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
@@ -103,7 +103,7 @@ struct Helm {
     sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
     name: String,
-    life: Incarnation,
+    incarnation: Incarnation,
     held: Mutex<Option<Held>>,
     claimed: Notify,
 }
@@ -132,13 +132,13 @@ impl<M: Contract> fmt::Debug for Commander<M> {
 pub(crate) fn commander<M: Contract>(
     registry: &Registry,
     actuator: &str,
-    (name, life): (String, Incarnation),
+    (name, incarnation): (String, Incarnation),
 ) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
     let helm = Arc::new(Helm {
         sender: registry.sender::<ActuatorCommand>(actuator)?,
         identity: ContractIdentity::of::<M>().brief().encode(),
         name,
-        life,
+        incarnation,
         held: Mutex::default(),
         claimed: Notify::new(),
     });
@@ -263,9 +263,9 @@ impl<M: Contract> Commander<M> {
     }
 
     async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
-        let Helm { name, life, .. } = &*self.0;
+        let Helm { name, incarnation, .. } = &*self.0;
         let asked = platform::now();
-        let wish = CommandKind::Claim { commander: name.clone(), life: life.0 };
+        let wish = CommandKind::Claim { commander: name.clone(), incarnation: incarnation.0 };
         match self.0.send_command(wish, within).await? {
             CommandReply::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);

@@ -24,13 +24,13 @@ const CONTROL: usize = 16;
 pub(crate) struct ComponentChild<C: Component> {
     anchor: Arc<ComponentCell<C>>,
     report: Option<Arc<Recipient<ChildReport>>>,
-    /// Where the last life was. The next one stays there if it can, so that what is spread over the
-    /// arbiters stays so, and events keep their order.
+    /// Where the last incarnation was. The next one stays there if it can, so that what is spread
+    /// over the arbiters stays so, and events keep their order.
     seat: Option<ArbiterSlot>,
     /// It was moved, or began so.
     own_thread: bool,
-    /// The last life was given up while it kept its thread: the next one has a thread for itself,
-    /// so that it keeps no other component if it hangs too.
+    /// The last incarnation was given up while it kept its thread: the next one has a thread for
+    /// itself, so that it keeps no other component if it hangs too.
     kept_thread: bool,
 }
 
@@ -41,7 +41,7 @@ impl<C: Component> ComponentChild<C> {
         ComponentChild { anchor, report: None, seat: None, own_thread, kept_thread: false }
     }
 
-    /// A life is there, or on its way.
+    /// An incarnation is there, or on its way.
     fn is_alive(&self) -> bool {
         self.anchor.lane.owner().is_some()
     }
@@ -97,13 +97,13 @@ impl<C: Component> Child for ComponentChild<C> {
         self.anchor.set_control(Some(Addr::new(sender).recipient()));
         let boarding = PendingStart { anchor: Some(self.anchor.clone()), incarnation, report };
         self.seat = Some(seat.clone());
-        let life = move |seat| {
+        let begin = move |seat| {
             if let Some(pump) = boarding.enter(seat) {
                 let context = actix::Context::with_receiver(receiver);
                 actix_rt::spawn(context.into_future(Host::new(pump)));
             }
         };
-        arbiters.board(seat, Box::new(life));
+        arbiters.board(seat, Box::new(begin));
         incarnation
     }
 
@@ -208,7 +208,7 @@ impl<C: Component> ComponentCell<C> {
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 
-    /// The same, by the life that ends in order.
+    /// The same, by the incarnation that ends in order.
     pub(crate) fn end_by(&self, incarnation: Incarnation) {
         if self.lane.owner() == Some(incarnation) {
             self.close_by(incarnation);
@@ -249,7 +249,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
     }
 }
 
-/// A life on its way to its arbiter. If that goes away first, the supervisor is told.
+/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is told.
 struct PendingStart<C: Component> {
     anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
@@ -257,7 +257,7 @@ struct PendingStart<C: Component> {
 }
 
 impl<C: Component> PendingStart<C> {
-    /// The pump of the life, unless that has been given up meanwhile.
+    /// The pump of the incarnation, unless that has been given up meanwhile.
     fn enter(mut self, seat: ArbiterSlot) -> Option<SharedExecutor<C>> {
         let anchor = self.anchor.take()?;
         if anchor.lane.owner() != Some(self.incarnation) {

@@ -1,4 +1,4 @@
-//! The limits of one component's life, and which of them make sense.
+//! The limits of one component's incarnation, and which of them make sense.
 
 use crate::messaging::sender::DEFAULT_DEADLINE;
 use blastema_core::detection::hang::{HangLimits, MaxSilence};
@@ -7,7 +7,7 @@ use std::ops::{Deref, RangeInclusive};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// The limits of one component's life.
+/// The limits of one component's incarnation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ComponentLimits {
     pub(crate) interval: Option<Duration>,
@@ -177,7 +177,7 @@ fn check_push(push: Push) -> Result<(), LimitError> {
     let Push { interval, tolerance, start_up } = push;
     check_signs(interval, tolerance)?;
     if start_up < LEAST {
-        let cure = "no life gives a sign at once: 1 ms at least";
+        let cure = "no incarnation gives a sign at once: 1 ms at least";
         return Err(LimitError::new("the watch's start_up", format!("{start_up:?}"), cure));
     }
     Ok(())

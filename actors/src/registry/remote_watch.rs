@@ -8,8 +8,8 @@
 //!
 //! The watcher asks, and is answered when the object ends; then it asks for the next end. The task
 //! that asks belongs to the watcher's incarnation and ends with it. The object's node counts the
-//! ends of each watched object, so that none between two questions is missed. That the object's node is
-//! lost is seen by the session, which resolves the request.
+//! ends of each watched object, so that none between two questions is missed. That the object's
+//! node is lost is seen by the session, which resolves the request.
 
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
@@ -37,8 +37,8 @@ const WAITING_MAX: usize = 4096;
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
-/// Asks for the next end of a life of the object, after so many that the asker knows of; without a
-/// number, how the object stands now.
+/// Asks for the next end of an incarnation of the object, after so many that the asker knows of;
+/// without a number, how the object stands now.
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/await-end", version = 1, reply = Watched)]
 struct AwaitEnd {
@@ -121,7 +121,7 @@ async fn ask_on(
             Err(error) => error.kind,
         };
         match why {
-            DeliveryError::DeadlinePassed => continue, // No life has ended.
+            DeliveryError::DeadlinePassed => continue, // No incarnation has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is
             // fenced.
             DeliveryError::Full
@@ -213,8 +213,8 @@ impl DeathDesk {
             _ => desk.end(down),
         };
         let who = ObjectName::new(PLACE).expect("a name of letters");
-        let life = Arc::new(IncarnationToken::default());
-        registry.watch(object.clone(), Watcher { who, life, tell: Box::new(tell) });
+        let incarnation = Arc::new(IncarnationToken::default());
+        registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
         absent.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
