@@ -8,7 +8,7 @@ pub(crate) mod envelope;
 pub(crate) mod environment;
 pub(crate) mod exits;
 pub(crate) mod extension;
-pub(crate) mod life;
+pub(crate) mod incarnation;
 pub(crate) mod long_operation;
 pub(crate) mod ports;
 mod returns;
@@ -28,8 +28,8 @@ use std::future::Future;
 /// An application's object: a struct with a life cycle.
 ///
 /// Every hook is optional. A hook that fails ends the component's work: `on_aborting` is called,
-/// the component is in error, and the fault is reported. After a panic, or at the next life, the
-/// component is built by the factory of its `ChildSpec`.
+/// the component is in error, and the fault is reported. After a panic, or at the next incarnation,
+/// the component is built by the factory of its `ChildSpec`.
 ///
 /// ```text
 /// built ─ on_initialize ─► Initialized ─ on_startup, on_activated ─► Active ─ on_execute, handlers …
@@ -47,7 +47,7 @@ pub trait Component: Sized + 'static {
         let _ = ports;
     }
 
-    /// Prepares what a life needs: opens devices, checks settings. A failure here is fatal.
+    /// Prepares what an incarnation needs: opens devices, checks settings. A failure here is fatal.
     fn on_initialize(
         &mut self,
         cx: &mut Context<Self>,
@@ -56,7 +56,7 @@ pub trait Component: Sized + 'static {
         async { Ok(()) }
     }
 
-    /// Follows `on_initialize`, once in a life.
+    /// Follows `on_initialize`, once in an incarnation.
     fn on_startup(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
         let _ = cx;
         async { Ok(()) }
@@ -108,19 +108,19 @@ pub trait Component: Sized + 'static {
         async { Ok(()) }
     }
 
-    /// Recovers from an error, within the same life. A failure here is fatal.
+    /// Recovers from an error, within the same incarnation. A failure here is fatal.
     fn on_reset(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
         let _ = cx;
         async { Ok(()) }
     }
 
-    /// Precedes `on_finalize` where the life ends in order.
+    /// Precedes `on_finalize` where the incarnation ends in order.
     fn on_shutdown(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
         let _ = cx;
         async { Ok(()) }
     }
 
-    /// The last word of a life, unless it panicked.
+    /// The last word of an incarnation, unless it panicked.
     fn on_finalize(&mut self, cx: &mut Context<Self>) -> impl Future<Output = Result<(), Failure>> {
         let _ = cx;
         async { Ok(()) }
@@ -146,10 +146,10 @@ pub trait Handle<M: Contract>: Component {
 pub struct Failure {
     /// What went wrong, in words for a person.
     pub reason: String,
-    /// This life cannot be saved by a reset.
+    /// This incarnation cannot be saved by a reset.
     pub fatal: bool,
-    /// Something that it needs is not there yet: a life that begins, or resets itself, tries again
-    /// later.
+    /// Something that it needs is not there yet: an incarnation that begins, or resets itself,
+    /// tries again later.
     pub unavailable: bool,
 }
 
@@ -163,10 +163,10 @@ impl Failure {
     /// plugged in, a server that is still starting.
     ///
     /// From `on_initialize`, `on_startup`, `on_activated` and `on_reset` it is no error of the
-    /// component: the same hook of the same life is called again, after 100 ms and then ever later,
-    /// up to five seconds apart, for as long as that takes. The fault *unavailable* (`B22`) stands
-    /// meanwhile, and no restart is counted. From anywhere else it is a failure like any other,
-    /// which the plan answers by a reset first.
+    /// component: the same hook of the same incarnation is called again, after 100 ms and then ever
+    /// later, up to five seconds apart, for as long as that takes. The fault *unavailable* (`B22`)
+    /// stands meanwhile, and no restart is counted. From anywhere else it is a failure like any
+    /// other, which the plan answers by a reset first.
     ///
     /// ```
     /// use blastema::prelude::*;

@@ -6,7 +6,7 @@
 //! state. The application says what its parts are and what depends on what.
 //!
 //! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the
-//! scanner's next life:
+//! scanner's next incarnation:
 //!
 //! ```
 //! use blastema::prelude::*;
@@ -47,7 +47,7 @@
 //!     let laser: Sender<Nearest> = node.sender("laser")?;
 //!
 //!     if let Err(error) = laser.ask(Nearest { within: 0.0 }).await {
-//!         println!("{error}"); // … the receiver died in its life #1 while it served this message
+//!         println!("{error}"); // … the receiver died in its incarnation #1 while it served this message
 //!     }
 //!     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
 //!     node.shutdown().await;
@@ -124,7 +124,7 @@ pub use serde;
 // Components.
 pub use crate::arbiter::pool::ThreadKind;
 pub use crate::component::context::Context;
-pub use crate::component::life::TimerId;
+pub use crate::component::incarnation::TimerId;
 pub use crate::component::long_operation::LongOperation;
 pub use crate::component::ports::Ports;
 pub use crate::component::spec_error::SpecError;

@@ -524,7 +524,8 @@ impl Registry {
         Ok(())
     }
 
-    /// Tells `watcher` whenever a life of this object ends, and at once if it does not live.
+    /// Tells `watcher` whenever an incarnation of this object ends, and at once if it does not
+    /// live.
     pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) {
         let inner = self.lock();
         let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());

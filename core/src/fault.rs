@@ -21,7 +21,7 @@ pub enum FaultKind {
     ErrorState,
     /// `on_initialize` failed.
     InitializationFailed,
-    /// A component, or its supervisor, declared that this life cannot go on.
+    /// A component, or its supervisor, declared that this incarnation cannot go on.
     Fatal,
     /// Data that is checked at a fixed point was wrong.
     CheckFailed,
@@ -261,7 +261,7 @@ pub struct Fault {
     pub severity: Severity,
     /// Where it is.
     pub place: FaultLocation,
-    /// Which life of the place it struck.
+    /// Which incarnation of the place it struck.
     pub incarnation: Incarnation,
     /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
     /// found again while it stood, those of the last time.

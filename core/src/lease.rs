@@ -25,8 +25,8 @@ const RETRY: Duration = Duration::from_millis(10);
 pub struct CommanderId {
     /// Its name, unique in the robot.
     pub name: String,
-    /// In which of its lives.
-    pub life: Incarnation,
+    /// In which incarnation.
+    pub incarnation: Incarnation,
 }
 
 /// A right to command.
@@ -112,8 +112,8 @@ struct Awaited {
 }
 
 impl Lease {
-    /// A lease of `actuator` without a holder. Epochs are above `last_epoch`; let it rise with every life of the
-    /// node, so that commands from before are known as such.
+    /// A lease of `actuator` without a holder. Epochs are above `last_epoch`; let it rise with
+    /// every incarnation of the node, so that commands from before are known as such.
     pub fn new(actuator: ObjectName, span: Duration, last_epoch: u64) -> Self {
         Lease { actuator, span, last_epoch, state: State::Free, outputs: VecDeque::new() }
     }
@@ -144,8 +144,8 @@ impl Lease {
     /// A commander claims the lease.
     ///
     /// # Errors
-    /// [`DeliveryError::Held`] while another one does; a later life of the same commander takes
-    /// over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
+    /// [`DeliveryError::Held`] while another one does; a later incarnation of the same commander
+    /// takes over from the one before. [`DeliveryError::Restarting`] while safe outputs are being
     /// applied, or the cut-off has not returned.
     pub fn handle_claim(
         &mut self,
@@ -156,9 +156,9 @@ impl Lease {
         match &self.state {
             State::Settling { .. } => return Err(DeliveryError::Restarting),
             State::Held { commander: holder, .. }
-                if holder.name != commander.name || holder.life > commander.life =>
+                if holder.name != commander.name || holder.incarnation > commander.incarnation =>
             {
-                let by = format!("{}{}", holder.name, holder.life);
+                let by = format!("{}{}", holder.name, holder.incarnation);
                 let actuator = self.actuator.to_string();
                 return Err(DeliveryError::Held { actuator, by });
             }
@@ -279,8 +279,8 @@ mod tests {
         Instant::from_millis(millis)
     }
 
-    fn who(name: &str, life: u64) -> CommanderId {
-        CommanderId { name: name.into(), life: Incarnation(life) }
+    fn who(name: &str, incarnation: u64) -> CommanderId {
+        CommanderId { name: name.into(), incarnation: Incarnation(incarnation) }
     }
 
     fn held() -> (Lease, u64) {
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_life_of_a_commander_takes_over_and_fences_the_one_before() {
+    fn the_next_incarnation_of_a_commander_takes_over_and_fences_the_one_before() {
         let (mut lease, old) = held();
         let grant = lease.handle_claim(who("planner", 2), ms(10)).unwrap();
         assert_eq!(

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Where an object stands in its life.
+/// Where an object stands in its incarnation.
 ///
 /// ```text
 /// Created ─► Initialized ⇄ Active ─► Error ─► (reset) ─► Initialized
@@ -45,8 +45,8 @@ const fn way(from: Lifecycle, by: &'static str, to: Lifecycle) -> Transition {
 }
 
 impl Lifecycle {
-    /// Every way that one life may take. There is no way back from `Fatal` and `Finalized`: what
-    /// follows is another life, which begins at `Created`.
+    /// Every way that one incarnation may take. There is no way back from `Fatal` and `Finalized`:
+    /// what follows is another incarnation, which begins at `Created`.
     pub const TRANSITIONS: [Transition; 16] = {
         use Lifecycle::{Active, Created, Error, Fatal, Finalized, Initialized};
         [
@@ -69,7 +69,7 @@ impl Lifecycle {
         ]
     };
 
-    /// Whether one life may go from here to there in one step.
+    /// Whether one incarnation may go from here to there in one step.
     ///
     /// ```
     /// use blastema_core::Lifecycle;
@@ -80,7 +80,7 @@ impl Lifecycle {
         Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
     }
 
-    /// Whether one life may go from here to there, in whatever number of steps.
+    /// Whether one incarnation may go from here to there, in whatever number of steps.
     ///
     /// ```
     /// use blastema_core::Lifecycle;
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn no_life_comes_back_from_fatal_or_finalized_and_none_to_created() {
+    fn no_incarnation_comes_back_from_fatal_or_finalized_and_none_to_created() {
         for from in ALL {
             for to in ALL {
                 let over = matches!(from, Fatal | Finalized);

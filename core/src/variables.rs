@@ -1,11 +1,11 @@
 //! The variables of one node's objects: values that any node may read, write and watch.
 //!
-//! A variable belongs to an object and outlives its lives; what becomes of the value when a life
-//! ends is the owner's choice. Several are written together or not at all. Values are bytes here:
-//! what they mean is for those who read and write.
+//! A variable belongs to an object and outlives its incarnations; what becomes of the value when an
+//! incarnation ends is the owner's choice. Several are written together or not at all. Values are
+//! bytes here: what they mean is for those who read and write.
 //!
-//! Every change has a revision, which rises over all variables and over the lives of the node, so
-//! that "has it changed since?" has an answer whatever happened in between.
+//! Every change has a revision, which rises over all variables and over the incarnations of the
+//! node, so that "has it changed since?" has an answer whatever happened in between.
 
 use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
@@ -20,10 +20,10 @@ pub const WRITES_MAX: usize = 256;
 /// A watcher that has not asked again for so long has gone.
 const WATCHER_PATIENCE: Duration = Duration::from_secs(10);
 
-/// What becomes of a variable's value when a life of its owner ends.
+/// What becomes of a variable's value when an incarnation of its owner ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RestorePolicy {
-    /// It stays: the next life goes on with it.
+    /// It stays: the next incarnation goes on with it.
     #[default]
     Restore,
     /// It becomes the default, as at the start.
@@ -39,10 +39,10 @@ pub enum RestorePolicy {
 pub enum ValueState {
     /// It was written, or is the default.
     Current,
-    /// It was written before a life of its owner ended, and not since.
+    /// It was written before an incarnation of its owner ended, and not since.
     Held,
-    /// It is the last one that was written before a life of its owner ended; whether it is to be
-    /// used awaits a decision.
+    /// It is the last one that was written before an incarnation of its owner ended; whether it is
+    /// to be used awaits a decision.
     Undecided,
 }
 
@@ -89,7 +89,7 @@ pub struct ValueWrite {
 pub struct VariableDeclaration {
     /// Its value until it is written.
     pub default: Bytes,
-    /// What becomes of it when a life of its owner ends.
+    /// What becomes of it when an incarnation of its owner ends.
     pub policy: RestorePolicy,
 }
 
@@ -138,7 +138,8 @@ struct VariableWatcher {
 }
 
 impl Variables {
-    /// No variables yet. Revisions are above this one; let it rise with every life of the node.
+    /// No variables yet. Revisions are above this one; let it rise with every incarnation of the
+    /// node.
     pub fn new(last_revision: u64) -> Self {
         Variables {
             entries: BTreeMap::new(),
@@ -154,7 +155,7 @@ impl Variables {
     }
 
     /// An object has this variable from now on. `kept` is its value from before the node's process
-    /// began: what is left of it is what a life's end would have left.
+    /// began: what is left of it is what an incarnation's end would have left.
     pub fn handle_declared(
         &mut self,
         variable: VariableKey,
@@ -173,7 +174,7 @@ impl Variables {
         self.entries.insert(variable.clone(), entry);
         if kept.is_some() {
             self.set(&variable, kept, ValueState::Current, now);
-            self.end_life_of(&variable, now);
+            self.end_incarnation_of(&variable, now);
         }
     }
 
@@ -255,14 +256,14 @@ impl Variables {
         Ok(self.last_revision)
     }
 
-    /// A life of the owner has ended: each variable becomes what its policy says.
+    /// An incarnation of the owner has ended: each variable becomes what its policy says.
     pub fn handle_owner_ended(&mut self, object: &ObjectName, now: Instant) {
         let own = |(key, _): &(&VariableKey, &Entry)| &key.0 == object;
         let keys: Vec<_> = self.entries.iter().filter(own).map(|(key, _)| key.clone()).collect();
-        keys.iter().for_each(|key| self.end_life_of(key, now));
+        keys.iter().for_each(|key| self.end_incarnation_of(key, now));
     }
 
-    fn end_life_of(&mut self, key: &VariableKey, now: Instant) {
+    fn end_incarnation_of(&mut self, key: &VariableKey, now: Instant) {
         let Some(entry) = self.entries.get(key) else { return };
         let (value, state) = match entry.declaration.policy {
             RestorePolicy::Restore => return,

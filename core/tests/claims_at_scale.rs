@@ -25,7 +25,7 @@ struct Robot {
     now: Instant,
     random: Random,
     nodes: Vec<Option<GlobalNames>>,
-    lives: Vec<u64>,
+    incarnations: Vec<u64>,
     /// When each node wants to be woken.
     due: Vec<Option<Instant>>,
     /// Messages on their way: when they arrive, from whom, to whom.
@@ -53,7 +53,7 @@ impl Robot {
             now,
             random: Random::new(seed),
             nodes: (0..NODES).map(|_| None).collect(),
-            lives: vec![0; NODES],
+            incarnations: vec![0; NODES],
             due: vec![None; NODES],
             wire: BTreeMap::new(),
             count: 0,
@@ -66,8 +66,8 @@ impl Robot {
 
     /// A node starts with its names, and its sessions with the others begin.
     fn start(&mut self, node: usize) {
-        self.lives[node] += 1;
-        let incarnation = Incarnation(self.lives[node]);
+        self.incarnations[node] += 1;
+        let incarnation = Incarnation(self.incarnations[node]);
         let (settle, expected) = (Duration::ZERO, BTreeSet::new());
         let node_name = name(node);
         let config =
@@ -80,7 +80,7 @@ impl Robot {
         for other in 0..NODES {
             if let Some(theirs) = self.nodes[other].as_mut().filter(|_| other != node) {
                 theirs.handle_opened(name(node), incarnation, self.now);
-                claims.handle_opened(name(other), Incarnation(self.lives[other]), self.now);
+                claims.handle_opened(name(other), Incarnation(self.incarnations[other]), self.now);
             }
         }
         self.nodes[node] = Some(claims);

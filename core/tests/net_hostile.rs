@@ -48,7 +48,7 @@ fn genuine() -> Vec<Bytes> {
         incarnation: Incarnation(1),
         sequence: 2,
     };
-    let edges = vec![Edge { to: NodeId::of(&name("own")), life: 1, cost: 1, mtu: 1400 }];
+    let edges = vec![Edge { to: NodeId::of(&name("own")), incarnation: 1, cost: 1, mtu: 1400 }];
     let announce = RoutingMessage::Announce(vec![Advertisement {
         stamp,
         node: name("peer"),
@@ -265,7 +265,8 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
         let node = name(&format!("n{n}"));
         let stamp =
             AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
-        let edges = vec![Edge { to: NodeId::of(&name("peer")), life: 1, cost: 1, mtu: 1400 }];
+        let edges =
+            vec![Edge { to: NodeId::of(&name("peer")), incarnation: 1, cost: 1, mtu: 1400 }];
         let announce =
             RoutingMessage::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
         router.handle_routing(LinkId(0), announce.encode(), Instant::ORIGIN);

@@ -1,9 +1,9 @@
 //! The supervision machine against a simple model of the world: children that start, stop, die and
 //! hang at random, and a recoverer that asks for a restart of whatever has failed.
 //!
-//! The model sees only what the machine says. It knows which lives are present, and holds against
-//! it: no child has two lives, a group starts in order, the budget is kept, every request is
-//! answered once, and when the world calms down, all that should be at work is.
+//! The model sees only what the machine says. It knows which incarnations are present, and holds
+//! against it: no child has two incarnations, a group starts in order, the budget is kept, every
+//! request is answered once, and when the world calms down, all that should be at work is.
 
 use blastema_core::recovery::{
     CallId, ChildRules, ChildState, ReplacementCause, Restart, Strategy, Supervisor,
@@ -18,7 +18,7 @@ use std::time::Duration;
 const PERIOD: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Life {
+enum Phase {
     Starting,
     /// For what is not there yet.
     Waiting,
@@ -53,7 +53,7 @@ struct World {
     strategy: Strategy,
     intensity: u32,
     names: Vec<ObjectName>,
-    lives: BTreeMap<ObjectName, (Incarnation, Life)>,
+    present: BTreeMap<ObjectName, (Incarnation, Phase)>,
     last: BTreeMap<ObjectName, Incarnation>,
     orders: BTreeSet<ObjectName>,
     open: BTreeSet<CallId>,
@@ -91,7 +91,7 @@ impl World {
             strategy,
             intensity,
             names,
-            lives: BTreeMap::new(),
+            present: BTreeMap::new(),
             last: BTreeMap::new(),
             orders: BTreeSet::new(),
             open: BTreeSet::new(),
@@ -112,27 +112,27 @@ impl World {
         while let Some(action) = self.machine.poll_output() {
             match action {
                 SupervisorOutput::Start { child, incarnation } => {
-                    assert!(!self.lives.contains_key(&child), "{child} would live twice");
+                    assert!(!self.present.contains_key(&child), "{child} would live twice");
                     let last = self.last.insert(child.clone(), incarnation);
                     assert!(last.is_none_or(|last| last < incarnation), "{child} {incarnation}");
                     if self.strategy != Strategy::OneForOne {
-                        let mut lives = self.lives.values();
+                        let mut present = self.present.values();
                         assert!(
-                            lives.all(|(_, life)| *life != Life::Starting),
+                            present.all(|(_, phase)| *phase != Phase::Starting),
                             "two start at once"
                         );
                     }
-                    self.lives.insert(child, (incarnation, Life::Starting));
+                    self.present.insert(child, (incarnation, Phase::Starting));
                 }
                 SupervisorOutput::Stop { child, .. } => {
                     assert!(!self.orders.contains(&child), "{child} stops under a standing order");
-                    if let Some((_, life)) = self.lives.get_mut(&child) {
-                        *life = Life::Stopping;
+                    if let Some((_, phase)) = self.present.get_mut(&child) {
+                        *phase = Phase::Stopping;
                     }
                 }
                 SupervisorOutput::Abandon { child } => {
                     self.orders.remove(&child);
-                    self.lives.remove(&child);
+                    self.present.remove(&child);
                 }
                 SupervisorOutput::StandingOrder { child, order: Some(order) } => {
                     assert_eq!(self.strategy, Strategy::OneForOne);
@@ -144,23 +144,26 @@ impl World {
                 }
                 SupervisorOutput::Recovered { call, child, incarnation } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
-                    if let Some(life) = incarnation {
-                        assert_eq!(self.lives.get(&child).map(|&(life, _)| life), Some(life));
+                    if let Some(expected) = incarnation {
+                        assert_eq!(
+                            self.present.get(&child).map(|&(known, _)| known),
+                            Some(expected)
+                        );
                     }
                 }
                 SupervisorOutput::Waits { call, child, incarnation } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
-                    let life = self.lives.get(&child).map(|&(life, _)| life);
-                    assert_eq!(life, Some(incarnation));
+                    let known = self.present.get(&child).map(|&(known, _)| known);
+                    assert_eq!(known, Some(incarnation));
                 }
                 SupervisorOutput::GaveUp { call, .. } => {
                     assert!(self.open.remove(&call), "{call:?} is answered twice");
                 }
                 SupervisorOutput::Escalate { .. } => {
-                    assert!(self.lives.is_empty(), "it escalates over living children");
+                    assert!(self.present.is_empty(), "it escalates over running children");
                     self.escalated = true;
                 }
-                SupervisorOutput::AllStopped => assert!(self.lives.is_empty()),
+                SupervisorOutput::AllStopped => assert!(self.present.is_empty()),
                 SupervisorOutput::AllStarted => self.all_started = true,
                 SupervisorOutput::GiveUp { .. } => {
                     assert!(!self.escalated, "it is said before all else");
@@ -194,8 +197,8 @@ impl World {
     }
 
     fn is_found(&mut self, name: &ObjectName, cause: ReplacementCause) {
-        if let Some(&(life, _)) = self.lives.get(name) {
-            self.restart(name, cause, life);
+        if let Some(&(incarnation, _)) = self.present.get(name) {
+            self.restart(name, cause, incarnation);
         }
     }
 
@@ -206,37 +209,37 @@ impl World {
             Turn::Answer(at) => self.answer(&name(at)),
             Turn::StartFails(at) => {
                 let name = name(at);
-                if let Some(&(life, Life::Starting)) = self.lives.get(&name) {
-                    self.lives.remove(&name);
-                    self.machine.handle_start_failed(&name, life, "no".into(), self.now);
+                if let Some(&(incarnation, Phase::Starting)) = self.present.get(&name) {
+                    self.present.remove(&name);
+                    self.machine.handle_start_failed(&name, incarnation, "no".into(), self.now);
                     self.look();
-                    self.restart(&name, ReplacementCause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, incarnation);
                 }
             }
             Turn::Waits(at) => {
                 let name = name(at);
-                if let Some((life, state @ (Life::Starting | Life::Present))) =
-                    self.lives.get_mut(&name)
+                if let Some((incarnation, state @ (Phase::Starting | Phase::Present))) =
+                    self.present.get_mut(&name)
                 {
-                    let life = *life;
-                    *state = Life::Waiting;
-                    self.machine.handle_unavailable(&name, life, "no".into(), self.now);
+                    let incarnation = *incarnation;
+                    *state = Phase::Waiting;
+                    self.machine.handle_unavailable(&name, incarnation, "no".into(), self.now);
                 }
             }
             Turn::Dies(at) => {
                 let name = name(at);
-                if let Some((life, _)) = self.lives.remove(&name) {
+                if let Some((incarnation, _)) = self.present.remove(&name) {
                     self.orders.remove(&name);
-                    self.machine.handle_died(&name, life, false, None, self.now);
+                    self.machine.handle_died(&name, incarnation, false, None, self.now);
                     self.look();
-                    self.restart(&name, ReplacementCause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, incarnation);
                 }
             }
             Turn::DiesUnheard(at) => {
                 let name = name(at);
-                if let Some((life, _)) = self.lives.remove(&name) {
+                if let Some((incarnation, _)) = self.present.remove(&name) {
                     self.orders.remove(&name);
-                    self.restart(&name, ReplacementCause::Died, life);
+                    self.restart(&name, ReplacementCause::Died, incarnation);
                 }
             }
             Turn::Hangs(at) => self.is_found(&name(at), ReplacementCause::Stuck),
@@ -244,11 +247,11 @@ impl World {
             Turn::DiesOnTheSpot(at) => {
                 let name = name(at);
                 if self.orders.contains(&name)
-                    && let Some((life, _)) = self.lives.get_mut(&name)
+                    && let Some((incarnation, _)) = self.present.get_mut(&name)
                 {
-                    let old = *life;
-                    *life = life.next();
-                    let next = *life;
+                    let old = *incarnation;
+                    *incarnation = incarnation.next();
+                    let next = *incarnation;
                     self.last.insert(name.clone(), next);
                     self.machine.handle_died(&name, old, false, Some(next), self.now);
                 }
@@ -279,21 +282,21 @@ impl World {
     }
 
     fn answer(&mut self, name: &ObjectName) {
-        match self.lives.get(name).copied() {
-            Some((life, Life::Starting | Life::Waiting)) => {
-                self.lives.insert(name.clone(), (life, Life::Present));
-                self.machine.handle_started(name, life, self.now);
+        match self.present.get(name).copied() {
+            Some((incarnation, Phase::Starting | Phase::Waiting)) => {
+                self.present.insert(name.clone(), (incarnation, Phase::Present));
+                self.machine.handle_started(name, incarnation, self.now);
             }
-            Some((life, Life::Stopping)) => {
-                self.lives.remove(name);
+            Some((incarnation, Phase::Stopping)) => {
+                self.present.remove(name);
                 self.orders.remove(name);
-                self.machine.handle_stopped(name, life, self.now);
+                self.machine.handle_stopped(name, incarnation, self.now);
             }
-            Some((_, Life::Present)) => {}
+            Some((_, Phase::Present)) => {}
             None => {
                 // As `Child::stop` says: who is not alive answers at once.
-                let life = self.last.get(name).copied().unwrap_or_default();
-                self.machine.handle_stopped(name, life, self.now);
+                let incarnation = self.last.get(name).copied().unwrap_or_default();
+                self.machine.handle_stopped(name, incarnation, self.now);
             }
         }
         self.look();
@@ -376,11 +379,11 @@ proptest! {
 
         prop_assert!(world.machine.poll_timeout().is_none(), "{:?}", world.machine);
         for child in world.machine.children() {
-            let at_work = world.lives.get(&child.name).map(|&(_, life)| life);
+            let at_work = world.present.get(&child.name).map(|&(_, phase)| phase);
             match child.state {
-                ChildState::Running => prop_assert_eq!(at_work, Some(Life::Present)),
+                ChildState::Running => prop_assert_eq!(at_work, Some(Phase::Present)),
                 ChildState::Resting | ChildState::Finished => prop_assert_eq!(at_work, None),
-                ChildState::Waiting => prop_assert!(world.lives.is_empty(), "{child:?}"),
+                ChildState::Waiting => prop_assert!(world.present.is_empty(), "{child:?}"),
                 _ => prop_assert!(false, "{child:?}"),
             }
         }
@@ -394,7 +397,7 @@ proptest! {
         let mut world = World::new(Strategy::OneForOne, intensity, &[Restart::Permanent; 3]);
         world.take(Turn::Begin);
         for turn in turns {
-            // A new life of the supervisor has a new budget.
+            // A new incarnation of the supervisor has a new budget.
             if !matches!(turn, Turn::Begin | Turn::End) && !world.escalated {
                 world.take(turn);
             }

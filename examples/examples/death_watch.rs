@@ -1,5 +1,5 @@
-//! Anyone may ask to be told when a life of an object ends: here the tool changer, which must not
-//! let go while the arm that holds it is down.
+//! Anyone may ask to be told when an incarnation of an object ends: here the tool changer, which
+//! must not let go while the arm that holds it is down.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
@@ -43,7 +43,7 @@ impl Component for ToolChanger {
     }
 
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        cx.watch("arm")?; // for this life, through all lives of the arm
+        cx.watch("arm")?; // for this incarnation, through all incarnations of the arm
         Ok(())
     }
 }
@@ -79,7 +79,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("may release: {}", tool.ask(Release).await?);
     let killed = arm.ask(Move { to: 2.0 }).await;
     println!("{}", killed.map_or_else(|error| error.to_string(), |()| "moved".into()));
-    arm.ask(Move { to: 0.5 }).await?; // the arm's next life, and by now the watcher has been told
+    arm.ask(Move { to: 0.5 }).await?; // the arm's next incarnation, and by now the watcher has been told
     println!("may release: {}", tool.ask(Release).await?);
     node.shutdown().await;
     Ok(())

@@ -1,5 +1,5 @@
 //! The program of the README: a component is killed by a request, and the same sender reaches its
-//! next life.
+//! next incarnation.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;
@@ -40,7 +40,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let laser: Sender<Nearest> = node.sender("laser")?;
 
     if let Err(error) = laser.ask(Nearest { within: 0.0 }).await {
-        println!("{error}"); // … the receiver died in its life #1 while it served this message
+        println!("{error}"); // … the receiver died in its incarnation #1 while it served this message
     }
     println!("{} m", laser.ask(Nearest { within: 0.1 }).await?);
     node.shutdown().await;

@@ -42,7 +42,7 @@ impl Component for Arm {
     }
 }
 
-/// Ends a life of the arm.
+/// Ends an incarnation of the arm.
 #[derive(Clone, Debug, Event)]
 struct Blow;
 

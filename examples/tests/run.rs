@@ -85,7 +85,7 @@ fn hello_outlives_the_death_of_its_laser() {
     check(
         "hello",
         &[
-            "`laser/nearest` to module1:laser failed: the receiver died in its life #1 while it served \
+            "`laser/nearest` to module1:laser failed: the receiver died in its incarnation #1 while it served \
              this message",
             "0.8 m",
         ],
@@ -153,7 +153,7 @@ fn death_watch_tells_the_tool_changer_of_the_arm() {
         "death_watch",
         &[
             "may release: true",
-            "`arm/move` to module1:arm failed: the receiver died in its life #1 while it served this \
+            "`arm/move` to module1:arm failed: the receiver died in its incarnation #1 while it served this \
              message",
             "may release: false",
         ],

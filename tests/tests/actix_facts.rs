@@ -429,36 +429,36 @@ fn every_arbiter_has_a_clock_of_its_own() {
 }
 
 /// What an actor is to the runtime, polled by the test itself as a guard does.
-type Life = Pin<Box<ContextFut<Subject, Context<Subject>>>>;
+type ContextTask = Pin<Box<ContextFut<Subject, Context<Subject>>>>;
 
-fn by_hand(subject: Subject) -> (Addr<Subject>, Life) {
+fn by_hand(subject: Subject) -> (Addr<Subject>, ContextTask) {
     let context = Context::new();
     let address = context.address();
     (address, Box::pin(context.into_future(subject)))
 }
 
 /// Polls it once; an error is a panic that came out of the poll.
-fn turn(life: &mut Life) -> std::thread::Result<Poll<()>> {
+fn turn(task: &mut ContextTask) -> std::thread::Result<Poll<()>> {
     let mut cx = std::task::Context::from_waker(std::task::Waker::noop());
-    catch_unwind(AssertUnwindSafe(|| life.as_mut().poll(&mut cx)))
+    catch_unwind(AssertUnwindSafe(|| task.as_mut().poll(&mut cx)))
 }
 
 #[test]
 fn a_context_future_that_is_restarted_after_a_panic_keeps_address_and_mailbox() {
     run(async {
         let (subject, log) = Subject::with_log();
-        let (address, mut life) = by_hand(subject);
+        let (address, mut task) = by_hand(subject);
         let recipient = address.clone().recipient::<Add>();
         address.do_send(Add);
         address.do_send(End::Panic);
         address.do_send(Add);
 
-        assert!(turn(&mut life).is_err());
+        assert!(turn(&mut task).is_err());
         assert!(address.connected());
-        assert!(life.restart());
+        assert!(task.restart());
 
-        let guarded = tokio::task::spawn_local(life);
-        assert_eq!(recipient.send(Add).await, Ok(3), "the old recipient reaches the new life");
+        let guarded = tokio::task::spawn_local(task);
+        assert_eq!(recipient.send(Add).await, Ok(3), "the old recipient reaches the new task");
         assert!(recipient == address.clone().recipient(), "and equals a new one");
         assert_eq!(*log.borrow(), ["started", "restarting", "started"]);
         guarded.abort();
@@ -503,7 +503,7 @@ fn a_panic_that_is_caught_inside_the_poll_is_never_seen_by_actix() {
 fn the_mailbox_is_served_before_the_futures_of_its_actor() {
     run(async {
         let (subject, log) = Subject::with_log();
-        let (address, mut life) = by_hand(subject);
+        let (address, mut task) = by_hand(subject);
         address.do_send(Run(Box::new(|subject, context| {
             let log = Rc::clone(&subject.log);
             // A pump that always has more to do, as that of a flooded component.
@@ -514,11 +514,11 @@ fn the_mailbox_is_served_before_the_futures_of_its_actor() {
             });
             context.spawn(pump.into_actor(subject));
         })));
-        assert!(turn(&mut life).is_ok_and(|poll| poll.is_pending()));
+        assert!(turn(&mut task).is_ok_and(|poll| poll.is_pending()));
         log.borrow_mut().clear();
 
         address.do_send(Run(Box::new(|subject, _| subject.log.borrow_mut().push("control"))));
-        assert!(turn(&mut life).is_ok_and(|poll| poll.is_pending()));
+        assert!(turn(&mut task).is_ok_and(|poll| poll.is_pending()));
 
         assert_eq!(*log.borrow(), ["control", "data"]);
     });

@@ -20,7 +20,7 @@ fn oil() -> FaultKind {
     FaultKind::Custom("OIL".into())
 }
 
-/// Says in which life it is.
+/// Says in which incarnation it is.
 #[derive(Clone, Debug, Request)]
 #[contract(name = "outside/ask", reply = u64)]
 struct Ask;
@@ -96,7 +96,7 @@ async fn leak(node: &Node, joint: &str) {
     node.sender::<Leak>(joint).unwrap().ask(Leak).await.unwrap();
 }
 
-async fn life(node: &Node, joint: &str) -> Option<u64> {
+async fn incarnation(node: &Node, joint: &str) -> Option<u64> {
     node.sender::<Ask>(joint).unwrap().ask(Ask).await.ok()
 }
 
@@ -156,8 +156,8 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         leak(&node, "joint1").await;
         leak(&node, "joint2").await;
 
-        until(async || (life(&node, "joint1").await == Some(2)).then_some(())).await;
-        until(async || (life(&node, "joint2").await == Some(2)).then_some(())).await;
+        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
+        until(async || (incarnation(&node, "joint2").await == Some(2)).then_some(())).await;
         let named = until(async || fault_of(&node, "chain/strategy/oil").await).await;
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         assert!(named.1.contains("oil") && named.1.contains("200ms"), "{}", named.1);
@@ -170,7 +170,7 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         until(async || fault_of(&node, "chain/strategy/oil").await.filter(|fault| fault.2)).await;
         assert_eq!(node.abandoned_threads(), 0);
         leak(&node, "joint1").await;
-        until(async || (life(&node, "joint1").await == Some(3)).then_some(())).await;
+        until(async || (incarnation(&node, "joint1").await == Some(3)).then_some(())).await;
         node.shutdown().await;
     });
 }
@@ -201,10 +201,10 @@ fn a_strategy_that_blocks_again_and_again_is_not_called_any_more_and_the_node_go
 
         leak(&node, "joint1").await;
 
-        until(async || (life(&node, "joint1").await == Some(2)).then_some(())).await;
+        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
         assert_eq!(node.abandoned_threads(), 4, "two more attempts were refused a thread");
         assert_eq!(node.state(), NodeState::Running);
-        assert_eq!(life(&node, "joint2").await, Some(1));
+        assert_eq!(incarnation(&node, "joint2").await, Some(1));
         let named = until(async || fault_of(&node, "chain/strategy/rusty").await).await;
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         drop(hold);
@@ -257,7 +257,7 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         leak(&node, "joint1").await;
         node.sender::<Grind>("joint2").unwrap().ask(Grind).await.unwrap();
 
-        until(async || (life(&node, "joint2").await == Some(2)).then_some(())).await;
+        until(async || (incarnation(&node, "joint2").await == Some(2)).then_some(())).await;
 
         let mut decided = Vec::new();
         while decided.len() < 5 {
@@ -269,9 +269,9 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         decided.sort();
         let expected = ["oil", "restart", "useless", "useless, attempt 2", "useless, attempt 3"];
         assert_eq!(decided, expected);
-        assert_eq!(life(&node, "joint1").await, Some(1), "its strategy still blocks");
+        assert_eq!(incarnation(&node, "joint1").await, Some(1), "its strategy still blocks");
         drop(hold);
-        until(async || (life(&node, "joint1").await == Some(2)).then_some(())).await;
+        until(async || (incarnation(&node, "joint1").await == Some(2)).then_some(())).await;
         node.shutdown().await;
     });
 }
@@ -293,7 +293,7 @@ fn a_node_is_shut_down_while_its_strategies_and_safe_outputs_block() {
         assert_eq!((named.0, named.2), (FaultKind::CheckFailed, false), "{}", named.1);
         let rests = async || node.sender::<Ask>("joint1").unwrap().ask(Ask).await.is_err();
         until(async || rests().await.then_some(())).await;
-        assert_eq!(life(&node, "joint2").await, Some(1));
+        assert_eq!(incarnation(&node, "joint2").await, Some(1));
         assert_eq!(node.abandoned_threads(), 2);
         tokio::time::timeout(PATIENCE, node.shutdown()).await.expect("it ends");
         drop((hold, hold_outputs));

@@ -1,5 +1,5 @@
-//! An attacker that reaches a port may send anything to it. Real sockets on loopback; assertions are
-//! about counters, never about a clock.
+//! An attacker that reaches a port may send anything to it. Real sockets on loopback; assertions
+//! are about counters, never about a clock.
 
 use actix::prelude::*;
 use blastema_contract::transport::{

@@ -65,7 +65,7 @@ async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     let there = TestNode::start(module(&medium, "there", "here")).await;
     here.advance(5000 * MS).await;
 
-    assert_eq!(sum.ask(Add(1)).await.unwrap(), 1, "a new life");
+    assert_eq!(sum.ask(Add(1)).await.unwrap(), 1, "a new incarnation");
     let row = here.row("there").await;
     assert_eq!((row.opinion, row.restarts), (Opinion::Trusted, 0));
     here.expect_no_faults().await;

@@ -58,9 +58,9 @@ fn the_limits_are_those_of_the_code() {
         assert!(row[1].contains(&says), "{first}: the code says {says:?}, the page {:?}", row[1]);
     }
     let thousands = |n: usize| format!("{},{:03}", n / 1000, n % 1000);
-    let life = Incarnation::FIRST;
-    let session = SessionConfig::new(node(), life, node());
-    let router = RouterConfig::new(node(), life);
+    let incarnation = Incarnation::FIRST;
+    let session = SessionConfig::new(node(), incarnation, node());
+    let router = RouterConfig::new(node(), incarnation);
     let (rules, notifier) = (SupervisorRules::default(), NotifierLimits::default());
 
     check(&page, "wait for a reply", format!("{} s", DEFAULT_DEADLINE.as_secs()));

@@ -110,7 +110,7 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
         let why = elsewhere.ask_within(Add(1), PATIENCE).await.expect_err("it is kept out").kind;
         let said = why.to_string();
         assert!(
-            said.contains("the name arm of this node is taken") && said.contains("life"),
+            said.contains("the name arm of this node is taken") && said.contains("incarnation"),
             "{said}"
         );
 
@@ -172,18 +172,18 @@ fn a_node_that_begins_anew_is_the_same_node_and_no_dispute() {
         let [arm, base] = free::<2>();
         let middle = node("base", base, &[("arm", arm)]).start().await.expect("the base starts");
         drop(start_arm(arm, ("base", base), 0).await);
-        for life in 1..=2 {
-            let again = start_arm(arm, ("base", base), life * 100).await;
+        for incarnation in 1..=2 {
+            let again = start_arm(arm, ("base", base), incarnation * 100).await;
             let sum: Sender<Add> = middle.sender("arm:sum").expect("a name");
             let answered = async {
                 loop {
                     match sum.ask_within(Add(1), PATIENCE).await {
-                        Ok(answer) if answer / 100 == life => return,
+                        Ok(answer) if answer / 100 == incarnation => return,
                         _ => tokio::time::sleep(Duration::from_millis(10)).await,
                     }
                 }
             };
-            tokio::time::timeout(PATIENCE, answered).await.expect("the new life answers");
+            tokio::time::timeout(PATIENCE, answered).await.expect("the new incarnation answers");
             for node in [&middle, &again] {
                 let record = node.faults().await;
                 let taken = |entry: &&_| entry_kind(entry) == FaultKind::NameTaken;

@@ -1,5 +1,5 @@
-//! What the README and the manual show is what runs: their programs are compared with the files from
-//! which they come.
+//! What the README and the manual show is what runs: their programs are compared with the files
+//! from which they come.
 
 use std::fs;
 use std::path::Path;

@@ -22,7 +22,7 @@ enum Provoke {
     Hang,
 }
 
-/// What all parts of one robot went through, and how their next lives are to begin.
+/// What all parts of one robot went through, and how their next incarnations are to begin.
 #[derive(Clone, Default)]
 struct Diary(Arc<Mutex<Pages>>);
 
@@ -144,7 +144,7 @@ async fn record(node: &Node) -> Vec<String> {
 }
 
 #[test]
-fn a_panic_is_followed_by_the_next_life() {
+fn a_panic_is_followed_by_the_next_incarnation() {
     paused(async {
         let diary = Diary::default();
         let node = start(node().child(part("laser", &diary)).child(part("arm", &diary))).await;
@@ -209,7 +209,7 @@ fn whoever_depends_on_the_one_that_failed_begins_anew_with_it() {
 }
 
 #[test]
-fn an_error_is_reset_in_the_same_life() {
+fn an_error_is_reset_in_the_same_incarnation() {
     paused(async {
         let diary = Diary::default();
         let node = start(node().child(part("arm", &diary))).await;
@@ -224,7 +224,7 @@ fn an_error_is_reset_in_the_same_life() {
 }
 
 #[test]
-fn an_error_that_cannot_be_reset_is_followed_by_the_next_life() {
+fn an_error_that_cannot_be_reset_is_followed_by_the_next_incarnation() {
     paused(async {
         let diary = Diary::default();
         let node = start(node().child(part("arm", &diary))).await;
@@ -242,7 +242,7 @@ fn an_error_that_cannot_be_reset_is_followed_by_the_next_life() {
 }
 
 #[test]
-fn a_fatal_fault_is_followed_by_the_next_life_also_where_ending_is_allowed() {
+fn a_fatal_fault_is_followed_by_the_next_incarnation_also_where_ending_is_allowed() {
     paused(async {
         let diary = Diary::default();
         let group = SupervisorSpec::new("group", Strategy::OneForOne)

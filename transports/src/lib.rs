@@ -5,7 +5,7 @@
 //!
 //! * `medium.rs`: an actor's body around a medium. Reading and writing are polled on the actor's
 //!   own arbiter, after its mailbox and with a budget, so that a flooded medium still takes orders.
-//!   After a panic the next life opens at the same address and knows who is attached.
+//!   After a panic the next incarnation opens at the same address and knows who is attached.
 //! * `outlet.rs`: frames go to the attached receiver, never more than a few hundred unconfirmed; a
 //!   receiver that hangs makes the medium's own buffers overflow, not the process.
 //! * `lanes.rs`: what waits for a medium waits in two lanes, so that hellos and acknowledgements go

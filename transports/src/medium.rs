@@ -60,7 +60,7 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
     fn pump(&mut self, task: &mut task::Context<'_>);
 
     /// Lets go of the medium: its port is free when this returns. What waits is thrown away, for a
-    /// panic may have left it half-done; what the next life needs is kept.
+    /// panic may have left it half-done; what the next incarnation needs is kept.
     fn shut(&mut self);
 
     /// Closes the medium for good.
@@ -92,7 +92,8 @@ impl<A: MediumActor> ActorFuture<A> for MediumPoller {
     }
 }
 
-/// Makes an actor of a [`MediumActor`]: its beginning, its next life after a panic, and its orders.
+/// Makes an actor of a [`MediumActor`]: its beginning, its next incarnation after a panic, and its
+/// orders.
 macro_rules! transport {
     ($medium:ty) => {
         crate::medium::transport!($medium, counted elsewhere);
@@ -124,7 +125,7 @@ macro_rules! transport {
         impl actix::Supervised for $medium {
             fn restarting(&mut self, context: &mut actix::Context<Self>) {
                 crate::medium::MediumActor::shut(self);
-                crate::medium::MediumActor::outlet(self).begin_next_life();
+                crate::medium::MediumActor::outlet(self).begin_next_incarnation();
                 actix::Actor::started(self, context);
             }
         }

@@ -31,7 +31,7 @@ impl ReopenBackoff {
         self.pause = Some(Box::pin(tokio::time::sleep(pause)));
     }
 
-    /// Forgets the failures: it is open now, or a new life begins.
+    /// Forgets the failures: it is open now, or a new incarnation begins.
     pub(crate) fn reset(&mut self) {
         *self = ReopenBackoff::default();
     }

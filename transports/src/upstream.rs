@@ -71,7 +71,7 @@ impl Upstream {
     }
 
     /// After a panic: the receiver stays attached, and is told the state of the medium again.
-    pub(crate) fn begin_next_life(&mut self) {
+    pub(crate) fn begin_next_incarnation(&mut self) {
         self.state = None;
         self.unconfirmed.clear();
         self.in_batch = 0;

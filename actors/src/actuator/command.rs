@@ -26,7 +26,7 @@ pub(crate) struct ActuatorCommand {
 #[derive(Clone, Debug, Structure)]
 #[contract(crate = "crate")]
 pub(crate) enum CommandKind {
-    Claim { commander: String, life: u64 },
+    Claim { commander: String, incarnation: u64 },
     Renew { epoch: u64 },
     Release { epoch: u64 },
     Command { epoch: u64, message: Vec<u8> },

@@ -89,7 +89,7 @@ impl<M: Contract> fmt::Debug for ActuatorSpec<M> {
 }
 
 /// Commands an actuator, here or on another node. The lease is renewed by itself for as long as the
-/// component that commands lives and its thread turns; with the last clone it is given back.
+/// component that commands incarnations and its thread turns; with the last clone it is given back.
 pub struct Commander<M: Contract>(Arc<CommanderState>, PhantomData<fn(M)>);
 
 /// What all clones of a commander share.
@@ -98,7 +98,7 @@ struct CommanderState {
     sender: Sender<ActuatorCommand>,
     identity: Vec<u8>,
     name: String,
-    life: Incarnation,
+    incarnation: Incarnation,
     held: Mutex<Option<Held>>,
     claimed: Notify,
 }
@@ -127,14 +127,14 @@ impl<M: Contract> fmt::Debug for Commander<M> {
 pub(crate) fn commander<M: Contract>(
     registry: &Registry,
     actuator: &str,
-    (name, life): (String, Incarnation),
+    (name, incarnation): (String, Incarnation),
 ) -> Result<(Commander<M>, impl Future<Output = ()> + 'static + use<M>), DeliveryError> {
     let state = Arc::new(CommanderState {
         actuator: actuator.to_owned(),
         sender: registry.sender::<ActuatorCommand>(actuator)?,
         identity: ContractIdentity::of::<M>().brief().encode(),
         name,
-        life,
+        incarnation,
         held: Mutex::default(),
         claimed: Notify::new(),
     });
@@ -261,9 +261,9 @@ impl<M: Contract> Commander<M> {
     }
 
     async fn try_claim(&self, within: Duration) -> Result<u64, DeliveryError> {
-        let CommanderState { name, life, .. } = &*self.0;
+        let CommanderState { name, incarnation, .. } = &*self.0;
         let asked = platform::now();
-        let wish = CommandKind::Claim { commander: name.clone(), life: life.0 };
+        let wish = CommandKind::Claim { commander: name.clone(), incarnation: incarnation.0 };
         match self.0.send_command(wish, within).await? {
             CommandReply::Granted { epoch, span_us } => {
                 let span = Duration::from_micros(span_us);

@@ -98,7 +98,7 @@ impl<C: Component> Ports<C> {
 
 impl<C: Component> Context<C> {
     /// Commands the actuator of this name, here or on another node. The lease is renewed by a task
-    /// of this life: it ends with the life, and when the component hangs.
+    /// of this incarnation: it ends with the incarnation, and when the component hangs.
     ///
     /// # Errors
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,

@@ -228,8 +228,9 @@ impl ActuatorTable {
             CommandKind::Claim { .. } if !actuator.skeleton.is_at_work() => {
                 Err(DeliveryError::Restarting)
             }
-            CommandKind::Claim { commander, life } => {
-                let commander = CommanderId { name: commander, life: Incarnation(life) };
+            CommandKind::Claim { commander, incarnation } => {
+                let commander =
+                    CommanderId { name: commander, incarnation: Incarnation(incarnation) };
                 lease.handle_claim(commander, now).map(|grant| {
                     let span_us = u64::try_from(grant.span.as_micros()).unwrap_or(u64::MAX);
                     CommandReply::Granted { epoch: grant.epoch, span_us }
@@ -297,12 +298,15 @@ impl ActuatorTable {
             let Some(output) = output else { return };
             let LeaseOutput::ApplySafeOutputs { commander, epoch, end, again } = output;
             if !again {
-                let (object, who, life) = (&actuator.object, &commander.name, commander.life);
+                let (object, who, incarnation) =
+                    (&actuator.object, &commander.name, commander.incarnation);
                 match end {
-                    LeaseEnd::Released => info!(%object, who, %life, epoch, "lease released"),
+                    LeaseEnd::Released => {
+                        info!(%object, who, %incarnation, epoch, "lease released")
+                    }
                     LeaseEnd::Expired => {
-                        warn!(%object, who, %life, epoch, "commander gone: safe outputs applied");
-                        let detail = format!("its commander {who}{life} has gone");
+                        warn!(%object, who, %incarnation, epoch, "commander gone: safe outputs applied");
+                        let detail = format!("its commander {who}{incarnation} has gone");
                         actuator.skeleton.declare(FaultKind::CommanderGone, detail);
                         actuator.lost.store(true, Relaxed);
                     }

@@ -4,9 +4,9 @@
 //! ones are counted by their culprits: a culprit that keeps too many gets no more, and where too
 //! many culprits keep some, the process itself has to be restarted.
 //!
-//! Lives are placed on threads that answer only, and one that waits on a thread which does not
-//! answer any more is moved to another before it begins. A life that follows a hang has a thread
-//! for itself, so that a component that hangs again keeps no other.
+//! Incarnations are placed on threads that answer only, and one that waits on a thread which does
+//! not answer any more is moved to another before it begins. An incarnation that follows a hang has
+//! a thread for itself, so that a component that hangs again keeps no other.
 
 use super::heartbeat::ArbiterHeartbeat;
 use crate::platform;
@@ -62,7 +62,7 @@ pub(crate) struct ArbiterSlot {
 }
 
 impl ArbiterSlot {
-    /// Another life of the same component can begin here.
+    /// Another incarnation of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
         !self.own_thread && !self.pulse.is_fenced() && self.answers(platform::now())
     }
@@ -93,7 +93,7 @@ impl ArbiterSlot {
     }
 }
 
-/// A life that is to begin on the arbiter that it is given.
+/// An incarnation that is to begin on the arbiter that it is given.
 pub(crate) type Boarding = Box<dyn FnOnce(ArbiterSlot) + Send>;
 
 /// How many threads each culprit has kept for good.
@@ -123,9 +123,9 @@ struct Pool {
     own: Vec<ArbiterSlot>,
     /// Threads that were given up and have not come back.
     kept: Vec<KeptThread>,
-    /// Lives that were sent to a shared thread and may still wait there.
+    /// Incarnations that were sent to a shared thread and may still wait there.
     boarding: Vec<(ArbiterSlot, Weak<Mutex<Option<Boarding>>>)>,
-    /// The node has ended: a next life whose arbiter went finds no place.
+    /// The node has ended: a next incarnation whose arbiter went finds no place.
     stopped: bool,
 }
 
@@ -253,22 +253,22 @@ impl ArbiterPool {
         Err(io::Error::other(reason))
     }
 
-    /// Has a life begin on `slot`; on another shared thread if that one does not answer.
-    pub(crate) fn board(&self, slot: ArbiterSlot, life: Boarding) {
-        let waiting = Arc::new(Mutex::new(Some(life)));
+    /// Has an incarnation begin on `slot`; on another shared thread if that one does not answer.
+    pub(crate) fn board(&self, slot: ArbiterSlot, incarnation: Boarding) {
+        let waiting = Arc::new(Mutex::new(Some(incarnation)));
         if !slot.own_thread && self.0.shared > 0 {
             self.pool_of().boarding.push((slot.clone(), Arc::downgrade(&waiting)));
         }
         let handle = slot.handle.clone();
         handle.spawn_fn(move || {
-            let life = waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
-            if let Some(life) = life {
-                life(slot);
+            let incarnation = waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
+            if let Some(incarnation) = incarnation {
+                incarnation(slot);
             }
         });
     }
 
-    /// Moves the lives that wait on threads which do not answer.
+    /// Moves the incarnations that wait on threads which do not answer.
     pub(crate) fn move_boarding(&self, now: Instant) {
         let mut pool = self.pool_of();
         if pool.boarding.is_empty() {
@@ -276,23 +276,23 @@ impl ArbiterPool {
         }
         let waiting = std::mem::take(&mut pool.boarding);
         let mut moved = Vec::new();
-        for (slot, life) in waiting {
-            let Some(kept) = life.upgrade() else { continue };
+        for (slot, incarnation) in waiting {
+            let Some(kept) = incarnation.upgrade() else { continue };
             let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
             if kept.is_none() {
                 continue;
             }
             if slot.answers(now) {
-                pool.boarding.push((slot, life));
+                pool.boarding.push((slot, incarnation));
                 continue;
             }
             match self.place_in(&mut pool, false) {
-                Ok(other) => moved.extend(kept.take().map(|life| (other, life))),
-                Err(_) => pool.boarding.push((slot, life)),
+                Ok(other) => moved.extend(kept.take().map(|incarnation| (other, incarnation))),
+                Err(_) => pool.boarding.push((slot, incarnation)),
             }
         }
         drop(pool);
-        moved.into_iter().for_each(|(slot, life)| self.board(slot, life));
+        moved.into_iter().for_each(|(slot, incarnation)| self.board(slot, incarnation));
     }
 
     fn start(&self, own_thread: bool) -> io::Result<ArbiterSlot> {
@@ -426,11 +426,11 @@ mod tests {
         hold
     }
 
-    /// Boards a life that says on which thread it begins.
+    /// Boards an incarnation that says on which thread it begins.
     fn board(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
         let (begun, begins) = channel();
-        let life = move |slot: ArbiterSlot| begun.send(slot.pulse.id()).unwrap();
-        arbiters.board(slot.clone(), Box::new(life));
+        let incarnation = move |slot: ArbiterSlot| begun.send(slot.pulse.id()).unwrap();
+        arbiters.board(slot.clone(), Box::new(incarnation));
         begins
     }
 
@@ -476,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn a_life_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
+    fn an_incarnation_that_waits_on_a_thread_which_does_not_answer_is_moved_and_begins_once() {
         System::new().block_on(async {
             let arbiters = ArbiterPool::pool(1);
             let slot = place(&arbiters);

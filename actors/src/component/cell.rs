@@ -1,7 +1,7 @@
-//! What all lives of one component share: it is what a reference refers to.
+//! What all incarnations of one component share: it is what a reference refers to.
 //!
-//! The queue, the name and the record of messages that kill belong here, not to a life, so that
-//! they outlive panics and hung threads.
+//! The queue, the name and the record of messages that kill belong here, not to an incarnation, so
+//! that they outlive panics and hung threads.
 
 use super::environment::ComponentEnvironment;
 use crate::arbiter::deadline::Cancel;
@@ -65,7 +65,7 @@ pub(crate) struct CellCore {
     pub(crate) injected: InjectionState,
     gate: AtomicU8,
     state: Mutex<CellStatus>,
-    /// The life that began last.
+    /// The incarnation that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
     /// There only where a message has killed.
@@ -83,7 +83,7 @@ struct CellStatus {
     arbiter: Option<CurrentPlacement>,
 }
 
-/// One life's place.
+/// One incarnation's place.
 #[derive(Clone)]
 pub(crate) struct CurrentPlacement {
     pub(crate) arbiter: ArbiterSlot,
@@ -104,7 +104,7 @@ pub(crate) struct MessageInService {
 pub(crate) enum Blame {
     /// It is a fault of the component.
     Fault,
-    /// The life ends with a fault already: it is only logged.
+    /// The incarnation ends with a fault already: it is only logged.
     Log,
 }
 
@@ -154,12 +154,13 @@ impl CellCore {
         Incarnation(self.incarnation.load(Relaxed))
     }
 
-    /// This life is about to begin; it never goes back.
+    /// This incarnation is about to begin; it never goes back.
     pub(crate) fn set_incarnation(&self, incarnation: Incarnation) {
         self.incarnation.fetch_max(incarnation.0, Relaxed);
     }
 
-    /// A life is in its place. False if a later one has begun elsewhere, whose place stays known.
+    /// An incarnation is in its place. False if a later one has begun elsewhere, whose place stays
+    /// known.
     pub(crate) fn enter(&self, incarnation: Incarnation, placement: CurrentPlacement) -> bool {
         let mut standing = lock(&self.state);
         let is_newest = incarnation >= self.incarnation();
@@ -213,8 +214,8 @@ impl CellCore {
         *lock(&self.order) = order;
     }
 
-    /// Notes the end of a life whose panic still unwinds on its thread: what the handler had may
-    /// block there when it is dropped. Its guard reports it where it catches it before.
+    /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler
+    /// had may block there when it is dropped. Its guard reports it where it catches it before.
     pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
         let pulse = &placement.arbiter.pulse;
         if pulse.running() != Some(placement.slot.index) || pulse.is_here() {
@@ -226,7 +227,7 @@ impl CellCore {
         }
     }
 
-    /// Tells the monitor, and the supervisor, of the lives up to this one that have ended.
+    /// Tells the monitor, and the supervisor, of the incarnations up to this one that have ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
         self.exits.tell(DueExits::Until(until), &self.name, &self.environment.reports);
     }
@@ -250,7 +251,7 @@ impl CellCore {
         drop(followed);
     }
 
-    /// The life ends with the message that it serves: its asker is told, and it is blamed.
+    /// The incarnation ends with the message that it serves: its asker is told, and it is blamed.
     pub(crate) fn record_fatal_message(&self, incarnation: Incarnation) {
         let MessageInService { asker, id } = std::mem::take(&mut *lock(&self.service));
         if let Some(asker) = asker {
@@ -318,8 +319,8 @@ impl CellCore {
         }
     }
 
-    /// Runs what is the user's outside of a life. If it panics, that is a fault of the component,
-    /// and nothing else.
+    /// Runs what is the user's outside of an incarnation. If it panics, that is a fault of the
+    /// component, and nothing else.
     pub(crate) fn guard<T>(
         &self,
         what: impl FnOnce() -> String,
@@ -386,8 +387,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Tells the life that watches of an end, whether its queue is full or not. A notice of an
-    /// earlier end of the same object that it has not taken yet is replaced.
+    /// Tells the incarnation that watches of an end, whether its queue is full or not. A notice of
+    /// an earlier end of the same object that it has not taken yet is replaced.
     pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
     where
         C: Handle<Down>,

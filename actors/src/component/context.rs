@@ -2,7 +2,7 @@
 
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
-use crate::component::life::{IncarnationState, TimerId, TimerMode};
+use crate::component::incarnation::{IncarnationState, TimerId, TimerMode};
 use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
 use crate::messaging::death_watch::{Down, Watcher};
@@ -27,11 +27,11 @@ use std::time::Duration;
 
 /// A component's way to its host, lent to every hook and handler.
 ///
-/// What is started here, tasks and timers, belongs to the present life: it ends with it, and if it
-/// panics, the component has panicked.
+/// What is started here, tasks and timers, belongs to the present incarnation: it ends with it, and
+/// if it panics, the component has panicked.
 pub struct Context<C: Component> {
     pub(crate) cell: Arc<ComponentCell<C>>,
-    pub(crate) life: Rc<IncarnationState<C>>,
+    pub(crate) state: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
     pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
     /// Objects of other nodes that are watched, and whether they still are.
@@ -39,8 +39,8 @@ pub struct Context<C: Component> {
 }
 
 impl<C: Component> Context<C> {
-    pub(crate) fn new(cell: Arc<ComponentCell<C>>, life: Rc<IncarnationState<C>>) -> Self {
-        Context { cell, life, publishers: RefCell::default(), far_watches: Vec::new() }
+    pub(crate) fn new(cell: Arc<ComponentCell<C>>, state: Rc<IncarnationState<C>>) -> Self {
+        Context { cell, state, publishers: RefCell::default(), far_watches: Vec::new() }
     }
 
     /// The component's name.
@@ -48,9 +48,9 @@ impl<C: Component> Context<C> {
         &self.cell.record.name
     }
 
-    /// Which of the component's lives this is.
+    /// Which incarnation this is.
     pub fn incarnation(&self) -> Incarnation {
-        self.life.incarnation
+        self.state.incarnation
     }
 
     /// Where the component stands.
@@ -69,10 +69,11 @@ impl<C: Component> Context<C> {
         self.cell.record.environment.registry.sender(name)
     }
 
-    /// A sender for threads and blocking tasks that this life starts: what they still send after
-    /// the life has ended is refused as [`DeliveryError::Fenced`].
+    /// A sender for threads and blocking tasks that this incarnation starts: what they still send
+    /// after the incarnation has ended is refused as [`DeliveryError::Fenced`].
     pub fn detached<M: Contract>(&self, sender: &Sender<M>) -> Sender<M> {
-        let detached = DetachedSender { inner: sender.clone(), life: self.life.token.clone() };
+        let detached =
+            DetachedSender { inner: sender.clone(), incarnation: self.state.token.clone() };
         Sender(Arc::new(detached))
     }
 
@@ -89,7 +90,7 @@ impl<C: Component> Context<C> {
     /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
     /// nor the queue of a message counts as a change of what it tells.
     pub fn captured_at(&self) -> Option<Instant> {
-        self.life.captured_at.get()
+        self.state.captured_at.get()
     }
 
     /// Starts a task of this component's own, which runs beside its handlers.
@@ -97,7 +98,7 @@ impl<C: Component> Context<C> {
     /// # Panics
     /// The component is ended if it holds 1024 tasks already: it has lost count of them.
     pub fn spawn(&mut self, task: impl Future<Output = ()> + 'static) {
-        self.life.defer(|wishes| wishes.tasks.push(Box::pin(task)));
+        self.state.defer(|wishes| wishes.tasks.push(Box::pin(task)));
     }
 
     /// Calls the closure every `interval` while the component is active. It takes its turn between
@@ -111,7 +112,7 @@ impl<C: Component> Context<C> {
         interval: Duration,
         tick: impl FnMut(&mut C, &mut Context<C>) + 'static,
     ) -> TimerId {
-        self.life.set_timer(TimerMode::Every(interval), Box::new(tick))
+        self.state.set_timer(TimerMode::Every(interval), Box::new(tick))
     }
 
     /// Calls the closure once, after `delay`.
@@ -130,7 +131,7 @@ impl<C: Component> Context<C> {
                 fire(component, cx);
             }
         };
-        self.life.set_timer(TimerMode::Once(delay), Box::new(fire))
+        self.state.set_timer(TimerMode::Once(delay), Box::new(fire))
     }
 
     /// Sends the component this message every `interval`, for work that awaits.
@@ -169,14 +170,14 @@ impl<C: Component> Context<C> {
 
     /// Ends a timer, and drops its closure.
     pub fn cancel(&mut self, timer: TimerId) {
-        self.life.cancel_timer(timer);
+        self.state.cancel_timer(timer);
     }
 
     /// Gives a sign of life. A successful `on_execute` gives one by itself.
     #[inline]
     pub fn alive(&self) {
         if !self.cell.record.injected.is_silent() {
-            self.life.stamp.give_sign();
+            self.state.stamp.give_sign();
         }
     }
 
@@ -195,12 +196,12 @@ impl<C: Component> Context<C> {
     /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
     /// within one another the one that is to end last counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.life.operations.begin(span)
+        self.state.operations.begin(span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never.
     pub fn set_interval(&mut self, interval: Option<Duration>) {
-        self.life.defer(|wishes| wishes.interval = Some(interval));
+        self.state.defer(|wishes| wishes.interval = Some(interval));
     }
 
     /// Reports a fault that the component found in itself or in its data. It goes on working.
@@ -249,26 +250,27 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Ends this life in order, when the present handler has ended. What is queued waits for the
-    /// next life, if its supervisor begins one.
+    /// Ends this incarnation in order, when the present handler has ended. What is queued waits for
+    /// the next incarnation, if its supervisor begins one.
     pub fn stop(&mut self) {
-        self.life.defer(|wishes| wishes.stop = true);
+        self.state.defer(|wishes| wishes.stop = true);
     }
 
     /// Leaves work because of a failure, as if a hook had returned it.
     pub fn fail(&mut self, failure: impl Into<Failure>) {
         let failure = failure.into();
-        self.life.defer(|wishes| wishes.failure = Some(failure));
+        self.state.defer(|wishes| wishes.failure = Some(failure));
     }
 
-    /// Asks to be told, as message [`Down`], whenever a life of this object ends. If it does not
-    /// live now, or is unknown, that is told at once. The object is a component, a supervisor or
-    /// one of the middleware's own, here or, as `module2:arm`, on another node; of such a one it is
-    /// also told when its node is lost, and it is watched further when that is back.
+    /// Asks to be told, as message [`Down`], whenever an incarnation of this object ends. If it
+    /// does not live now, or is unknown, that is told at once. The object is a component, a
+    /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
+    /// such a one it is also told when its node is lost, and it is watched further when that is
+    /// back.
     ///
     /// What is told comes before the messages that wait, and though the queue is full. Of an object
     /// that ended twice before the component had its turn the last end is told. The watch ends with
-    /// the present life, and so does what it has not taken.
+    /// the present incarnation, and so does what it has not taken.
     ///
     /// # Errors
     /// The name does not parse.
@@ -285,7 +287,7 @@ impl<C: Component> Context<C> {
             false => (None, ObjectName::new(name)?),
         };
         // Two that watch each other do not keep each other.
-        let (watcher, incarnation) = (Arc::downgrade(&self.cell), self.life.incarnation);
+        let (watcher, incarnation) = (Arc::downgrade(&self.cell), self.state.incarnation);
         let tell = move |down| {
             if let Some(watcher) = watcher.upgrade() {
                 watcher.notify(incarnation, down);
@@ -293,8 +295,8 @@ impl<C: Component> Context<C> {
         };
         match node {
             None => {
-                let (who, life) = (self.name().clone(), self.life.token.clone());
-                registry.watch(object, Watcher { who, life, tell: Box::new(tell) });
+                let (who, incarnation) = (self.name().clone(), self.state.token.clone());
+                registry.watch(object, Watcher { who, incarnation, tell: Box::new(tell) });
             }
             Some(node) => {
                 let address = ObjectAddress { node, object };

@@ -8,7 +8,7 @@ use actix::Message;
 pub(crate) enum HostCommand {
     /// End in order.
     Stop,
-    /// End in order, because another life follows.
+    /// End in order, because another incarnation follows.
     MakeWay,
     /// Recover from an error.
     Reset,

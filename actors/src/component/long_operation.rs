@@ -7,7 +7,7 @@ use blastema_core::Instant;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// The operations of one life that are under way, each with the time when it is to be over.
+/// The operations of one incarnation that are under way, each with the time when it is to be over.
 pub(crate) struct LongOperations {
     stamp: &'static ActivityRecord,
     token: Arc<IncarnationToken>,
@@ -33,7 +33,7 @@ impl LongOperations {
 
     /// Announces the time until the last of them is to be over.
     fn allow_latest(&self, ends: &[Instant]) {
-        // The stamp may belong to another life by now.
+        // The stamp may belong to another incarnation by now.
         if !self.token.has_ended() {
             let now = platform::now();
             self.stamp.allow(ends.iter().max().map_or(Duration::ZERO, |end| *end - now));
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn what_outlives_its_life_changes_no_later_one() {
+    fn what_outlives_its_incarnation_changes_no_later_one() {
         let (slot, token) = (ActivitySlot::claim(), Arc::<IncarnationToken>::default());
         let late = Arc::new(LongOperations::new(slot.stamp, token.clone())).begin(800 * MS);
         token.end();

@@ -1,4 +1,4 @@
-//! What a component takes, declared once for all its lives.
+//! What a component takes, declared once for all its incarnations.
 
 use crate::component::cell::ComponentCell;
 use crate::component::declaration::Declarations;

@@ -17,8 +17,8 @@ use std::sync::atomic::Ordering::Relaxed;
 use tracing::warn;
 
 impl<C: Component> ComponentCell<C> {
-    /// Closes the queue until the next life; what was in it is returned or counted. Its `Drop` is
-    /// the user's and may block, and the caller is a supervisor.
+    /// Closes the queue until the next incarnation; what was in it is returned or counted. Its
+    /// `Drop` is the user's and may block, and the caller is a supervisor.
     pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
         let record = &self.record;
         for mail in self.queue.stop() {
@@ -31,7 +31,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// The same, by the life that ends; without effect when it was given up and another has begun.
+    /// The same, by the incarnation that ends; without effect when it was given up and another has
+    /// begun.
     pub(crate) fn close_by(&self, incarnation: Incarnation) {
         let left = self.queue.stop_by(incarnation);
         left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));

@@ -4,7 +4,7 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use std::sync::Arc;
 
-/// A component's subscription to one topic, for all its lives.
+/// A component's subscription to one topic, for all its incarnations.
 pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
     fn attach(&self, cell: &Arc<ComponentCell<C>>);

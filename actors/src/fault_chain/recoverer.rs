@@ -186,7 +186,7 @@ impl MachineActor for RecovererActor {
             RecovererOutput::Release { measure } => {
                 self.engaged.remove(&measure);
             }
-            RecovererOutput::GiveUpLife { fault } => self.tools.give_up_life(&fault),
+            RecovererOutput::GiveUpLife { fault } => self.tools.give_up_incarnation(&fault),
             RecovererOutput::LastResort { fault, reason } => {
                 info!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
                 self.tools.rest_node(&fault, &reason);

@@ -45,14 +45,14 @@ impl Script {
         std::mem::take(&mut self.pages().done)
     }
 
-    /// This child's life has ended by itself.
+    /// This child's incarnation has ended by itself.
     pub(crate) fn dies(&self, name: &str) {
         self.pages().alive.remove(&object(name));
     }
 
     pub(crate) fn child(&self, name: &str) -> Box<dyn Child> {
         let name = object(name);
-        Box::new(Scripted { name, script: self.clone(), report: None, life: Incarnation(0) })
+        Box::new(Scripted { name, script: self.clone(), report: None, incarnation: Incarnation(0) })
     }
 
     fn pages(&self) -> MutexGuard<'_, Pages> {
@@ -64,7 +64,7 @@ struct Scripted {
     name: ObjectName,
     script: Script,
     report: Option<Arc<Recipient<ChildReport>>>,
-    life: Incarnation,
+    incarnation: Incarnation,
 }
 
 impl Scripted {
@@ -81,7 +81,7 @@ impl Scripted {
 
     fn tell(&self, event: ChildEvent) {
         if let Some(report) = &self.report {
-            let (object, incarnation) = (self.name.clone(), self.life);
+            let (object, incarnation) = (self.name.clone(), self.incarnation);
             report.do_send(ChildReport { object, incarnation, event });
         }
     }
@@ -98,7 +98,7 @@ impl Child for Scripted {
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation {
         self.report = Some(report);
-        self.life = incarnation;
+        self.incarnation = incarnation;
         match self.call("start") {
             ScriptedReply::Works => {
                 let earlier = self.script.pages().alive.insert(self.name.clone(), incarnation);
@@ -204,13 +204,13 @@ pub(crate) fn object(name: &str) -> ObjectName {
 }
 
 /// A fault of `here:<name>`.
-pub(crate) fn fault(id: u64, kind: FaultKind, name: &str, life: u64) -> Fault {
+pub(crate) fn fault(id: u64, kind: FaultKind, name: &str, incarnation: u64) -> Fault {
     Fault {
         id: FaultId(id),
         severity: kind.severity(),
         kind,
         place: FaultLocation::Object(format!("here:{name}").parse().expect("a good name")),
-        incarnation: Incarnation(life),
+        incarnation: Incarnation(incarnation),
         detail: String::new(),
         found_at: Instant::ORIGIN,
         symptom_of: None,

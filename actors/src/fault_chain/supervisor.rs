@@ -66,7 +66,7 @@ pub(crate) struct SupervisorActor {
     states: Recipient<StateReported>,
     isolation: Recipient<IsolationReported>,
     directory: SupervisorDirectory,
-    /// Where its lives can be watched.
+    /// Where its incarnations can be watched.
     watched: Deaths,
     /// It was told to end in order to be restarted.
     again: bool,
@@ -81,8 +81,8 @@ impl SupervisorActor {
         setup: SupervisorSetup,
     ) -> SupervisorChild {
         let name = setup.name.clone();
-        // The guardian counts the lives of this actor, the parent those of the supervisor that it
-        // plays: they must not be taken for each other.
+        // The guardian counts the incarnations of this actor, the parent those of the supervisor
+        // that it plays: they must not be taken for each other.
         let body = ObjectName::new(&format!("chain/supervisor/{name}"));
         let body = body.unwrap_or_else(|_| name.clone());
         let watched = guardian.watched();
@@ -158,7 +158,8 @@ impl SupervisorActor {
         }
     }
 
-    /// Its own state, so that its faults are over for the detector when its next life is at work.
+    /// Its own state, so that its faults are over for the detector when its next incarnation is at
+    /// work.
     fn report_state(&self, state: Lifecycle) {
         let (object, incarnation) = (self.name.clone(), self.machine.incarnation());
         self.watched.enter(&object, incarnation, state);
@@ -181,8 +182,8 @@ impl SupervisorActor {
         self.declare(name, incarnation, FaultKind::RestartStorm, reason.to_owned());
     }
 
-    /// No life follows for any child: what waits for one is given back, also where none was left
-    /// that could have been stopped.
+    /// No incarnation follows for any child: what waits for one is given back, also where none was
+    /// left that could have been stopped.
     fn retire_all(&mut self) {
         self.children.values_mut().for_each(|child| child.retire());
     }
@@ -260,7 +261,7 @@ impl MachineActor for SupervisorActor {
             }
             SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
-                // What waits below for its next life waits in vain.
+                // What waits below for its next incarnation waits in vain.
                 if let Some(child) = self.child(&child) {
                     child.retire();
                 }
@@ -313,7 +314,7 @@ impl MachineActor for SupervisorActor {
     }
 }
 
-/// It answers for the supervisor that it plays, whose lives its parent counts.
+/// It answers for the supervisor that it plays, whose incarnations its parent counts.
 impl Handler<AreYouAlive> for SupervisorActor {
     type Result = Alive;
 

@@ -136,7 +136,9 @@ impl GlobalNamesActor {
         if *node == self.setup.node {
             return self.setup.incarnation;
         }
-        self.peers.get(&NodeId::of(node)).map_or(Incarnation::default(), |(_, life)| *life)
+        self.peers
+            .get(&NodeId::of(node))
+            .map_or(Incarnation::default(), |(_, incarnation)| *incarnation)
     }
 
     fn declare(&self, kind: FaultKind, detail: String) {
@@ -296,11 +298,11 @@ impl MachineActor for GlobalNamesActor {
             GlobalNamesOutput::Held { name, holder } => {
                 self.without.handle_holder(&name, holder.as_ref());
                 self.say_who_goes_without();
-                let life = |holder: Holder| {
+                let with_incarnation = |holder: Holder| {
                     let incarnation = self.incarnation_of(&holder.node);
                     (holder, incarnation)
                 };
-                self.setup.names.note(name, holder.map(life));
+                self.setup.names.note(name, holder.map(with_incarnation));
             }
         }
     }
@@ -314,7 +316,7 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
             ClaimCommand::Claim { wanted, number, told, unattended } => {
                 let name = wanted.name.clone();
                 match self.own.get(&name) {
-                    // The next life of the same component.
+                    // The next incarnation of the same component.
                     Some(own) if own.number == number => return,
                     Some(Own { wanted: own, .. }) => {
                         let other = own.object.clone();
@@ -433,7 +435,7 @@ mod tests {
             names.claim_unattended(wanted(), 99);
             mended.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
-            // The next life of the one that was refused.
+            // The next incarnation of the one that was refused.
             names.claim_unattended(wanted(), 98);
 
             assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);

@@ -193,7 +193,7 @@ pub struct ClaimRow {
     pub name: ObjectName,
     /// Who holds it, and under which epoch.
     pub holder: Holder,
-    /// In which life of its node.
+    /// In which incarnation of its node.
     pub incarnation: Incarnation,
     /// For how long this node has known so.
     pub age: Duration,

@@ -20,7 +20,7 @@ pub(crate) enum ClaimCommand {
     Claim {
         wanted: ClaimRequest,
         /// Which claim it is, of all that were ever made here; a component has one for all its
-        /// lives.
+        /// incarnations.
         number: u64,
         told: watch::Sender<ClaimState>,
         /// A component claims: no caller waits for the result, so a refusal is a fault.
@@ -121,7 +121,7 @@ impl GlobalNameTable {
         self.wish(wanted, number, false)
     }
 
-    /// Claims a name for a component, whose lives have the same number.
+    /// Claims a name for a component, whose incarnations have the same number.
     pub(crate) fn claim_unattended(&self, wanted: ClaimRequest, number: u64) {
         drop(self.wish(wanted, number, true));
     }

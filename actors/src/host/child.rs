@@ -24,13 +24,13 @@ const CONTROL: usize = 16;
 pub(crate) struct ComponentChild<C: Component> {
     cell: Arc<ComponentCell<C>>,
     report: Option<Arc<Recipient<ChildReport>>>,
-    /// Where the last life was. The next one stays there if it can, so that what is spread over the
-    /// arbiters stays so, and events keep their order.
+    /// Where the last incarnation was. The next one stays there if it can, so that what is spread
+    /// over the arbiters stays so, and events keep their order.
     arbiter: Option<ArbiterSlot>,
     /// It was moved, or began so.
     own_thread: bool,
-    /// The last life was given up while it kept its thread: the next one has a thread for itself,
-    /// so that it keeps no other component if it hangs too.
+    /// The last incarnation was given up while it kept its thread: the next one has a thread for
+    /// itself, so that it keeps no other component if it hangs too.
     kept_thread: bool,
 }
 
@@ -41,7 +41,7 @@ impl<C: Component> ComponentChild<C> {
         ComponentChild { cell, report: None, arbiter: None, own_thread, kept_thread: false }
     }
 
-    /// A life is there, or on its way.
+    /// An incarnation is there, or on its way.
     fn is_alive(&self) -> bool {
         self.cell.queue.owner().is_some()
     }
@@ -97,13 +97,13 @@ impl<C: Component> Child for ComponentChild<C> {
         self.cell.set_control(Some(Addr::new(sender).recipient()));
         let boarding = PendingStart { cell: Some(self.cell.clone()), incarnation, report };
         self.arbiter = Some(arbiter.clone());
-        let life = move |arbiter| {
+        let begin = move |arbiter| {
             if let Some(executor) = boarding.enter(arbiter) {
                 let context = actix::Context::with_receiver(receiver);
                 actix_rt::spawn(context.into_future(Host::new(executor)));
             }
         };
-        arbiters.board(arbiter, Box::new(life));
+        arbiters.board(arbiter, Box::new(begin));
         incarnation
     }
 
@@ -210,7 +210,7 @@ impl<C: Component> ComponentCell<C> {
         self.subscriptions().iter().for_each(|subscription| subscription.end(self));
     }
 
-    /// The same, by the life that ends in order.
+    /// The same, by the incarnation that ends in order.
     pub(crate) fn end_by(&self, incarnation: Incarnation) {
         if self.queue.owner() == Some(incarnation) {
             self.close_by(incarnation);
@@ -251,7 +251,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
     }
 }
 
-/// A life on its way to its arbiter. If that goes away first, the supervisor is told.
+/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is told.
 struct PendingStart<C: Component> {
     cell: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
@@ -259,7 +259,7 @@ struct PendingStart<C: Component> {
 }
 
 impl<C: Component> PendingStart<C> {
-    /// The executor of the life, unless that has been given up meanwhile.
+    /// The executor of the incarnation, unless that has been given up meanwhile.
     fn enter(mut self, arbiter: ArbiterSlot) -> Option<SharedExecutor<C>> {
         let cell = self.cell.take()?;
         if cell.queue.owner() != Some(self.incarnation) {

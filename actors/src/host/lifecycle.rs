@@ -1,4 +1,4 @@
-//! The lifecycle of one life: which hook comes next, and what is told about it.
+//! The lifecycle of one incarnation: which hook comes next, and what is told about it.
 //!
 //! A pure machine. The executor runs the hooks that it names and says how they ended; orders come
 //! in between.
@@ -79,12 +79,12 @@ pub(crate) fn is_message(during: &str) -> bool {
     !Hook::is_name(during) && ![CONDITION, FACTORY, TIMER].contains(&during)
 }
 
-/// How a life ends that does not panic.
+/// How an incarnation ends that does not panic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EndReason {
     /// It was told to.
     Stopped,
-    /// It was told to, and another life follows.
+    /// It was told to, and another incarnation follows.
     Replaced,
     /// It ended itself.
     Returned,
@@ -146,8 +146,8 @@ pub(crate) struct IncarnationLifecycle {
 }
 
 impl IncarnationLifecycle {
-    /// A life that is about to be initialised and activated. `announced`: its supervisor waits to
-    /// hear of it.
+    /// An incarnation that is about to be initialised and activated. `announced`: its supervisor
+    /// waits to hear of it.
     pub(crate) fn new(announced: bool) -> Self {
         IncarnationLifecycle {
             state: Lifecycle::Created,
@@ -159,7 +159,7 @@ impl IncarnationLifecycle {
         }
     }
 
-    /// The supervisor still waits to hear that the life has begun.
+    /// The supervisor still waits to hear that the incarnation has begun.
     pub(crate) fn is_starting(&self) -> bool {
         self.awaited == Some(Awaited::Start)
     }
@@ -231,7 +231,7 @@ impl IncarnationLifecycle {
         }
     }
 
-    /// What runs was cut off: the life ends here.
+    /// What runs was cut off: the incarnation ends here.
     pub(crate) fn handle_cut_off(&mut self, during: &str, within: Duration) {
         let reason = format!("{during} was cut off: it had not stopped within {within:?}");
         self.enter(self.state, Some(reason));
@@ -288,14 +288,14 @@ impl IncarnationLifecycle {
         self.enter(Lifecycle::Error, Some(failure.reason));
         self.hooks = VecDeque::from([Hook::Aborting, Hook::Error]);
         if starts {
-            // Its supervisor does not reset what did not come to work: another life follows, or
-            // none.
+            // Its supervisor does not reset what did not come to work: another incarnation follows,
+            // or none.
             self.hooks.extend([Hook::Shutdown, Hook::Finalize]);
             self.end = Some(EndReason::Replaced);
         }
     }
 
-    /// This life cannot go on.
+    /// This incarnation cannot go on.
     pub(crate) fn handle_fatal(&mut self, reason: String) {
         if self.end.is_some() {
             return;
@@ -325,7 +325,7 @@ impl IncarnationLifecycle {
         }
     }
 
-    /// The life is to end in order.
+    /// The incarnation is to end in order.
     pub(crate) fn handle_stop(&mut self, end: EndReason) {
         if self.end.is_some() {
             // Who asks to be told that it stopped is told so, whatever it ends of.

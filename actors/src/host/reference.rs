@@ -120,7 +120,7 @@ impl<C: Component> ActorRef<C> {
         &self.0.record.name
     }
 
-    /// The life that began last.
+    /// The incarnation that began last.
     pub fn incarnation(&self) -> Incarnation {
         self.0.record.incarnation()
     }

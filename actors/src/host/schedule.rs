@@ -1,14 +1,15 @@
-//! What a life has to do beside messages: its rounds, its timers, its tasks, and two limits.
+//! What an incarnation has to do beside messages: its rounds, its timers, its tasks, and two
+//! limits.
 //!
-//! All of it is polled by the executor, under the guard, and ends with the life. Everything that
-//! has a time stands in one schedule, of which one sleeping future waits for the earliest entry: a
-//! timer costs its closure, which it frees as soon as it is cancelled, and an entry. Rounds and
-//! timers become due here and take their turn between messages; one that is due already is not made
-//! due again, so that nothing stale piles up while the component is busy.
+//! All of it is polled by the executor, under the guard, and ends with the incarnation. Everything
+//! that has a time stands in one schedule, of which one sleeping future waits for the earliest
+//! entry: a timer costs its closure, which it frees as soon as it is cancelled, and an entry.
+//! Rounds and timers become due here and take their turn between messages; one that is due already
+//! is not made due again, so that nothing stale piles up while the component is busy.
 
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::Component;
-use crate::component::life::{
+use crate::component::incarnation::{
     ComponentFuture, ScheduleEntry, TimerAction, TimerId, TimerMode, TimerTable,
 };
 use crate::platform;
@@ -37,7 +38,7 @@ const FINEST: Duration = Duration::from_millis(1);
 pub(crate) enum DueWork {
     Execute,
     Timer(TimerId),
-    /// The life should have begun by now.
+    /// The incarnation should have begun by now.
     ReadyLimit,
     /// It should have ended by now.
     StopLimit,
@@ -121,7 +122,7 @@ fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For a life that begins, with rounds at this interval and these timers.
+    /// For an incarnation that begins, with rounds at this interval and these timers.
     pub(crate) fn begin(&mut self, interval: Option<Duration>, timers: Rc<TimerTable<C>>) {
         *self = ScheduledWork { interval, timers, ..ScheduledWork::default() };
     }

@@ -118,14 +118,14 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a life may take to become active; at least 1 ms.
+    /// How long an incarnation may take to become active; at least 1 ms.
     pub fn ready_within(mut self, span: Duration) -> Self {
         self.limits.ready_within = span;
         self
     }
 
-    /// How long a life may take to end in order; after that it is ended out of order. Zero gives it
-    /// no time at all.
+    /// How long an incarnation may take to end in order; after that it is ended out of order. Zero
+    /// gives it no time at all.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
         self.limits.shutdown_within = span;
         self
@@ -156,7 +156,7 @@ impl<C: Component> ChildSpec<C> {
         &self.depends_on
     }
 
-    /// How long a life may take to become active, and to end in order.
+    /// How long an incarnation may take to become active, and to end in order.
     pub(crate) fn deadlines(&self) -> (Duration, Duration) {
         (self.limits.ready_within, self.limits.shutdown_within)
     }

@@ -18,7 +18,7 @@ pub(crate) struct ActivityRecord {
     turn: AtomicU64,
     /// Signs of life that the component gave.
     alive: AtomicU64,
-    /// Which life it is, 0 between two.
+    /// Which incarnation it is, 0 between two.
     incarnation: AtomicU64,
     /// The label of what is in service.
     during: AtomicU32,
@@ -98,7 +98,7 @@ impl ActivityRecord {
         self.interval.store(u64::try_from(nanos).unwrap_or(u64::MAX), Relaxed);
     }
 
-    pub(crate) fn begin_life(&self, incarnation: u64) {
+    pub(crate) fn begin_incarnation(&self, incarnation: u64) {
         self.incarnation.store(incarnation, Relaxed);
         self.allowance.store(0, Relaxed);
     }
@@ -219,7 +219,7 @@ mod tests {
     #[test]
     fn a_slot_that_is_given_back_is_at_rest() {
         let slot = ActivitySlot::claim();
-        slot.stamp.begin_life(3);
+        slot.stamp.begin_incarnation(3);
         slot.stamp.begin(1);
         slot.stamp.expect_signs(true);
         let stamp = slot.stamp;
@@ -237,7 +237,7 @@ mod tests {
     fn slots_beyond_one_chunk_are_places_of_their_own() {
         let slots: Vec<ActivitySlot> = (0..=CHUNK).map(|_| ActivitySlot::claim()).collect();
         for (at, slot) in slots.iter().enumerate() {
-            slot.stamp.begin_life(at as u64 + 1);
+            slot.stamp.begin_incarnation(at as u64 + 1);
         }
         for (at, slot) in slots.iter().enumerate() {
             assert_eq!(slot.stamp.read().incarnation, at as u64 + 1);

@@ -1,4 +1,4 @@
-//! The limits of one component's life, and which of them make sense together.
+//! The limits of one component's incarnation, and which of them make sense together.
 
 use crate::settings::{
     MAX_BLOCK, MAX_DELAY, MAX_MISSED_ROUNDS, MAX_WAIT, READY_WITHIN, SHUTDOWN_WITHIN, SettingError,
@@ -10,7 +10,7 @@ use std::ops::Deref;
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
-/// The limits of one component's life.
+/// The limits of one component's incarnation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ComponentLimits {
     pub(crate) interval: Option<Duration>,

@@ -37,7 +37,7 @@ const UNWINDING: &str = "the unwinding of its panic";
 
 /// What can be told of a component without asking it.
 pub(crate) trait AliveSource: Send + Sync {
-    /// The life that began last.
+    /// The incarnation that began last.
     fn incarnation(&self) -> Incarnation;
     /// How many messages wait, and how long the oldest of them has.
     fn queue(&self) -> QueueReading;
@@ -102,7 +102,7 @@ struct Entries {
     /// When components that give signs of life by themselves were last seen to have given one, by
     /// slot.
     signs: Mutex<Vec<(u32, Option<Instant>)>>,
-    /// How many rounds each slot's present life has missed, where any.
+    /// How many rounds each slot's present incarnation has missed, where any.
     missed: Mutex<BTreeMap<u32, u64>>,
     /// What the last look found of the arbiters.
     arbiters: Mutex<BTreeMap<u64, ArbiterStatus>>,

@@ -8,11 +8,11 @@ use std::fmt;
 use std::time::Duration;
 
 /// A thread that components live on. The middleware's own threads stand in the table by the objects
-/// that live there, each of which is asked whether it lives.
+/// that live there, each of which is asked whether it resident.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct ThreadRow {
-    /// Which: counted through the life of the process.
+    /// Which: counted through the lifetime of the process.
     pub number: u64,
     /// Who may live on it.
     pub kind: ThreadKind,
@@ -77,8 +77,9 @@ pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<Thre
     let row = |ArbiterThread { kind, pulse, lost_to }: ArbiterThread| {
         let number = pulse.id();
         let seen = seen.get(&number);
-        let mut lives = residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&pulse));
-        lives.components.sort();
+        let mut resident =
+            residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&pulse));
+        resident.components.sort();
         ThreadRow {
             number,
             kind,
@@ -89,9 +90,9 @@ pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<Thre
             },
             busy: seen.and_then(|seen| seen.busy),
             last_beat: pulse.last_beat().map(|at| now - at),
-            running: lives.running,
-            queued: lives.components.iter().map(|(_, queued)| queued).sum(),
-            components: lives.components.into_iter().map(|(name, _)| name).collect(),
+            running: resident.running,
+            queued: resident.components.iter().map(|(_, queued)| queued).sum(),
+            components: resident.components.into_iter().map(|(name, _)| name).collect(),
         }
     };
     threads.into_iter().map(row).collect()

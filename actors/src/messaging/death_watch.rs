@@ -1,4 +1,4 @@
-//! Death watch: anyone may ask to be told when a life of an object ends.
+//! Death watch: anyone may ask to be told when an incarnation of an object ends.
 
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
@@ -9,7 +9,7 @@ use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A life of a watched object has ended.
+/// An incarnation of a watched object has ended.
 #[derive(Clone, Debug, PartialEq, Eq, Event)]
 #[contract(crate = "crate", name = "blastema/down", version = 2)]
 pub struct Down {
@@ -17,13 +17,13 @@ pub struct Down {
     pub object: ObjectName,
     /// On which other node it is; `None` for an object of the watcher's own.
     pub node: Option<NodeName>,
-    /// Which of its lives; 0 for one that never lived.
+    /// Which incarnation; 0 for one that never lived.
     pub incarnation: Incarnation,
     /// How it ended.
     pub ending: DownReason,
 }
 
-/// How a life ended.
+/// How an incarnation ended.
 #[derive(Clone, Debug, PartialEq, Eq, Structure)]
 #[contract(crate = "crate")]
 pub enum DownReason {
@@ -46,7 +46,7 @@ pub enum DownReason {
     Stopped,
     /// It was given up, because it hung.
     Abandoned,
-    /// It does not live now: it was not started yet, or is between two lives.
+    /// It does not live now: it was not started yet, or is between two incarnations.
     NotAlive,
     /// No object of this name is known.
     Unknown,
@@ -79,7 +79,7 @@ pub(crate) struct Watcher {
     /// The watching object; a second watch of the same object replaces the first.
     pub(crate) who: ObjectName,
     /// The incarnation that asked. Once it has ended, it gets no notice.
-    pub(crate) life: Arc<IncarnationToken>,
+    pub(crate) incarnation: Arc<IncarnationToken>,
     pub(crate) tell: Box<dyn Fn(Down) + Send + Sync>,
 }
 
@@ -90,7 +90,7 @@ pub(crate) struct Watchers(Mutex<Vec<Arc<Watcher>>>);
 impl Watchers {
     pub(crate) fn join(&self, watcher: Arc<Watcher>) {
         let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        watchers.retain(|known| known.who != watcher.who && !known.life.has_ended());
+        watchers.retain(|known| known.who != watcher.who && !known.incarnation.has_ended());
         watchers.push(watcher);
     }
 
@@ -98,7 +98,7 @@ impl Watchers {
     pub(crate) fn tell(&self, down: impl FnOnce() -> Down) {
         let watchers = {
             let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            watchers.retain(|watcher| !watcher.life.has_ended());
+            watchers.retain(|watcher| !watcher.incarnation.has_ended());
             watchers.clone()
         };
         if watchers.is_empty() {
@@ -134,14 +134,14 @@ impl Deaths {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A life of the object begins.
+    /// An incarnation of the object begins.
     pub(crate) fn begin(&self, object: &ObjectName, incarnation: Incarnation) {
         let mut objects = self.lock();
         let watched = objects.entry(object.clone()).or_default();
         (watched.incarnation, watched.is_alive) = (incarnation, true);
     }
 
-    /// A life of the object is in this state.
+    /// An incarnation of the object is in this state.
     pub(crate) fn enter(&self, object: &ObjectName, incarnation: Incarnation, state: Lifecycle) {
         match state {
             Lifecycle::Active => self.begin(object, incarnation),
@@ -150,7 +150,7 @@ impl Deaths {
         }
     }
 
-    /// The present life of the object has ended; without effect where none is.
+    /// The present incarnation of the object has ended; without effect where none is.
     pub(crate) fn end(&self, object: &ObjectName, ending: DownReason) {
         let mut objects = self.lock();
         let alive = objects.get_mut(object).filter(|watched| watched.is_alive);
@@ -181,7 +181,7 @@ impl Deaths {
 
 /// What can be watched.
 pub(crate) trait Watchable: Send + Sync {
-    /// Tells at once if it is not alive, and whenever a life of it ends.
+    /// Tells at once if it is not alive, and whenever an incarnation of it ends.
     fn watch(&self, watcher: Watcher);
     /// Its cell, where it is a component.
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {

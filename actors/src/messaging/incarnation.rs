@@ -4,7 +4,7 @@ use crate::sync::atomic::AtomicBool;
 use crate::sync::atomic::Ordering::Relaxed;
 use blastema_core::DeliveryError;
 
-/// Says to every thread whether a life still lasts and may speak.
+/// Says to every thread whether an incarnation still lasts and may speak.
 #[derive(Debug, Default)]
 pub(crate) struct IncarnationToken {
     ended: AtomicBool,
@@ -30,7 +30,7 @@ impl IncarnationToken {
         self.muted.load(Relaxed)
     }
 
-    /// Why this life may send nothing, if that is so.
+    /// Why this incarnation may send nothing, if that is so.
     pub(crate) fn forbidden(&self) -> Option<DeliveryError> {
         match (self.has_ended(), self.is_muted()) {
             (true, _) => Some(DeliveryError::Fenced),

@@ -38,8 +38,8 @@ fn log_sent(contract: &str, to: &ObjectName, from: &str) -> Option<LogId> {
 
 /// A component takes it into service.
 #[cold]
-pub(crate) fn begun(id: LogId, contract: &str, to: &ObjectName, life: Incarnation) {
-    let (to, incarnation) = (to.as_str(), life.0);
+pub(crate) fn begun(id: LogId, contract: &str, to: &ObjectName, incarnation: Incarnation) {
+    let (to, incarnation) = (to.as_str(), incarnation.0);
     debug!(target: TARGET, id, contract, to, incarnation, step = "begun");
 }
 

@@ -1,8 +1,8 @@
 //! The data queue: a queue that is bounded for real.
 //!
-//! It belongs to the reference, not to the life that serves it, so that it outlives panics and even
-//! a hung thread. Only the life that owns it may take from it. What a full queue does is the
-//! owner's stated policy, [`WhenFull`].
+//! It belongs to the reference, not to the incarnation that serves it, so that it outlives panics
+//! and even a hung thread. Only the incarnation that owns it may take from it. What a full queue
+//! does is the owner's stated policy, [`WhenFull`].
 
 use crate::sync::atomic::Ordering::Relaxed;
 use crate::sync::atomic::{AtomicBool, AtomicUsize};
@@ -33,7 +33,7 @@ pub(crate) enum Popped<T> {
     Got(T),
     /// None; the waker is kept for when one comes.
     Empty,
-    /// The asking life owns the queue no more.
+    /// The asking incarnation owns the queue no more.
     Retired,
 }
 
@@ -45,7 +45,7 @@ pub(crate) struct Pushed<T> {
     pub(crate) parked: Option<Waker>,
 }
 
-/// A bounded queue from many senders to the one life that owns it.
+/// A bounded queue from many senders to the one incarnation that owns it.
 pub(crate) struct BoundedQueue<T> {
     inner: Mutex<Inner<T>>,
     /// Written under the lock; a hint for those who only want to know whether anything is there.
@@ -60,9 +60,9 @@ struct Inner<T> {
     queue: VecDeque<T>,
     /// Boxed, since few components watch others.
     notices: Option<Box<Notices<T>>>,
-    /// Who may take; `None` between two lives.
+    /// Who may take; `None` between two incarnations.
     owner: Option<Incarnation>,
-    /// The last life that has owned it.
+    /// The last incarnation that has owned it.
     newest: Incarnation,
     stopped: bool,
     parked: Option<Waker>,
@@ -155,9 +155,10 @@ impl<T> BoundedQueue<T> {
         Ok(Pushed { displaced, parked: queue.parked.take() })
     }
 
-    /// Puts a notice for the life `owner` before all that waits, whether there is room or not. A
-    /// notice about the same thing that still waits is replaced. Returned is what is not going to
-    /// be served: the replaced notice, or this one if the queue belongs to another life.
+    /// Puts a notice for the incarnation `owner` before all that waits, whether there is room or
+    /// not. A notice about the same thing that still waits is replaced. Returned is what is not
+    /// going to be served: the replaced notice, or this one if the queue belongs to another
+    /// incarnation.
     pub(crate) fn notify(&self, owner: Incarnation, about: &str, notice: T) -> Option<T> {
         let mut queue = self.lock();
         if queue.owner != Some(owner) {
@@ -188,7 +189,7 @@ impl<T> BoundedQueue<T> {
         poll_fn(move |cx| claim.poll(cx.waker()))
     }
 
-    /// The next message for the life `owner`; where there is none, the waker is kept.
+    /// The next message for the incarnation `owner`; where there is none, the waker is kept.
     #[inline]
     pub(crate) fn take(&self, owner: Incarnation, waker: &Waker) -> Popped<T> {
         let mut queue = self.lock();
@@ -216,13 +217,13 @@ impl<T> BoundedQueue<T> {
         Popped::Got(item)
     }
 
-    /// From now on only this life may take: `life`, or the one after the last that has owned the
-    /// queue, so that no two have one number. Says which. A life that lost the queue is cut off
-    /// from its input.
-    pub(crate) fn begin(&self, life: Incarnation) -> Incarnation {
+    /// From now on only this incarnation may take: `incarnation`, or the one after the last that
+    /// has owned the queue, so that no two have one number. Says which. An incarnation that lost
+    /// the queue is cut off from its input.
+    pub(crate) fn begin(&self, incarnation: Incarnation) -> Incarnation {
         let mut queue = self.lock();
-        let life = life.max(queue.newest.next());
-        let notices = self.change_owner(&mut queue, Some(life));
+        let incarnation = incarnation.max(queue.newest.next());
+        let notices = self.change_owner(&mut queue, Some(incarnation));
         queue.stopped = false;
         let parked = queue.parked.take();
         drop(queue);
@@ -230,10 +231,10 @@ impl<T> BoundedQueue<T> {
         if let Some(waker) = parked {
             waker.wake();
         }
-        life
+        incarnation
     }
 
-    /// Passes the queue from one life to the next, unless it already belongs to another.
+    /// Passes the queue from one incarnation to the next, unless it already belongs to another.
     pub(crate) fn pass_on(&self, from: Incarnation, to: Incarnation) -> bool {
         self.change_owner_of(from, Some(to))
     }
@@ -423,8 +424,8 @@ mod tests {
         take_as(queue, LIFE)
     }
 
-    fn take_as(queue: &BoundedQueue<u32>, life: Incarnation) -> Option<u32> {
-        match queue.take(life, Waker::noop()) {
+    fn take_as(queue: &BoundedQueue<u32>, incarnation: Incarnation) -> Option<u32> {
+        match queue.take(incarnation, Waker::noop()) {
             Popped::Got(n) => Some(n),
             _ => None,
         }
@@ -443,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lane_without_a_life_keeps_what_it_has_and_says_restarting_when_full() {
+    fn a_lane_without_an_incarnation_keeps_what_it_has_and_says_restarting_when_full() {
         let queue = queue(1, WhenFull::Refuse);
         assert!(queue.leave(LIFE));
 
@@ -451,7 +452,7 @@ mod tests {
         assert_eq!(push(&queue, 2), Err((2, DeliveryError::Restarting)));
 
         let next = queue.begin(LIFE);
-        assert_eq!(next, LIFE.next(), "no two lives have one number");
+        assert_eq!(next, LIFE.next(), "no two incarnations have one number");
         assert!(matches!(queue.take(next, Waker::noop()), Popped::Got(1)));
     }
 
@@ -470,7 +471,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_life() {
+    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_incarnation() {
         let queue = queue(2, WhenFull::Refuse);
         push(&queue, 1).unwrap();
 
@@ -532,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn a_notice_is_for_one_life_only() {
+    fn a_notice_is_for_one_incarnation_only() {
         let queue = queue(1, WhenFull::Refuse);
         let next = LIFE.next();
         assert_eq!(queue.notify(next, "arm", 1), Some(1), "it does not own the queue");

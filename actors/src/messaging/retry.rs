@@ -19,7 +19,7 @@ pub(crate) async fn ask_by<M: Contract>(
 }
 
 /// Asks once; where the receiver has died of something else's fault while it served the request,
-/// and that does no harm, the next life is asked.
+/// and that does no harm, the next incarnation is asked.
 pub(crate) async fn ask_idempotent<M: Contract>(
     inlet: &(impl MessageSink<M> + ?Sized),
     message: M,
@@ -36,7 +36,8 @@ async fn pursue<M: Contract>(
     concerns: impl Fn(&DeliveryError) -> bool,
 ) -> Result<M::Reply, RequestError<M>> {
     let until = platform::now() + rule.within;
-    // One identity for all attempts: a request that kills one life after the other is quarantined.
+    // One identity for all attempts: a request that kills one incarnation after the other is
+    // quarantined.
     let id = M::IDEMPOTENT.then(next_id);
     // What the receiver takes up does not come back.
     let mut copy = Vec::new();

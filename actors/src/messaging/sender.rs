@@ -112,9 +112,9 @@ impl<M: Contract> Sender<M> {
     }
 
     /// Prepares a request that may be sent more than once and stays the same message: if it has
-    /// killed three lives of the receiver, it is quarantined. A receiver on another node serves it
-    /// once, and answers with the same reply for a minute, as long as its node lives; a request
-    /// that failed is not remembered.
+    /// killed three incarnations of the receiver, it is quarantined. A receiver on another node
+    /// serves it once, and answers with the same reply for a minute, as long as its node lives; a
+    /// request that failed is not remembered.
     pub fn repeatable(&self, message: M) -> Repeatable<M>
     where
         M: Clone,
@@ -186,23 +186,23 @@ pub(crate) async fn deliver<M: Contract>(
     }
 }
 
-/// A sender for a thread of the component's own: it is refused once the life that made it has
-/// ended.
+/// A sender for a thread of the component's own: it is refused once the incarnation that made it
+/// has ended.
 pub(crate) struct DetachedSender<M: Contract> {
     pub(crate) inner: Sender<M>,
-    pub(crate) life: Arc<IncarnationToken>,
+    pub(crate) incarnation: Arc<IncarnationToken>,
 }
 
 impl<M: Contract> MessageSink<M> for DetachedSender<M> {
     fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        match self.life.forbidden() {
+        match self.incarnation.forbidden() {
             Some(why) => Err(SendError::new(why, message)),
             None => self.inner.0.tell(message),
         }
     }
 
     fn offer(&self, message: M) -> Result<(), SendError<M>> {
-        match self.life.forbidden() {
+        match self.incarnation.forbidden() {
             Some(why) => Err(SendError::new(why, message)),
             None => self.inner.0.offer(message),
         }
@@ -221,7 +221,7 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
         id: Option<MessageId>,
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        match self.life.forbidden() {
+        match self.incarnation.forbidden() {
             Some(why) => Err(RequestError::new(why, Some(message))),
             None => self.inner.0.ask(message, id, within),
         }

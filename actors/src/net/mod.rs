@@ -121,7 +121,7 @@ impl LinkSpec {
 pub(crate) struct NetEnvironment {
     /// Our name.
     pub(crate) node: NodeName,
-    /// Our life.
+    /// Our incarnation.
     pub(crate) incarnation: Incarnation,
     /// Keeps the network's actors alive.
     pub(crate) guardian: Guardian,
@@ -205,7 +205,7 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (life, place) = ((node.clone(), incarnation), arbiter.as_ref());
+    let (identity, place) = ((node.clone(), incarnation), arbiter.as_ref());
 
     let (numbers, fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -227,11 +227,11 @@ pub(crate) fn start(
     let faults = environment.own_faults("router");
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
     let told = (environment.nodes.clone(), own_isolation.clone());
-    let make = router::RouterActor::maker(life.clone(), told, faults);
+    let make = router::RouterActor::maker(identity.clone(), told, faults);
     let router = guardian.start(named("router"), place, make);
 
     let told = (environment.own_faults("sessions"), environment.nodes.clone());
-    let to_router = (router.clone().recipient(), life.clone(), told);
+    let to_router = (router.clone().recipient(), identity.clone(), told);
     let timeout = environment.session_timeout;
     let sessions = guardian.start(named("sessions"), place, move |_| {
         let (router, (node, incarnation), faults) = to_router;
@@ -267,8 +267,8 @@ pub(crate) fn start(
         let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
-            node: life.0.clone(),
-            incarnation: life.1,
+            node: identity.0.clone(),
+            incarnation: identity.1,
             network: spec.name,
             transport: spec.transport,
             router_changes: router.clone().recipient(),

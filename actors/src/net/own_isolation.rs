@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering::Relaxed;
 #[derive(Clone)]
 pub(super) struct OwnIsolation {
     node: NodeName,
-    /// The life of the other one; no life has the number 0.
+    /// The incarnation of the other one; no incarnation has the number 0.
     other: Arc<AtomicU64>,
 }
 
@@ -18,7 +18,7 @@ impl OwnIsolation {
         OwnIsolation { node, other: Arc::default() }
     }
 
-    /// This life of another node has the name.
+    /// This incarnation of another node has the name.
     pub(super) fn cast_out(&self, other: Incarnation) {
         self.other.store(other.0, Relaxed);
     }
@@ -32,9 +32,9 @@ impl OwnIsolation {
     pub(super) fn why(&self) -> DeliveryError {
         match self.other.load(Relaxed) {
             0 => DeliveryError::Restarting,
-            life => DeliveryError::NameTaken {
+            incarnation => DeliveryError::NameTaken {
                 name: self.node.to_string(),
-                by: Incarnation(life).to_string(),
+                by: Incarnation(incarnation).to_string(),
             },
         }
     }

@@ -48,7 +48,7 @@ pub(super) struct SessionsActor {
 
 struct Peer {
     node: NodeName,
-    /// Its life, and the largest segment on the way, while there is one.
+    /// Its incarnation, and the largest segment on the way, while there is one.
     path: Option<(Incarnation, usize)>,
     /// Sessions are numbered above this.
     number: u32,

@@ -161,7 +161,12 @@ struct Module {
 
 impl Robot {
     /// A node with a component `acc`, and a cable for each network and neighbour.
-    async fn module(&mut self, name: &str, life: u64, networks: &[(&str, &[&str])]) -> Module {
+    async fn module(
+        &mut self,
+        name: &str,
+        incarnation: u64,
+        networks: &[(&str, &[&str])],
+    ) -> Module {
         let (declared, mended) = (Probe::start(), Probe::start());
         let reports =
             FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
@@ -194,7 +199,7 @@ impl Robot {
         let specs = specs.collect();
         let environment = NetEnvironment {
             node: NodeName::new(name).unwrap(),
-            incarnation: Incarnation(life),
+            incarnation: Incarnation(incarnation),
             guardian: Guardian::reporting_to(exits.recipient()),
             arbiter: None,
             registry: host.registry.clone(),

@@ -87,7 +87,7 @@ pub(super) struct NodeController {
     setup: NodeControllerSetup,
     root: Option<Box<dyn Child>>,
     /// The root's.
-    life: Incarnation,
+    incarnation: Incarnation,
     phase: Phase,
     /// The node is in the safe state, and restarts as soon as all children have ended.
     again: bool,
@@ -118,7 +118,7 @@ impl NodeController {
         NodeController {
             setup,
             root: None,
-            life: Incarnation::default(),
+            incarnation: Incarnation::default(),
             phase: Phase::Down,
             again: false,
             comes_to_rest: false,
@@ -139,9 +139,9 @@ impl NodeController {
 
     fn begin(&mut self, context: &mut Context<Self>) {
         let Some(root) = &mut self.root else { return };
-        self.life = self.life.next();
+        self.incarnation = self.incarnation.next();
         self.phase = Phase::Up;
-        root.start(self.life, context.address().recipient().into());
+        root.start(self.incarnation, context.address().recipient().into());
     }
 
     fn begin_again(&mut self, context: &mut Context<Self>) {
@@ -310,7 +310,7 @@ impl Handler<ChildReport> for NodeController {
     type Result = ();
 
     fn handle(&mut self, report: ChildReport, context: &mut Context<Self>) {
-        if report.incarnation != self.life {
+        if report.incarnation != self.incarnation {
             return;
         }
         match report.event {
@@ -411,7 +411,7 @@ mod tests {
             self.controller.do_send(EnterSafeState { fault, reason: "it panics".into() });
         }
 
-        /// The root says so, of its first life.
+        /// The root says so, of its first incarnation.
         fn says(&self, event: ChildEvent) {
             let object = ObjectName::new("root").unwrap();
             self.controller.do_send(ChildReport { object, incarnation: Incarnation(1), event });
@@ -441,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn who_asks_for_the_next_life_is_not_told_of_the_one_before() {
+    fn who_asks_for_the_next_incarnation_is_not_told_of_the_one_before() {
         paused(async {
             let late = [("start root", ScriptedReply::Hangs), ("stop root", ScriptedReply::Hangs)];
             let rig = Rig::start(&late);

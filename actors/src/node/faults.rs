@@ -24,7 +24,7 @@ pub struct FaultEvents {
     state: watch::Receiver<NodeState>,
 }
 
-/// Lives as long as the detector knows it and the reader exists.
+/// Incarnations as long as the detector knows it and the reader exists.
 #[derive(Debug)]
 pub(super) struct FaultListener {
     events: mpsc::Sender<FaultEvent>,

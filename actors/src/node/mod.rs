@@ -163,7 +163,7 @@ impl Node {
         &self.0.name
     }
 
-    /// Which life of the node this is.
+    /// Which incarnation of the node this is.
     pub fn incarnation(&self) -> Incarnation {
         self.0.incarnation
     }

@@ -49,7 +49,7 @@ pub enum RestartError {
         /// The component.
         name: ObjectName,
     },
-    /// The component's next life did not come to be.
+    /// The component's next incarnation did not come to be.
     #[error("{name} did not come back: {reason}")]
     ChildGaveUp {
         /// Which.
@@ -78,7 +78,9 @@ impl RestartedChild {
     /// The incarnation that has begun, if one has.
     pub fn incarnation(self) -> Option<Incarnation> {
         match self {
-            RestartedChild::Running(life) | RestartedChild::Unavailable(life) => Some(life),
+            RestartedChild::Running(incarnation) | RestartedChild::Unavailable(incarnation) => {
+                Some(incarnation)
+            }
             RestartedChild::Finished => None,
         }
     }
@@ -90,9 +92,9 @@ fn did_you_mean(nearest: &Option<ObjectName>) -> String {
 
 impl Node {
     /// Brings a node back from safe state, without a new process: all components begin their next
-    /// lives in the start order, those too that had come to rest or were isolated alone before.
-    /// Resolves when all are at work. What it was at rest for must be mended by then: this is for a
-    /// person, or an application that knows better.
+    /// incarnations in the start order, those too that had come to rest or were isolated alone
+    /// before. Resolves when all are at work. What it was at rest for must be mended by then: this
+    /// is for a person, or an application that knows better.
     ///
     /// Who still has to be stopped is waited for. Threads that were given up stay so, and are
     /// counted on.
@@ -115,11 +117,11 @@ impl Node {
         }
     }
 
-    /// Begins the next life of a component, or of a supervisor and all below it. One that has come
-    /// to the safe state, or was isolated, is back with it; one that is at work is stopped in order
-    /// first. Its siblings fare as their supervisor's strategy says. Resolves when all of them are
-    /// at work, or wait for what is not there yet, and says which of it is so. No budget of
-    /// restarts counts it.
+    /// Begins the next incarnation of a component, or of a supervisor and all below it. One that
+    /// has come to the safe state, or was isolated, is back with it; one that is at work is stopped
+    /// in order first. Its siblings fare as their supervisor's strategy says. Resolves when all of
+    /// them are at work, or wait for what is not there yet, and says which of it is so. No budget
+    /// of restarts counts it.
     ///
     /// # Errors
     /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
@@ -133,8 +135,8 @@ impl Node {
         let controller = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
         match controller.restart.send(RestartChild { object, fault: None }).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
-                (Some(life), false) => RestartedChild::Running(life),
-                (Some(life), true) => RestartedChild::Unavailable(life),
+                (Some(incarnation), false) => RestartedChild::Running(incarnation),
+                (Some(incarnation), true) => RestartedChild::Unavailable(incarnation),
                 (None, _) => RestartedChild::Finished,
             }),
             Ok(Err(GaveUp { object: name, why: GiveUpReason::NotAtWork })) => {

@@ -28,7 +28,7 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(1);
 pub struct NodeSnapshot {
     /// Which node.
     pub node: NodeName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// How it is.
     pub state: NodeState,
@@ -193,7 +193,7 @@ fn session(row: &SessionRow) -> Value {
     json!({
         "node": row.node.as_str(),
         "state": standing.state.to_string(),
-        "incarnation": standing.incarnation.map(|life| life.0),
+        "incarnation": standing.incarnation.map(|incarnation| incarnation.0),
         "round_trip_ms": millis(standing.round_trip),
         "unacknowledged": standing.unacknowledged,
         "in_flight": standing.in_flight,
@@ -249,7 +249,7 @@ fn actuator(row: &ActuatorRow) -> Value {
         "contract": row.contract,
         "state": state,
         "commander": commander.map(|commander| commander.name.as_str()),
-        "incarnation": commander.map(|commander| commander.life.0),
+        "incarnation": commander.map(|commander| commander.incarnation.0),
         "epoch": lease.map(|(epoch, _)| epoch),
         "left_ms": millis(lease.map(|(_, left)| left)),
     })

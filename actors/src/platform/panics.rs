@@ -126,7 +126,8 @@ pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
     panic::resume_unwind(payload)
 }
 
-/// Runs what is the user's outside of a life, and says where and how it panicked, if it did.
+/// Runs what is the user's outside of an incarnation, and says where and how it panicked, if it
+/// did.
 pub(crate) fn caught<T>(run: impl FnOnce() -> T) -> Result<T, String> {
     let _guarded = PanicGuard::enter();
     panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(|payload| {

@@ -37,8 +37,8 @@ const WAITING_MAX: usize = 4096;
 /// The most bytes of a panic's text that go to another node.
 const TEXT_MAX: usize = 4096;
 
-/// Asks for the next end of a life of the object, after so many that the asker knows of; without a
-/// number, how the object stands now.
+/// Asks for the next end of an incarnation of the object, after so many that the asker knows of;
+/// without a number, how the object stands now.
 #[derive(Clone, Debug, Request)]
 #[contract(crate = "crate", name = "blastema/await-end", version = 1, reply = Watched)]
 struct AwaitEnd {
@@ -121,7 +121,7 @@ async fn ask_on(
             Err(error) => error.kind,
         };
         match why {
-            DeliveryError::DeadlinePassed => continue, // No life has ended.
+            DeliveryError::DeadlinePassed => continue, // No incarnation has ended.
             // Of no concern to the object: for want of room, or because the watcher itself is
             // fenced.
             DeliveryError::Full
@@ -216,8 +216,8 @@ impl DeathWatchService {
             _ => service_fn.end(down),
         };
         let who = ObjectName::new(PLACE).expect("a name of letters");
-        let life = Arc::new(IncarnationToken::default());
-        registry.watch(object.clone(), Watcher { who, life, tell: Box::new(tell) });
+        let incarnation = Arc::new(IncarnationToken::default());
+        registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
         absent.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 

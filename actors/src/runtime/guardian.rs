@@ -88,7 +88,7 @@ impl Guardian {
         let _ = self.deaths.set(deaths);
     }
 
-    /// Where the lives of its actors can be watched.
+    /// Where the incarnations of its actors can be watched.
     pub(crate) fn watched(&self) -> Deaths {
         self.watched.clone()
     }

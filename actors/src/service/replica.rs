@@ -136,7 +136,8 @@ impl ReplicaBody {
             }
         };
         let life = Arc::new(IncarnationToken::default());
-        let mourner = Watcher { who: carried.name.clone(), life, tell: Box::new(tell) };
+        let mourner =
+            Watcher { who: carried.name.clone(), incarnation: life, tell: Box::new(tell) };
         registry.watch(carried.component.clone(), mourner);
         Ok(body.recipient())
     }

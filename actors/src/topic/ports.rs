@@ -143,6 +143,6 @@ impl<C: Component> Context<C> {
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         let topics = self.cell.record.environment.topics();
         let publisher = topics.publisher_of(topic, self.name().as_str())?;
-        Ok(publisher.of(self.life.token.clone()))
+        Ok(publisher.of(self.state.token.clone()))
     }
 }

@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub struct Publisher<E: Event> {
     topic: Arc<Topic<E>>,
     /// The incarnation that publishes, if it is a component's.
-    life: Option<Arc<IncarnationToken>>,
+    incarnation: Option<Arc<IncarnationToken>>,
     announced: Arc<Announced<E>>,
 }
 
@@ -37,7 +37,7 @@ impl<E: Event> Clone for Publisher<E> {
     fn clone(&self) -> Self {
         Publisher {
             topic: self.topic.clone(),
-            life: self.life.clone(),
+            incarnation: self.incarnation.clone(),
             announced: self.announced.clone(),
         }
     }
@@ -53,12 +53,12 @@ impl<E: Event> Publisher<E> {
     pub(super) fn new(topic: Arc<Topic<E>>, by: &str) -> Self {
         topic.traffic.publishes(by, true);
         let announced = Arc::new(Announced { topic: topic.clone(), by: by.into() });
-        Publisher { announced, topic, life: None }
+        Publisher { announced, topic, incarnation: None }
     }
 
     /// The same, for as long as this incarnation of a component lasts.
-    pub(crate) fn of(mut self, life: Arc<IncarnationToken>) -> Self {
-        self.life = Some(life);
+    pub(crate) fn of(mut self, incarnation: Arc<IncarnationToken>) -> Self {
+        self.incarnation = Some(incarnation);
         self
     }
 
@@ -91,7 +91,7 @@ impl<E: Event> Publisher<E> {
         event: E,
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
-        let ended = || self.life.as_ref().and_then(|life| life.forbidden());
+        let ended = || self.incarnation.as_ref().and_then(|incarnation| incarnation.forbidden());
         match heartbeat::send_refusal().or_else(ended) {
             Some(why) => Err(SendError::new(why, event)),
             None => {

@@ -5,8 +5,8 @@
 //!  Transaction ─ several together ───►
 //! ```
 //!
-//! They are kept by the node, not by the component: a value outlives the lives of its owner, as its
-//! policy says, and can be read while the owner hangs.
+//! They are kept by the node, not by the component: a value outlives the incarnations of its owner,
+//! as its policy says, and can be read while the owner hangs.
 
 mod access;
 mod kept_file;
@@ -48,7 +48,7 @@ impl<V: Variable> VariableSpec<V> {
         VariableSpec { default, policy: RestorePolicy::Restore, check }
     }
 
-    /// What becomes of the value when a life of its owner ends.
+    /// What becomes of the value when an incarnation of its owner ends.
     #[must_use]
     pub fn after_restart(mut self, policy: RestorePolicy) -> Self {
         self.policy = policy;

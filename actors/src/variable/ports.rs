@@ -103,7 +103,7 @@ impl<C: Component> Declarations<C> for VariablePorts<C> {
 
 impl<C: Component> Ports<C> {
     /// Owns a variable: a value that any node may read, write and watch at the component's name. It
-    /// outlives the component's lives.
+    /// outlives the component's incarnations.
     pub fn variable<V: Variable>(&mut self, spec: VariableSpec<V>) -> &mut Self {
         self.feature::<VariablePorts<C>>().declared.push(spec.declared());
         self

@@ -231,7 +231,7 @@ impl VariableStore {
         Ok(ContractPort::of_service_fn(ServiceFn::<VariableRequest>(Arc::new(serve))))
     }
 
-    /// Applies the policies whenever a life of the object ends.
+    /// Applies the policies whenever an incarnation of the object ends.
     pub(crate) fn watch_owner(&self, object: &ObjectName, registry: &Registry) {
         let (store, of) = (self.clone(), object.clone());
         let tell = move |down: crate::messaging::death_watch::Down| {
@@ -242,8 +242,8 @@ impl VariableStore {
             }
         };
         let who = ObjectName::new("blastema/variables").expect("a name of letters");
-        let life = Arc::new(IncarnationToken::default());
-        registry.watch(object.clone(), Watcher { who, life, tell: Box::new(tell) });
+        let incarnation = Arc::new(IncarnationToken::default());
+        registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
     }
 
     /// The object is gone.
@@ -295,7 +295,7 @@ impl VariableStore {
 
     fn watch(&self, variable: VariableKey, after: u64, answer: Responder<VariableRequest>) {
         let mut inner = self.lock();
-        // Those whose life has ended went without a word.
+        // Those whose incarnation has ended went without a word.
         let gone = inner.waiting.iter().filter(|(_, answer)| !answer.is_wanted());
         let gone: Vec<u64> = gone.map(|(watcher, _)| *watcher).collect();
         for watcher in gone {

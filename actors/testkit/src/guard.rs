@@ -20,18 +20,18 @@ const FAILED: i32 = 101;
 /// more.
 pub(crate) struct Guard {
     /// Its end is the guard's.
-    _lives: Sender<Infallible>,
+    _alive: Sender<Infallible>,
 }
 
 impl Guard {
     pub(crate) fn of(running: Running) -> Self {
-        let (lives, ended) = channel();
+        let (alive, ended) = channel();
         let test = thread::current().name().map(str::to_owned);
         let look_after = move || watch(&ended, &running, test.as_deref().unwrap_or("a test"));
         // Where there is no thread left, a test that hangs is not named; all others are as they
         // were.
         let _ = thread::Builder::new().name("test guard".into()).spawn(look_after);
-        Guard { _lives: lives }
+        Guard { _alive: alive }
     }
 }
 

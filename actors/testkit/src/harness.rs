@@ -91,7 +91,7 @@ impl<C: Component> Harness<C> {
         &self.actor
     }
 
-    /// Where the component stands in its life.
+    /// Where the component stands in its incarnation.
     pub fn state(&self) -> Lifecycle {
         self.actor.state()
     }

@@ -210,7 +210,7 @@ impl TestNode {
         }
     }
 
-    /// Waits until the object of this name stands there in its life.
+    /// Waits until the object of this name stands there in its incarnation.
     ///
     /// # Panics
     /// When it does not within [`PATIENCE`], or is not watched.

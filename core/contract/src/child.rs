@@ -15,9 +15,9 @@ pub trait Child: Send {
     /// The child's name.
     fn name(&self) -> &ObjectName;
 
-    /// Begins the next life: builds the child, initialises and activates it. Says which life it is:
-    /// `incarnation`, or a later one where the child's guard has begun that one by itself and the
-    /// report of it is still under way. Answer: [`ChildEvent::Started`],
+    /// Begins the next incarnation: builds the child, initialises and activates it. Says which
+    /// incarnation it is: `incarnation`, or a later one where the child's guard has begun that one
+    /// by itself and the report of it is still under way. Answer: [`ChildEvent::Started`],
     /// [`ChildEvent::StartFailed`], or [`ChildEvent::Unavailable`] first.
     fn start(
         &mut self,
@@ -25,27 +25,27 @@ pub trait Child: Send {
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation;
 
-    /// Asks the present life to end in order. Answer: [`ChildEvent::Stopped`]. A child that is not
-    /// alive answers at once.
+    /// Asks the present incarnation to end in order. Answer: [`ChildEvent::Stopped`]. A child that
+    /// is not alive answers at once.
     fn stop(&mut self);
 
-    /// Asks the present life to end in order because another is to follow: what waits for the child
-    /// goes on waiting. Answer: [`ChildEvent::Stopped`].
+    /// Asks the present incarnation to end in order because another is to follow: what waits for
+    /// the child goes on waiting. Answer: [`ChildEvent::Stopped`].
     fn make_way(&mut self) {
         self.stop();
     }
 
-    /// The present life is about to be asked to end, and a supervisor starts nothing any more. No
-    /// answer.
+    /// The present incarnation is about to be asked to end, and a supervisor starts nothing any
+    /// more. No answer.
     fn expect_end(&mut self) {}
 
-    /// The child has no life, and none is to follow: what waits for it is given back. No answer.
-    /// The next [`start`](Child::start) takes it up again.
+    /// The child has no incarnation, and none is to follow: what waits for it is given back. No
+    /// answer. The next [`start`](Child::start) takes it up again.
     fn retire(&mut self) {}
 
-    /// Gives the present life up without asking it: its queue is taken away, what it still says
-    /// goes nowhere. No answer. The next [`start`](Child::start) finds another place for the child
-    /// if the old one is stuck.
+    /// Gives the present incarnation up without asking it: its queue is taken away, what it still
+    /// says goes nowhere. No answer. The next [`start`](Child::start) finds another place for the
+    /// child if the old one is stuck.
     fn abandon(&mut self);
 
     /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
@@ -73,7 +73,7 @@ pub trait Child: Send {
 pub struct ChildReport {
     /// The child.
     pub object: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// What became of it.
     pub event: ChildEvent,
@@ -82,7 +82,8 @@ pub struct ChildReport {
 /// See [`Child`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ChildEvent {
-    /// The new life is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at last.
+    /// The new incarnation is active, or, after [`Unavailable`](ChildEvent::Unavailable), it is at
+    /// last.
     Started,
     /// Something that it needs, such as its device, is not there yet. It tries again by itself, for
     /// as long as that takes; until then it is not active.
@@ -104,13 +105,13 @@ pub enum ChildEvent {
         /// Why, as the component said it.
         reason: String,
     },
-    /// Its life ended although its supervisor had not asked for it; the guard has told the monitor
-    /// the same in [`Exited`](crate::reports::Exited).
+    /// Its incarnation ended although its supervisor had not asked for it; the guard has told the
+    /// monitor the same in [`Exited`](crate::reports::Exited).
     Died {
         /// How.
         exit: ExitReason,
-        /// The guard has carried out its standing order: this life has begun in the old one's
-        /// place.
+        /// The guard has carried out its standing order: this incarnation has begun in the old
+        /// one's place.
         restarted_as: Option<Incarnation>,
     },
     /// It is the root, whose children failed more often than it allows; it ends them all from now

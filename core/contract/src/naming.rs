@@ -36,7 +36,7 @@ pub struct ReadDifferences;
 pub struct NodeRow {
     /// Which.
     pub node: NodeName,
-    /// In which of its lives.
+    /// In which incarnation.
     pub incarnation: Incarnation,
     /// What it has.
     pub objects: Vec<ObjectAddress>,

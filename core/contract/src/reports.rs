@@ -21,23 +21,24 @@ pub struct AreYouAlive;
 /// The answer to [`AreYouAlive`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, actix::MessageResponse)]
 pub struct Alive {
-    /// Which life answers.
+    /// Which incarnation answers.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: Lifecycle,
 }
 
-/// The end of a life, told by its guard at once.
+/// The end of an incarnation, told by its guard at once.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Exited {
     /// Who.
     pub object: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// How.
     pub exit: ExitReason,
-    /// The guard has carried out its standing order: this life has begun in the old one's place.
+    /// The guard has carried out its standing order: this incarnation has begun in the old one's
+    /// place.
     pub restarted_as: Option<Incarnation>,
 }
 
@@ -47,7 +48,7 @@ pub struct Exited {
 pub struct StateReported {
     /// Who.
     pub object: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// Where it now stands.
     pub state: Lifecycle,
@@ -61,7 +62,7 @@ pub struct StateReported {
 pub struct FaultDeclared {
     /// Who declares it.
     pub object: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// What it is.
     pub kind: FaultKind,
@@ -75,7 +76,7 @@ pub struct FaultDeclared {
 pub struct DeclaredFaultCleared {
     /// Who had declared it.
     pub object: ObjectName,
-    /// Which of its lives it is in now.
+    /// Which incarnation it is in now.
     pub incarnation: Incarnation,
     /// What it was.
     pub kind: FaultKind,
@@ -89,7 +90,7 @@ pub enum LivenessReported {
     Hangs {
         /// The culprit.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// The contract or hook in service.
         during: &'static str,
@@ -102,7 +103,7 @@ pub enum LivenessReported {
     Waits {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// The contract or hook in service.
         during: &'static str,
@@ -125,7 +126,7 @@ pub enum LivenessReported {
     Overloaded {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// How much.
         figures: OverloadFigures,
@@ -136,7 +137,7 @@ pub enum LivenessReported {
     Stuck {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// What waits.
         queue: QueueReading,
@@ -145,14 +146,14 @@ pub enum LivenessReported {
     Flows {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
     },
     /// This object should give signs of life and gives none.
     Silent {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// For how long, at least.
         silent_for: Duration,
@@ -161,7 +162,7 @@ pub enum LivenessReported {
     Spoke {
         /// Who.
         object: ObjectName,
-        /// Which of its lives.
+        /// Which incarnation.
         incarnation: Incarnation,
     },
     /// The watch itself was not scheduled for so long: every silence up to now is void.

@@ -54,7 +54,7 @@ pub enum PathReported {
     Reachable {
         /// Which.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
         /// The largest segment on the way, in bytes.
         mtu: usize,

@@ -89,7 +89,7 @@ pub enum SessionReported {
     Reachable {
         /// Which.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
     },
     /// No path leads to it any more; its session waits for one for a while.
@@ -101,7 +101,7 @@ pub enum SessionReported {
     Opened {
         /// With whom.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
         /// The session's number on this node.
         session: u32,
@@ -195,7 +195,7 @@ pub enum PeerStatusChanged {
     Opened {
         /// Which.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
     },
     /// The session has ended, or nothing that it says counts.

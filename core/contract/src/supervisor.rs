@@ -20,10 +20,10 @@ use std::sync::Arc;
 pub struct Recovered {
     /// The child.
     pub object: ObjectName,
-    /// The life that is now at work; `None` for a child whose end is final: a temporary one, or a
-    /// transient one that had ended in order.
+    /// The incarnation that is now at work; `None` for a child whose end is final: a temporary one,
+    /// or a transient one that had ended in order.
     pub incarnation: Option<Incarnation>,
-    /// That life waits for something that is not there yet, and tries again by itself.
+    /// That incarnation waits for something that is not there yet, and tries again by itself.
     pub waits: bool,
 }
 
@@ -36,9 +36,9 @@ pub struct GaveUp {
     pub why: GiveUpReason,
 }
 
-/// Replace a child's life by the next one, and do with its siblings what the supervisor's strategy
-/// says. Answered when all of them are at work again, or when that has failed; what befalls a
-/// sibling on the way is a fault of its own.
+/// Replace a child's incarnation by the next one, and do with its siblings what the supervisor's
+/// strategy says. Answered when all of them are at work again, or when that has failed; what
+/// befalls a sibling on the way is a fault of its own.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct RestartChild {
@@ -48,8 +48,8 @@ pub struct RestartChild {
     pub fault: Option<Fault>,
 }
 
-/// Let a child go on in its next life on a thread of its own, and its queue with it. Answered as
-/// [`RestartChild`].
+/// Let a child go on in its next incarnation on a thread of its own, and its queue with it.
+/// Answered as [`RestartChild`].
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct MoveChild {
@@ -77,8 +77,8 @@ pub struct IsolateChild {
     pub isolated: bool,
 }
 
-/// Put a child in safe state: its life ends, it is isolated, and only an explicit restart brings it
-/// back. Answered when it has come to rest.
+/// Put a child in safe state: its incarnation ends, it is isolated, and only an explicit restart
+/// brings it back. Answered when it has come to rest.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct SafeStop {
@@ -106,16 +106,16 @@ pub struct RemoveChild {
     pub object: ObjectName,
 }
 
-/// From the parent, or from the node to the root: begin a life and start all children in order.
-/// `report` is told [`Started`] when all are at work; later [`Escalated`] if the supervisor gives
-/// up.
+/// From the parent, or from the node to the root: begin an incarnation and start all children in
+/// order. `report` is told [`Started`] when all are at work; later [`Escalated`] if the supervisor
+/// gives up.
 ///
 /// [`Started`]: crate::child::ChildEvent::Started
 /// [`Escalated`]: crate::child::ChildEvent::Escalated
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
 pub struct StartSupervisor {
-    /// Which life of the supervisor this is.
+    /// Which incarnation of the supervisor this is.
     pub incarnation: Incarnation,
     /// Who is told what becomes of it.
     pub report: Arc<Recipient<ChildReport>>,
@@ -158,7 +158,7 @@ pub struct ReadTree;
 pub struct SupervisionTree {
     /// The supervisor's name.
     pub name: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// Whom it restarts together.
     pub strategy: Strategy,
@@ -173,7 +173,7 @@ pub struct SupervisionTree {
 pub struct SupervisionTreeChild {
     /// Its name.
     pub name: ObjectName,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// Where it stands with its supervisor.
     pub state: ChildState,

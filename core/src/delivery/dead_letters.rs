@@ -12,8 +12,8 @@ use std::fmt;
 pub enum DeadReason {
     /// The receiver's queue was full, and its policy chose this message.
     Full,
-    /// The receiver's queue was full while it was between two lives; or the session with its node
-    /// was about to begin.
+    /// The receiver's queue was full while it was between two incarnations; or the session with its
+    /// node was about to begin.
     Restarting,
     /// As much was on its way to the receiver's node as may be.
     WayFull,
@@ -31,7 +31,7 @@ pub enum DeadReason {
     Expired,
     /// No caller waited for the answer any more when its turn came.
     DeadlinePassed,
-    /// It had killed too many lives of the receiver.
+    /// It had killed too many incarnations of the receiver.
     Quarantined,
     /// The receiver was isolated.
     Isolated,

@@ -40,7 +40,7 @@ pub enum DeliveryError {
     /// The receiver's queue is full. Slow down, raise its capacity, or choose another policy.
     #[error("the receiver's queue is full")]
     Full,
-    /// The receiver is between two lives. Try again shortly.
+    /// The receiver is between two incarnations. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
     /// The receiver was stopped, or has ended for good. Where its whole node is in the safe state,
@@ -52,9 +52,9 @@ pub enum DeliveryError {
     #[error("the deadline passed")]
     DeadlinePassed,
     /// The receiver died while it served this message.
-    #[error("the receiver died in its life {incarnation} while it served this message")]
+    #[error("the receiver died in its incarnation {incarnation} while it served this message")]
     PeerDied {
-        /// The life that ended.
+        /// The incarnation that ended.
         incarnation: Incarnation,
     },
     /// The two parties hold different contracts; the text shows what differs, field by field.
@@ -63,10 +63,10 @@ pub enum DeliveryError {
         /// One line for each difference.
         difference: String,
     },
-    /// This message killed several lives of the receiver and is not let in again.
-    #[error("this message is quarantined: it killed {kills} lives of the receiver")]
+    /// This message killed several incarnations of the receiver and is not let in again.
+    #[error("this message is quarantined: it killed {kills} incarnations of the receiver")]
     Quarantined {
-        /// How many lives it ended.
+        /// How many incarnations it ended.
         kills: u32,
     },
     /// The sender itself was given up and replaced; nothing it says gets out any more.
@@ -120,8 +120,8 @@ pub enum DeliveryError {
         /// What became of the way.
         reason: String,
     },
-    /// What became of the variable's value when its owner's life ended awaits a decision. Decide by
-    /// `VariableRef::decide`.
+    /// What became of the variable's value when its owner's incarnation ended awaits a decision.
+    /// Decide by `VariableRef::decide`.
     #[error("{variable} awaits a decision: restore it, take its default, or give it a value")]
     Undecided {
         /// Which.
@@ -146,7 +146,7 @@ pub enum DeliveryError {
     Held {
         /// The actuator.
         actuator: String,
-        /// Who does, and in which life.
+        /// Who does, and in which incarnation.
         by: String,
     },
     /// The commander has not claimed the actuator, or its lease has ended. Claim it, again.
@@ -186,13 +186,13 @@ pub enum DeliveryError {
     /// Another node had this node's name before: this one is kept out by all. Give it another name,
     /// or end the other.
     #[error(
-        "the name {name} of this node is taken: another node has it, in its life {by}, and this one is \
+        "the name {name} of this node is taken: another node has it, in its incarnation {by}, and this one is \
          kept out by all; give it another name, or end the other"
     )]
     NameTaken {
         /// The name of both.
         name: String,
-        /// The life of the one that has it.
+        /// The incarnation of the one that has it.
         by: String,
     },
     /// The message is larger than what a session carries to another node, whatever its contract

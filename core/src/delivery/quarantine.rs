@@ -1,7 +1,8 @@
 //! Which messages kill their receivers.
 //!
-//! A message dies with the life that it kills, so only one that is sent again can kill again. It is
-//! known by its sender and its number there: other messages of the same contract are not blamed.
+//! A message dies with the incarnation that it kills, so only one that is sent again can kill
+//! again. It is known by its sender and its number there: other messages of the same contract are
+//! not blamed.
 
 use crate::Incarnation;
 use serde::{Deserialize, Serialize};
@@ -26,8 +27,8 @@ impl fmt::Display for MessageId {
 /// When a message is quarantined, and how many are remembered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QuarantineConfig {
-    /// Lives that a message may end before it is no longer let in. Two may be chance; a higher
-    /// number costs more restarts.
+    /// Incarnations that a message may end before it is no longer let in. Two may be chance; a
+    /// higher number costs more restarts.
     pub kills: u32,
     /// Messages remembered for one receiver; the one whose last kill is longest ago is forgotten
     /// first. Each costs about a hundred bytes.
@@ -40,7 +41,7 @@ impl Default for QuarantineConfig {
     }
 }
 
-/// The messages that have killed lives of one receiver.
+/// The messages that have killed incarnations of one receiver.
 #[derive(Debug, Default)]
 pub struct Quarantine {
     config: QuarantineConfig,
@@ -61,7 +62,8 @@ impl Quarantine {
         Quarantine { config, ..Quarantine::default() }
     }
 
-    /// This life ended while it served this message. Says how many lives the message has ended.
+    /// This incarnation ended while it served this message. Says how many incarnations the message
+    /// has ended.
     pub fn handle_kill(&mut self, message: MessageId, incarnation: Incarnation) -> u32 {
         let kills = self.kills.entry(message).or_insert(Kills { count: 0, last: Incarnation(0) });
         // An incarnation ends once, whichever object reports it.
@@ -79,7 +81,7 @@ impl Quarantine {
         count
     }
 
-    /// How many lives this message has ended, if it is too many.
+    /// How many incarnations this message has ended, if it is too many.
     pub fn refuses(&self, message: MessageId) -> Option<u32> {
         let kills = self.kills.get(&message)?;
         (kills.count >= self.config.kills).then_some(kills.count)
@@ -100,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_that_killed_three_lives_is_refused_and_no_other() {
+    fn a_message_that_killed_three_incarnations_is_refused_and_no_other() {
         let mut quarantine = Quarantine::default();
         assert_eq!(quarantine.handle_kill(message(1), Incarnation(1)), 1);
         assert_eq!(quarantine.handle_kill(message(2), Incarnation(2)), 1);

@@ -7,8 +7,8 @@ use std::time::Duration;
 /// How often a request is asked, where asking again can do no harm.
 ///
 /// That is so where it was not taken up: there was no room, no way, or the receiver was between two
-/// lives. Where it may have taken effect (the receiver died while it served it, or the way to its
-/// answer was lost), it is asked again only if its contract is declared `idempotent`.
+/// incarnations. Where it may have taken effect (the receiver died while it served it, or the way
+/// to its answer was lost), it is asked again only if its contract is declared `idempotent`.
 ///
 /// ```
 /// use blastema_core::delivery::retry::FailedAttempt;

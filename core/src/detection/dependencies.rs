@@ -72,7 +72,7 @@ fn shown(way: &[ObjectName]) -> String {
 #[derive(Clone, Debug)]
 pub struct Dependencies {
     node: NodeName,
-    /// As many as the node has objects. What lives on other nodes is left out.
+    /// As many as the node has objects. What incarnations on other nodes is left out.
     needs: BTreeMap<ObjectName, Vec<String>>,
 }
 

@@ -16,21 +16,21 @@ use pause::Pause;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// Follows the life of every object, compares what is seen with the list of faults, and keeps the
-/// record.
+/// Follows the incarnation of every object, compares what is seen with the list of faults, and
+/// keeps the record.
 ///
 /// * **Lifecycle.** A machine per object takes the ways of [`Lifecycle::TRANSITIONS`]. A way that
 ///   does not exist is a fault of its own; the report is believed all the same.
 /// * **One fault, one report.** A fault is latched by place and kind; seen again, it is counted. A
-///   new life that becomes active ends the faults of the lives before it.
+///   new incarnation that becomes active ends the faults of the incarnations before it.
 /// * **Roots and symptoms.** What an object suffers while something it depends on is down, or
 ///   behind a hang of another, is a symptom, also if its root is found only shortly afterwards.
 /// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in
 ///   the end given up loudly.
 ///
 /// Where the guard has already restarted a component, the fault is recorded and told, and handed to
-/// no recoverer. It is recovered when the next life is active, shares what becomes of a fault of
-/// that one, and is cleared when that one ends in order and none follows.
+/// no recoverer. It is recovered when the next incarnation is active, shares what becomes of a
+/// fault of that one, and is cleared when that one ends in order and none follows.
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
@@ -46,7 +46,7 @@ pub struct Detector {
     /// Faults that the notifier knows of, and does not know to be over.
     handed: BTreeSet<FaultId>,
     /// Faults that stand and that no recoverer treats: symptoms behind what keeps their thread,
-    /// which were only told, and those whose next life is on its way already.
+    /// which were only told, and those whose next incarnation is on its way already.
     unhanded: BTreeSet<FaultId>,
     reminders: DecisionTimeouts,
     conduct: OffenceWindow,
@@ -69,8 +69,8 @@ pub struct DetectorLimits {
     pub record: usize,
     /// How long after a symptom its root may be found. Longer explains more, and wrongly at times.
     pub hindsight: Duration,
-    /// How long a recoverer may take to decide before it is reminded, and the next life of an
-    /// object that was stopped to begin. Longer leaves a fault that was lost on the way lying;
+    /// How long a recoverer may take to decide before it is reminded, and the next incarnation of
+    /// an object that was stopped to begin. Longer leaves a fault that was lost on the way lying;
     /// shorter repeats more to a busy recoverer.
     pub decision: Duration,
     /// How often a recoverer is reminded before the fault is given up.
@@ -159,7 +159,7 @@ pub enum DetectorOutput {
 struct Seen {
     incarnation: Incarnation,
     state: Lifecycle,
-    /// It was found that this life cannot go on; its end is no news.
+    /// It was found that this incarnation cannot go on; its end is no news.
     doomed: bool,
 }
 
@@ -251,7 +251,7 @@ impl Detector {
                 self.handed.remove(&id);
                 self.recover(id, at);
             }
-            RecoveryOutcome::Waits => self.await_next_life(id, at),
+            RecoveryOutcome::Waits => self.await_next_incarnation(id, at),
             RecoveryOutcome::GaveUp { reason } => self.give_up(id, at, reason),
         }
     }
@@ -277,12 +277,12 @@ impl Detector {
         self.chronicle.read()
     }
 
-    /// Where an object stands in its life, as the detector has followed it.
+    /// Where an object stands in its incarnation, as the detector has followed it.
     pub fn state_of(&self, object: &ObjectName) -> Option<(Incarnation, Lifecycle)> {
         self.objects.get(object).map(|seen| (seen.incarnation, seen.state))
     }
 
-    /// How often something was seen of a life that is over.
+    /// How often something was seen of an incarnation that is over.
     pub fn stale(&self) -> u64 {
         self.stale
     }
@@ -298,11 +298,11 @@ impl Detector {
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
         let known = self.chronicle.standing(&scene.place, &kind);
-        let life = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
+        let incarnation = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
             Some(id) if is_behind || !self.unhanded.remove(&id) => {
-                if self.handed.contains(&id) && life < Some(scene.incarnation) {
+                if self.handed.contains(&id) && incarnation < Some(scene.incarnation) {
                     // What was done about it has not helped.
                     let fault = self.chronicle.entry(id).expect("it stands").fault.clone();
                     let due = scene.at + self.limits.decision;
@@ -332,7 +332,7 @@ impl Detector {
     }
 
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
-    /// life.
+    /// incarnation.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
         let Some(entry) = self.chronicle.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
@@ -589,7 +589,7 @@ impl Machine for Detector {
     }
 }
 
-mod next_life;
+mod next_incarnation;
 mod pause;
 mod rules;
 #[cfg(test)]

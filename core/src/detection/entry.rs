@@ -32,7 +32,7 @@ pub(super) struct MonitoredObject {
 /// Why a note was made. The note goes with it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum NoteCause {
-    /// The life ended.
+    /// The incarnation ended.
     End,
     /// It is in an error state.
     State,
@@ -88,7 +88,8 @@ impl MonitoredObject {
         self.notes.retain(|(known, _)| known != cause);
     }
 
-    /// Empties the history: what was known was known of another life. Isolation outlives a restart.
+    /// Empties the history: what was known was known of another incarnation. Isolation outlives a
+    /// restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
         let MonitoredObject { kind, watch, guarded, may_end, isolated, restarts, .. } = *self;
         let first = self.incarnation == Incarnation::default();
@@ -128,7 +129,7 @@ impl MonitoredObject {
     }
 }
 
-/// How a life ended, as a note.
+/// How an incarnation ended, as a note.
 pub(super) fn describe(exit: &ExitReason) -> String {
     match exit {
         ExitReason::Returned => "it ended itself".into(),

@@ -1,4 +1,4 @@
-//! Who lives, in which life and state: the table, and what is new in it.
+//! Who lives, in which incarnation and state: the table, and what is new in it.
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
 use super::peer_table::{PeerChange, PeerTable};
@@ -17,9 +17,9 @@ use std::sync::Arc;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
 ///
-/// It judges the silence of what it asks, and nothing else. What an older life still says, or one
-/// that has ended, changes nothing and is counted. Whatever begins a new life of an object (a
-/// report, an answer) empties its history.
+/// It judges the silence of what it asks, and nothing else. What an older incarnation still says,
+/// or one that has ended, changes nothing and is counted. Whatever begins a new incarnation of an
+/// object (a report, an answer) empties its history.
 ///
 /// What is reported of an object that was never enrolled opens a row of its own, so that a
 /// component that dies before its enrolment arrives is not lost.
@@ -168,7 +168,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// A guard has seen a life end.
+    /// A guard has seen an incarnation end.
     pub fn handle_exited(
         &mut self,
         object: &ObjectName,
@@ -185,7 +185,7 @@ impl Monitor {
         if self.objects.get(object).is_some_and(is_older)
             && matches!(exit, ExitReason::Panicked { .. })
         {
-            // That it panicked is told in every case; of the present life it says nothing.
+            // That it panicked is told in every case; of the present incarnation it says nothing.
             let finding = Finding::Exited { exit, restarted_as };
             self.observe_object(object, incarnation, finding, now);
             return self.settle(now);
@@ -223,7 +223,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// A guard reports the state of a life.
+    /// A guard reports the state of an incarnation.
     pub fn handle_state(
         &mut self,
         object: &ObjectName,
@@ -363,7 +363,7 @@ impl Monitor {
         objects.chain(self.around.rows(now)).collect()
     }
 
-    /// How often something came from a life that is over.
+    /// How often something came from an incarnation that is over.
     pub fn stale(&self) -> u64 {
         self.stale
     }
@@ -406,7 +406,7 @@ impl Monitor {
         }
     }
 
-    /// The entry of an object for news of this life; none if that life is over.
+    /// The entry of an object for news of this incarnation; none if that incarnation is over.
     fn admit(
         &mut self,
         object: &ObjectName,

@@ -10,7 +10,7 @@ use std::time::Duration;
 pub struct Observation {
     /// Where.
     pub place: FaultLocation,
-    /// In which of its lives; zero for a link.
+    /// In which incarnation; zero for a link.
     pub incarnation: Incarnation,
     /// What.
     pub finding: Finding,
@@ -30,14 +30,15 @@ pub enum Finding {
     },
     /// The object is no longer to be looked at.
     Dismissed,
-    /// A life ended.
+    /// An incarnation ended.
     Exited {
         /// How.
         exit: ExitReason,
-        /// The guard carried out its standing order: this life has begun in the old one's place.
+        /// The guard carried out its standing order: this incarnation has begun in the old one's
+        /// place.
         restarted_as: Option<Incarnation>,
     },
-    /// A life came to another state.
+    /// An incarnation came to another state.
     State {
         /// Where it now stands.
         state: Lifecycle,
@@ -118,7 +119,7 @@ impl Finding {
     }
 }
 
-/// How a life ended.
+/// How an incarnation ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExitReason {
     /// It ended itself, in order.
@@ -144,7 +145,7 @@ pub enum ExitReason {
 /// An object's answer to the question whether it is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WorkProgress {
-    /// Which life answers.
+    /// Which incarnation answers.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: Lifecycle,

@@ -21,8 +21,8 @@ pub enum RecoveryOutcome {
     },
     /// Service is restored.
     Recovered,
-    /// Nothing more is done: the life that a measure has begun waits for something that is not
-    /// there yet. The fault stands until it is at work.
+    /// Nothing more is done: the incarnation that a measure has begun waits for something that is
+    /// not there yet. The fault stands until it is at work.
     Waits,
     /// Nothing more will be tried; what is left is safe state.
     GaveUp {
@@ -118,7 +118,7 @@ pub struct FaultEntry {
     /// When the cause was away. Until then the fault stands.
     pub repaired_at: Option<Instant>,
     /// When and why the recoverer ceased to try. The fault still stands until its place begins a
-    /// new life.
+    /// new incarnation.
     pub given_up: Option<(Instant, String)>,
 }
 

@@ -120,9 +120,9 @@ impl PeerTable {
         self.nodes.get(node).is_some_and(|seen| seen.standing == PeerStatus::Left)
     }
 
-    /// The router reports how a node is. The same condition again is no change, a newer life is.
-    /// What is heard of a life that has left, is none. Answers an error for the end of a life that
-    /// is over, and for the rest of another one than is there.
+    /// The router reports how a node is. The same condition again is no change, a newer incarnation
+    /// is. What is heard of an incarnation that has left, is none. Answers an error for the end of
+    /// an incarnation that is over, and for the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
         node: NodeName,
@@ -138,8 +138,9 @@ impl PeerTable {
             return self.handle_rest(node, incarnation, condition, now);
         }
         let before = self.nodes.get(&node);
-        // Which life is there, those say who can reach it, whatever its number: the clock that
-        // numbers lives may have been set back. That another one has ended is no change.
+        // Which incarnation is there, those say who can reach it, whatever its number: the clock
+        // that numbers incarnations may have been set back. That another one has ended is no
+        // change.
         let here = matches!(condition, NodeCondition::Reachable | NodeCondition::Restarted);
         if let Some(seen) = before
             && !here
@@ -154,8 +155,9 @@ impl PeerTable {
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
-        // The first that is heard of a node is no restart, whatever it is called; nor is a life of
-        // which nothing but the loss was ever known, nor one after another that had left.
+        // The first that is heard of a node is no restart, whatever it is called; nor is an
+        // incarnation of which nothing but the loss was ever known, nor one after another that had
+        // left.
         let restarted = before.is_some_and(|seen| {
             incarnation != seen.incarnation && seen.incarnation != Incarnation::default() && !left
         });
@@ -178,7 +180,7 @@ impl PeerTable {
         let here = standing == PeerStatus::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
-        // Another life is at work, until it says otherwise.
+        // Another incarnation is at work, until it says otherwise.
         let same = before.is_some_and(|seen| seen.incarnation == incarnation);
         let rest = before.filter(|_| same && !matches!(standing, PeerStatus::Left));
         let rest = rest.and_then(|seen| seen.rest.clone());
@@ -192,7 +194,7 @@ impl PeerTable {
         }))
     }
 
-    /// What others think of a node, or what it has done: whatever life of it is known.
+    /// What others think of a node, or what it has done: whatever incarnation of it is known.
     fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
@@ -354,8 +356,9 @@ mod tests {
         let lost = || Lost { reason: "gone".into() };
         let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
             let mut around = PeerTable::default();
-            if let Some((life, condition)) = before {
-                let first = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+            if let Some((incarnation, condition)) = before {
+                let first =
+                    around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
                 assert!(first.is_ok_and(|change| change.is_some()));
             }
             let change = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
@@ -401,7 +404,7 @@ mod tests {
         let mut around = PeerTable::default();
         let mut told = |condition: &NodeCondition| {
             let change = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
-            let finding = change.expect("no life is over").map(|change| change.finding);
+            let finding = change.expect("no incarnation is over").map(|change| change.finding);
             finding
                 .inspect(|finding| assert_eq!(*finding, Finding::Node(condition.clone())))
                 .is_some()
@@ -417,24 +420,25 @@ mod tests {
         assert!(told(&Reachable));
     }
 
-    /// Tells of one node's lives; answers whether that is change, and whether the node is at rest
-    /// then.
+    /// Tells of one node's incarnations; answers whether that is change, and whether the node is at
+    /// rest then.
     fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
-        move |life, condition| {
-            let change = around.handle_node(node("b"), Incarnation(life), condition, at(1));
+        move |incarnation, condition| {
+            let change = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
             let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
             (change.map(|change| change.is_some()), rests)
         }
     }
 
     #[test]
-    fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_life_is_there() {
+    fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
+     {
         use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
         let mut told = rest_told_of();
-        let mut told = |life, condition| {
-            let (change, rests) = told(life, condition);
-            (change.expect("no life is over"), rests)
+        let mut told = |incarnation, condition| {
+            let (change, rests) = told(incarnation, condition);
+            (change.expect("no incarnation is over"), rests)
         };
         let rest = || AtRest { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
@@ -447,14 +451,14 @@ mod tests {
         assert_eq!(told(5, Reachable), (true, true));
         assert_eq!(told(5, AtWork), (true, false));
         assert_eq!(told(5, rest()), (true, true));
-        assert_eq!(told(6, Reachable), (true, false), "another life");
+        assert_eq!(told(6, Reachable), (true, false), "another incarnation");
         assert_eq!(told(6, rest()), (true, true));
         assert_eq!(told(6, Left), (true, true), "it has left");
         assert_eq!(told(7, Reachable), (true, false));
     }
 
     #[test]
-    fn that_a_life_rests_which_another_one_has_followed_is_no_news() {
+    fn that_an_incarnation_rests_which_another_one_has_followed_is_no_news() {
         use NodeCondition::{AtRest, AtWork, Lost, Reachable};
         let mut told = rest_told_of();
         let rest = || AtRest { reason: "it panics".into() };

@@ -40,7 +40,7 @@ pub enum PingOutput {
 pub struct Verdict {
     /// About whom.
     pub object: ObjectName,
-    /// In which life.
+    /// In which incarnation.
     pub incarnation: Incarnation,
     /// The new opinion.
     pub opinion: Opinion,
@@ -104,7 +104,7 @@ impl PingMonitor {
         PingMonitor::default()
     }
 
-    /// Asks an object from now on, whose life `incarnation` begins or goes on.
+    /// Asks an object from now on, whose incarnation `incarnation` begins or goes on.
     pub fn enrol(
         &mut self,
         object: &ObjectName,
@@ -131,7 +131,7 @@ impl PingMonitor {
         }
     }
 
-    /// An object has answered. Answers of older lives do not count.
+    /// An object has answered. Answers of older incarnations do not count.
     pub fn handle_answer(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
         let Some(asked) = self.asked.get_mut(object) else { return };
         if progress.incarnation < asked.incarnation || asked.opinion == Opinion::AtRest {
@@ -168,7 +168,8 @@ impl PingMonitor {
         }
     }
 
-    /// A new life has begun: its history is empty, and the old life's question is void.
+    /// A new incarnation has begun: its history is empty, and the old incarnation's question is
+    /// void.
     pub fn handle_start(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
         if let Some(asked) = self.asked.get_mut(object)
             && incarnation > asked.incarnation
@@ -358,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_of_an_older_life_does_not_count() {
+    fn an_answer_of_an_older_incarnation_does_not_count() {
         let mut pings = pings();
         run(&mut pings, 0);
         pings.handle_start(&map(), TWO, at(10));
@@ -370,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_of_a_newer_life_begins_a_new_history() {
+    fn an_answer_of_a_newer_incarnation_begins_a_new_history() {
         let mut pings = pings();
         run(&mut pings, 50);
 
@@ -380,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_asked_after_its_end_until_a_newer_life_begins() {
+    fn nobody_is_asked_after_its_end_until_a_newer_incarnation_begins() {
         let mut pings = pings();
         run(&mut pings, 0);
         pings.handle_end(&map(), ONE, at(10));

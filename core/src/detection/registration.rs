@@ -24,8 +24,8 @@ pub struct Registration {
     pub object: ObjectName,
     /// What kind of object it is.
     pub kind: ObjectKind,
-    /// Which of its lives is about to begin, or lives already. Zero: its guard will report when its
-    /// first life begins, and nothing is expected of it before.
+    /// Which incarnation is about to begin, or lives already. Zero: its guard will report when its
+    /// first incarnation begins, and nothing is expected of it before.
     pub incarnation: Incarnation,
     /// How its signs of life come.
     pub watch: Liveness,
@@ -37,7 +37,8 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// A component in its first life that depends on nothing and is watched by its guard alone.
+    /// A component in its first incarnation that depends on nothing and is watched by its guard
+    /// alone.
     pub fn new(object: ObjectName) -> Self {
         Registration {
             object,
@@ -56,7 +57,7 @@ impl Registration {
         self
     }
 
-    /// Sets which of its lives this is.
+    /// Sets which incarnation this is.
     #[must_use]
     pub fn incarnation(mut self, incarnation: Incarnation) -> Self {
         self.incarnation = incarnation;
@@ -156,8 +157,8 @@ pub struct Push {
     /// How many signs in a row may fail to come; at least 1. More gives fewer false alarms, and
     /// finds a real one later.
     pub tolerance: u32,
-    /// How long a new life may take until its first sign. Longer suits slow devices; a life that
-    /// never begins is noticed that much later.
+    /// How long a new incarnation may take until its first sign. Longer suits slow devices; an
+    /// incarnation that never begins is noticed that much later.
     pub start_up: Duration,
 }
 

@@ -19,10 +19,10 @@ pub struct MonitorRow {
     pub place: FaultLocation,
     /// What kind of thing that is.
     pub kind: ObjectKind,
-    /// Which of its lives everything else in the row is about; zero for a link.
+    /// Which incarnation everything else in the row is about; zero for a link.
     pub incarnation: Incarnation,
-    /// Where it stands in its life, as last reported; `None` for links, nodes and what has reported
-    /// nothing yet.
+    /// Where it stands in its incarnation, as last reported; `None` for links, nodes and what has
+    /// reported nothing yet.
     pub state: Option<Lifecycle>,
     /// What it waits for before it can become active: the reason that its hook gave for being
     /// [unavailable](FaultKind::Unavailable). The fault list has it too, as long.
@@ -36,14 +36,14 @@ pub struct MonitorRow {
     /// thread last showed that it turns, or, while a handler keeps that, when the handler began. Of
     /// a link, its last hello; of a node, the last hello on any link to it.
     pub last_sign: Option<Duration>,
-    /// How many lives it has begun since it was enrolled, without the first.
+    /// How many incarnations it has begun since it was enrolled, without the first.
     pub restarts: u32,
-    /// How often it was suspect in this life.
+    /// How often it was suspect in this incarnation.
     pub suspicions: u32,
     /// Its queue.
     pub queue: Option<QueueSample>,
-    /// Rounds that it has missed in this life: a round was due, and the one before had not ended,
-    /// or another component kept the thread.
+    /// Rounds that it has missed in this incarnation: a round was due, and the one before had not
+    /// ended, or another component kept the thread.
     pub missed_rounds: u64,
     /// What it was seen to be doing for too long.
     pub current: Option<CurrentHandler>,
@@ -80,14 +80,14 @@ impl MonitorRow {
 ///
 /// | opinion | meaning | what follows |
 /// | --- | --- | --- |
-/// | unheard | never heard in this life, and its start-up time is not over | nothing |
+/// | unheard | never heard in this incarnation, and its start-up time is not over | nothing |
 /// | trusted | its signs of life come | nothing |
 /// | suspect | a sign is overdue, or it waits behind another component that hangs | it is counted and shown |
 /// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
-/// | at rest | its life ended as it should | nothing |
+/// | at rest | its incarnation ended as it should | nothing |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Opinion {
-    /// Never heard in this life.
+    /// Never heard in this incarnation.
     Unheard,
     /// It gives signs of life.
     Trusted,

@@ -86,7 +86,7 @@ pub struct GlobalNames {
     alive_at: Instant,
     /// Until then nothing is granted; `None` once that is over.
     settles: Option<Instant>,
-    /// In the place of another machine of the same life: it has forgotten what it was told.
+    /// In the place of another machine of the same incarnation: it has forgotten what it was told.
     forgetful: bool,
     outputs: VecDeque<GlobalNamesOutput>,
 }
@@ -94,7 +94,8 @@ pub struct GlobalNames {
 impl GlobalNames {
     /// Nothing is claimed yet.
     pub fn new(config: GlobalNamesConfig, now: Instant) -> Self {
-        // Above what an earlier life of this node gave out, should no node be left that remembers.
+        // Above what an earlier incarnation of this node gave out, should no node be left that
+        // remembers.
         let last_epoch = config.incarnation.0.saturating_mul(1 << 16).min(EPOCH_MAX - (1 << 32));
         let alive_at = now + config.lease / 4;
         let settles = (!config.settle.is_zero()).then(|| now + config.settle);
@@ -114,9 +115,9 @@ impl GlobalNames {
         }
     }
 
-    /// Claims in the place of others of the same life that were lost: with what that life claims,
-    /// and under which epochs. What others claim, they are asked when their sessions are told of
-    /// again.
+    /// Claims in the place of others of the same incarnation that were lost: with what that
+    /// incarnation claims, and under which epochs. What others claim, they are asked when their
+    /// sessions are told of again.
     pub fn reborn(
         config: GlobalNamesConfig,
         own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,

@@ -314,7 +314,8 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
 }
 
 #[test]
-fn claims_that_begin_anew_within_their_nodes_life_keep_what_they_hold_and_ask_for_the_rest() {
+fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and_ask_for_the_rest()
+{
     let mut robot = Robot::new(&["a", "b", "c"]);
     let epoch = robot.claim("a", ClaimPolicy::Refuse).unwrap();
     robot.claim("b", ClaimPolicy::Standby).unwrap();

@@ -21,7 +21,7 @@ pub enum ClaimPolicy {
 pub struct GlobalNamesConfig {
     /// Our name.
     pub node: NodeName,
-    /// Our life.
+    /// Our incarnation.
     pub incarnation: Incarnation,
     /// How long a claim holds after its node was last heard of; it is heard of four times as often.
     /// Longer costs less traffic, and keeps the names of a node that died for longer.

@@ -97,10 +97,10 @@ pub enum IsolationOutput {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Vote {
     isolated: bool,
-    /// The voter's life, and which of its votes: of two of one life, the greater is the newer. With
-    /// another incarnation it was restarted, whichever number is greater: only its present life has
-    /// a session.
-    life: Incarnation,
+    /// The voter's incarnation, and which of its votes: of two of one incarnation, the greater is
+    /// the newer. With another incarnation it was restarted, whichever number is greater: only its
+    /// present incarnation has a session.
+    incarnation: Incarnation,
     /// Higher than every vote on that node that the voter knew of.
     revision: u64,
     cause: String,
@@ -109,7 +109,7 @@ struct Vote {
 /// A node's votes as it tells them.
 #[derive(Debug, Serialize, Deserialize)]
 struct Ballot {
-    life: Incarnation,
+    incarnation: Incarnation,
     votes: Vec<(NodeName, bool, u64, String)>,
 }
 
@@ -117,7 +117,7 @@ struct Ballot {
 #[derive(Debug)]
 pub struct Isolation {
     own: NodeName,
-    life: Incarnation,
+    incarnation: Incarnation,
     judges: IsolationAuthority,
     /// By whom they are about, and whose they are.
     votes: BTreeMap<NodeName, BTreeMap<NodeName, Vote>>,
@@ -129,10 +129,10 @@ pub struct Isolation {
 
 impl Isolation {
     /// No votes yet.
-    pub fn new(own: NodeName, life: Incarnation, judges: IsolationAuthority) -> Self {
+    pub fn new(own: NodeName, incarnation: Incarnation, judges: IsolationAuthority) -> Self {
         Isolation {
             own,
-            life,
+            incarnation,
             judges,
             votes: BTreeMap::new(),
             kept_out: BTreeSet::new(),
@@ -187,12 +187,12 @@ impl Isolation {
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
         let about = self.votes.get(node);
-        // That it is admitted is said even where no node is known to have objected: an earlier life
-        // of this node may have.
+        // That it is admitted is said even where no node is known to have objected: an earlier
+        // incarnation of this node may have.
         let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
         let revision = newest.unwrap_or(0).saturating_add(1);
         let cause = cause.chars().take(CAUSE_MAX).collect();
-        let vote = Vote { isolated, life: self.life, revision, cause };
+        let vote = Vote { isolated, incarnation: self.incarnation, revision, cause };
         self.votes.entry(node.clone()).or_default().insert(self.own.clone(), vote);
         let message = self.ballot(|about| about == node);
         for to in self.peers.iter().filter(|peer| *peer != node) {
@@ -225,7 +225,7 @@ impl Isolation {
     /// Another node tells its votes, over the session with it.
     pub fn handle_told(&mut self, from: &NodeName, message: &[u8]) {
         let told = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
-        let (Ok(Ballot { life, votes }), false) = (told, self.is_isolated(from)) else {
+        let (Ok(Ballot { incarnation, votes }), false) = (told, self.is_isolated(from)) else {
             self.refused += 1;
             return;
         };
@@ -241,9 +241,11 @@ impl Isolation {
             let known = self.votes.get(&node).and_then(|votes| votes.get(from));
             if node == *from || crowded {
                 self.refused += 1;
-            } else if known.is_none_or(|known| life != known.life || revision > known.revision) {
+            } else if known
+                .is_none_or(|known| incarnation != known.incarnation || revision > known.revision)
+            {
                 let cause = cause.chars().take(CAUSE_MAX).collect();
-                let vote = Vote { isolated, life, revision, cause };
+                let vote = Vote { isolated, incarnation, revision, cause };
                 self.votes.entry(node.clone()).or_default().insert(from.clone(), vote);
                 self.settle();
                 self.tell_accused(&node);
@@ -258,7 +260,7 @@ impl Isolation {
             Some((about.clone(), vote.isolated, vote.revision, vote.cause.clone()))
         };
         let votes = self.votes.iter().filter_map(own).collect();
-        codec::encode_unbounded(&Ballot { life: self.life, votes }).into()
+        codec::encode_unbounded(&Ballot { incarnation: self.incarnation, votes }).into()
     }
 
     /// Whether this one may vote on one more. Its vote that a node is admitted, where no node says

@@ -11,13 +11,14 @@ use std::time::Duration;
 pub enum RecoveryAction {
     /// Nothing but to keep it in the record: it passes, or another part recovers it.
     Observe,
-    /// Let the component recover by itself, in its present life (`on_reset`).
+    /// Let the component recover by itself, in its present incarnation (`on_reset`).
     Reset,
-    /// Replace the present life by the next one, with its siblings as the supervisor's strategy
-    /// says.
+    /// Replace the present incarnation by the next one, with its siblings as the supervisor's
+    /// strategy says.
     Restart,
-    /// Let the component go on in its next life on a thread of its own, with its queue: against an
-    /// overload that makes its neighbours late. It fails where the component has one already.
+    /// Let the component go on in its next incarnation on a thread of its own, with its queue:
+    /// against an overload that makes its neighbours late. It fails where the component has one
+    /// already.
     MoveToOwnThread,
     /// Find another way over the network.
     Reroute,

@@ -129,8 +129,8 @@ impl Default for Plan {
                 .then(RecoveryAction::Restart)
                 .times(3)
                 .then(RecoveryAction::SafeStop),
-            // Warnings: whether a wrong value is worth a life is the application's to say, and a
-            // restart does not make work less.
+            // Warnings: whether a wrong value is worth an incarnation is the application's to say,
+            // and a restart does not make work less.
             FaultKind::CheckFailed | FaultKind::Overload | FaultKind::ContractMismatch => {
                 observe.clone()
             }
@@ -359,7 +359,7 @@ fn check_ladder(
                         | FaultKind::Fatal
                 ) =>
             {
-                let why = "needs a life, and that one has ended: use restart";
+                let why = "needs an incarnation, and that one has ended: use restart";
                 return Err(PlanError::DoesNotApply { what, measure, why });
             }
             RecoveryAction::Reset if matches!(kind, FaultKind::Hang | FaultKind::Silence) => {

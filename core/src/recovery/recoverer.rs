@@ -60,7 +60,7 @@ impl Case {
     }
 }
 
-/// The life that it struck does not answer.
+/// The incarnation that it struck does not answer.
 fn is_stuck(fault: &Fault) -> bool {
     matches!(fault.kind, FaultKind::Hang | FaultKind::Silence)
 }
@@ -211,13 +211,13 @@ impl Recoverer {
         }
     }
 
-    /// The life that a measure has begun has the fault too. Where it does not answer, no other part
-    /// finds out that the measure has failed.
+    /// The incarnation that a measure has begun has the fault too. Where it does not answer, no
+    /// other part finds out that the measure has failed.
     fn handle_struck_again(&mut self, fault: &Fault, now: Instant) {
         let case = &self.cases[&fault.place];
         if is_stuck(fault) && matches!(case.progress, Progress::Acting { .. }) {
             self.close_order(case.order, now);
-            self.climb(&fault.place, "its next life does not answer either".into(), now);
+            self.climb(&fault.place, "its next incarnation does not answer either".into(), now);
         }
     }
 
@@ -376,11 +376,12 @@ impl Recoverer {
         let kind = case.faults[0].fault.kind.clone();
         let contained = matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
         let restarted = *measure == RecoveryAction::Restart;
-        // What came while the measure was under way may already belong to the new life.
+        // What came while the measure was under way may already belong to the new incarnation.
         let cured = |noted: &Noted| {
-            let replaced = done.incarnation.is_none_or(|life| noted.fault.incarnation < life);
-            // A restart that found the struck life replaced already cures nothing of the present
-            // one.
+            let replaced =
+                done.incarnation.is_none_or(|incarnation| noted.fault.incarnation < incarnation);
+            // A restart that found the struck incarnation replaced already cures nothing of the
+            // present one.
             contained || if restarted { replaced } else { noted.since < case.order }
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
@@ -456,8 +457,8 @@ impl Recoverer {
     }
 
     /// The thread on which it lives was kept by another, and is lost: replacing that one does not
-    /// free it. If both are of one group, that one's replacement even waits until this life has
-    /// been given up.
+    /// free it. If both are of one group, that one's replacement even waits until this incarnation
+    /// has been given up.
     fn stands_behind(&self, fault: &Fault, root: FaultId) -> bool {
         let hangs = |noted: &Noted| noted.fault.id == root && noted.fault.kind == FaultKind::Hang;
         fault.kind == FaultKind::Hang && self.cases.values().any(|c| c.faults.iter().any(hangs))

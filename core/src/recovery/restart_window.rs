@@ -62,7 +62,7 @@ impl RestartWindow {
         self.restarts.retain(|&at| now - at <= period);
     }
 
-    /// Forgets everything: a new life of the supervisor begins.
+    /// Forgets everything: a new incarnation of the supervisor begins.
     pub fn clear(&mut self) {
         self.restarts.clear();
     }

@@ -57,7 +57,8 @@ pub struct ChildRules {
     /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
-    /// It decides about children of its own: it is told beforehand when its life is about to end.
+    /// It decides about children of its own: it is told beforehand when its incarnation is about to
+    /// end.
     pub supervises: bool,
 }
 

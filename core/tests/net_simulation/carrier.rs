@@ -149,8 +149,12 @@ fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing
         for n in 0..800 {
             let node = name(0);
             let (origin, incarnation) = (NodeId::of(&node), Incarnation(1));
-            let with =
-                [1, 2].map(|to| Edge { to: NodeId::of(&name(to)), life: 1, cost: 1, mtu: 9000 });
+            let with = [1, 2].map(|to| Edge {
+                to: NodeId::of(&name(to)),
+                incarnation: 1,
+                cost: 1,
+                mtu: 9000,
+            });
             let edges = if n % 4 == 0 { with.to_vec() } else { Vec::new() };
             let stamp = AdvertisementId { origin, incarnation, sequence: 1000 + 2 * n };
             let lie = Advertisement { stamp, node, edges, withdrawn: false };

@@ -1,7 +1,7 @@
 //! Whole networks over bad wires: what the sessions promise holds.
 
 mod carrier;
-mod lives;
+mod incarnations;
 mod redundant;
 mod routing;
 mod world;
@@ -112,7 +112,7 @@ fn a_short_outage_of_every_path_loses_nothing() {
 }
 
 #[test]
-fn a_node_that_dies_and_lives_again_is_a_new_one_to_everybody() {
+fn a_node_that_dies_and_incarnations_again_is_a_new_one_to_everybody() {
     for_seeds(0..20, |seed| {
         let mut world = World::new(seed, 3, &ROBOT, STORM);
         world.run(1000 * MS);

@@ -33,10 +33,10 @@ fn a_cable_whose_quality_swings_moves_traffic_once_and_not_with_every_swing() {
 }
 
 /// Node 1 sends an advertisement in another's name: incarnation, sequence number, links.
-fn lie(origin: usize, (life, sequence): (u64, u32), to: &[usize]) -> Advertisement {
+fn lie(origin: usize, (incarnation, sequence): (u64, u32), to: &[usize]) -> Advertisement {
     let node = name(origin);
-    let (origin, incarnation) = (NodeId::of(&node), Incarnation(life));
-    let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), life: 1, cost: 1, mtu: 9000 };
+    let (origin, incarnation) = (NodeId::of(&node), Incarnation(incarnation));
+    let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), incarnation: 1, cost: 1, mtu: 9000 };
     let edges = to.iter().map(edge).collect();
     let stamp = AdvertisementId { origin, incarnation, sequence };
     Advertisement { stamp, node, edges, withdrawn: false }
@@ -95,11 +95,11 @@ fn a_lie_with_the_highest_number_that_there_is_is_withdrawn_by_who_it_is_about()
 }
 
 #[test]
-fn a_life_that_a_node_never_had_ends_no_session_with_it() {
+fn an_incarnation_that_a_node_never_had_ends_no_session_with_it() {
     for_seeds(70..76, |seed| {
         let world = under_lies(seed, |n| {
-            let life = if n % 3 == 0 { u64::MAX } else { 2 + u64::from(n) };
-            vec![lie(2, (life, u32::MAX - n), &[3]), lie(3, (life, 1 + n), &[0, 2])]
+            let incarnation = if n % 3 == 0 { u64::MAX } else { 2 + u64::from(n) };
+            vec![lie(2, (incarnation, u32::MAX - n), &[3]), lie(3, (incarnation, 1 + n), &[0, 2])]
         });
         for (own, peer) in [(0, 2), (2, 0), (0, 3), (3, 2)] {
             let node = world.nodes[own].as_ref().unwrap();

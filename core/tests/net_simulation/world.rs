@@ -52,7 +52,7 @@ pub(crate) struct Node {
     pub(crate) reachable: BTreeSet<NodeId>,
 }
 
-/// Which message: from whom in which life, to whom, the n-th.
+/// Which message: from whom in which incarnation, to whom, the n-th.
 pub(crate) type Key = (usize, u64, usize, u64);
 /// Frames on their way: to which wire's which side.
 pub(crate) type Frames = BTreeMap<(Instant, u64), (usize, usize, Bytes)>;
@@ -67,7 +67,7 @@ pub(crate) struct World {
     pub(crate) nodes: Vec<Option<Node>>,
     /// When each node wants to be woken.
     pub(crate) due: Vec<Option<Instant>>,
-    pub(crate) lives: Vec<u64>,
+    pub(crate) incarnations: Vec<u64>,
     pub(crate) frames: Frames,
     pub(crate) count: u64,
     /// How often some traffic went another way.
@@ -78,7 +78,7 @@ pub(crate) struct World {
     pub(crate) liars: BTreeSet<(NodeName, NodeName)>,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
-    /// What arrived, and in which life of the receiver.
+    /// What arrived, and in which incarnation of the receiver.
     pub(crate) delivered: BTreeMap<Key, u64>,
     pub(crate) last: BTreeMap<(usize, u64, usize, u64, Stream), u64>,
     /// When a message of the redundant stream came last, and the longest time between two.
@@ -109,7 +109,7 @@ impl World {
             wires,
             nodes: (0..nodes).map(|_| None).collect(),
             due: vec![None; nodes],
-            lives: vec![0; nodes],
+            incarnations: vec![0; nodes],
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
@@ -128,8 +128,8 @@ impl World {
     }
 
     pub(crate) fn start(&mut self, index: usize) {
-        self.lives[index] += 1;
-        let incarnation = Incarnation(self.lives[index]);
+        self.incarnations[index] += 1;
+        let incarnation = Incarnation(self.incarnations[index]);
         let now = self.now;
         let mut links = vec![];
         for (number, wire) in self.wires.iter().enumerate() {
@@ -142,7 +142,7 @@ impl World {
             }
         }
         let router = Router::new(RouterConfig::new(name(index), incarnation), now);
-        let sessions = (0..self.lives.len()).filter(|peer| *peer != index).map(|peer| {
+        let sessions = (0..self.incarnations.len()).filter(|peer| *peer != index).map(|peer| {
             let config = SessionConfig::new(name(index), incarnation, name(peer));
             (NodeId::of(&name(peer)), Session::new(config, now))
         });
@@ -175,11 +175,11 @@ impl World {
     ) -> bool {
         let now = self.now;
         let Some(node) = &mut self.nodes[from] else { return false };
-        let life = node.incarnation;
-        let number = self.sent.entry((from, life, to)).or_insert(0);
+        let incarnation = node.incarnation;
+        let number = self.sent.entry((from, incarnation, to)).or_insert(0);
         let mut message = BytesMut::new();
         message.put_u64(from as u64);
-        message.put_u64(life);
+        message.put_u64(incarnation);
         message.put_u64(to as u64);
         message.put_u64(*number);
         message.resize(32 + length, 0xee);
@@ -372,12 +372,12 @@ impl World {
                             self.gap = self.gap.max(self.now - before);
                         }
                         let key = read(&message);
-                        let (from, life, to, number) = key;
+                        let (from, incarnation, to, number) = key;
                         assert_eq!(to, index, "{} got another's message", node.name);
                         assert_eq!(*peer, NodeId::of(&name(from)));
                         let before = self.delivered.insert(key, node.incarnation);
                         assert_eq!(before, None, "doubled: {key:?}");
-                        let sequel = (from, life, to, node.incarnation, stream);
+                        let sequel = (from, incarnation, to, node.incarnation, stream);
                         let last = self.last.entry(sequel).or_insert(0);
                         assert!(number >= *last, "out of order: {key:?}");
                         *last = number;
@@ -402,10 +402,11 @@ impl World {
 
     /// Every message that a living sender was allowed to send has arrived or has come back.
     pub(crate) fn check_complete(&self) {
-        for (&(from, life, to), &count) in &self.sent {
-            let alive = self.nodes[from].as_ref().is_some_and(|node| node.incarnation == life);
+        for (&(from, incarnation, to), &count) in &self.sent {
+            let alive =
+                self.nodes[from].as_ref().is_some_and(|node| node.incarnation == incarnation);
             let missing: Vec<_> = (0..count)
-                .map(|number| (from, life, to, number))
+                .map(|number| (from, incarnation, to, number))
                 .filter(|key| !self.delivered.contains_key(key) && !self.returned.contains(key))
                 .collect();
             assert!(!alive || missing.is_empty(), "lost: {missing:?}");

@@ -158,7 +158,8 @@ pub(crate) async fn measure(arguments: &[String]) -> Result<(), String> {
         for hand in &mut hands {
             hand.set(interface, off)?;
         }
-        // The request that meets the cut waits for the other cable. It cannot be told from the others.
+        // The request that meets the cut waits for the other cable. It cannot be told from the
+        // others.
         let mut worst = Duration::ZERO;
         while start.elapsed() < WINDOW {
             let asked = Instant::now();

@@ -233,9 +233,11 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.sessions().await {
-            let life = format!("{:?}", row.standing.incarnation);
-            if before.insert(format!("with {}", row.node), life.clone()).as_ref() != Some(&life) {
-                say(&format!("session with {} {life}", row.node));
+            let incarnation = format!("{:?}", row.standing.incarnation);
+            if before.insert(format!("with {}", row.node), incarnation.clone()).as_ref()
+                != Some(&incarnation)
+            {
+                say(&format!("session with {} {incarnation}", row.node));
             }
         }
         for row in node.links().await {

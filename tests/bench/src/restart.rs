@@ -23,11 +23,11 @@ fn gap_us() -> f64 {
     REPLIED.load(Relaxed).saturating_sub(PANICKED.load(Relaxed)) as f64 / 1e3
 }
 
-/// Ends a life.
+/// Ends an incarnation.
 #[derive(Clone, Debug, Event)]
 struct Burst;
 
-/// Asks a life whether it is there.
+/// Asks an incarnation whether it is there.
 #[derive(Debug, Request)]
 #[contract(reply = u64)]
 struct Hello;

@@ -1,4 +1,5 @@
-//! What the files of `tests/compile_fail` do wrong, done right, through the facade and without serde.
+//! What the files of `tests/compile_fail` do wrong, done right, through the facade and without
+//! serde.
 
 use blastema::{Event, Request, Structure};
 use std::collections::BTreeMap;

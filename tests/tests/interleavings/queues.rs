@@ -1,4 +1,4 @@
-//! The data queue: nothing is lost, served twice, or served to a life that does not own it.
+//! The data queue: nothing is lost, served twice, or served to an incarnation that does not own it.
 
 use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::{Bell, Model, bell};
@@ -11,12 +11,18 @@ use std::task::{Context, Waker};
 
 pub(crate) const MODELS: [Model; 7] = [
     ("queue: what two send is taken once each, and no wake is lost", two_senders),
-    ("queue: a message is taken by one life, whichever owns the queue then", change_of_owner),
-    ("queue: of a life that dies and one who gives it up, one decides", death_and_abandonment),
+    (
+        "queue: a message is taken by one incarnation, whichever owns the queue then",
+        change_of_owner,
+    ),
+    (
+        "queue: of an incarnation that dies and one who gives it up, one decides",
+        death_and_abandonment,
+    ),
     ("queue: a sender that waits for capacity gets it", waiting_for_room),
     ("queue: room that a sender gave up is the next one's", room_given_up),
     ("queue: what a stop meets is handed out or refused", push_and_stop),
-    ("queue: a notice wakes its life, and reaches no other", notice_and_change_of_owner),
+    ("queue: a notice wakes its incarnation, and reaches no other", notice_and_change_of_owner),
 ];
 
 const FIRST: Incarnation = Incarnation(1);
@@ -35,13 +41,13 @@ fn push(queue: &BoundedQueue<u32>, n: u32) -> Result<Option<u32>, (u32, Delivery
 /// Takes so many, sleeping in between; fewer where the queue has changed hands.
 fn take(
     queue: &BoundedQueue<u32>,
-    life: Incarnation,
+    incarnation: Incarnation,
     many: usize,
     (bell, waker): &(Arc<Bell>, Waker),
 ) -> Vec<u32> {
     let mut taken = Vec::new();
     while taken.len() < many {
-        match queue.take(life, waker) {
+        match queue.take(incarnation, waker) {
             Popped::Got(n) => taken.push(n),
             Popped::Empty => bell.0.wait(),
             Popped::Retired => break,

@@ -36,7 +36,7 @@ fn never_back() {
     let worker = {
         let stamp = stamp.clone();
         thread::spawn(move || {
-            stamp.begin_life(1);
+            stamp.begin_incarnation(1);
             stamp.begin(7);
             stamp.give_sign();
             stamp.step();

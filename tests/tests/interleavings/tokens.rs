@@ -58,7 +58,8 @@ fn an_end_is_final() {
     assert_eq!(token.forbidden(), Some(DeliveryError::Fenced));
 }
 
-/// A thread of the old life that hears of anything that the new one did cannot send any more.
+/// A thread of the old incarnation that hears of anything that the new one did cannot send any
+/// more.
 fn fenced_before_the_successor() {
     let token = Arc::new(IncarnationToken::default());
     let (queue, out) = (queue(), queue());
@@ -76,7 +77,7 @@ fn fenced_before_the_successor() {
         })
     };
 
-    // A thread that the old life started, as a detached sender has it.
+    // A thread that the old incarnation started, as a detached sender has it.
     let heard = matches!(out.take(Incarnation(1), std::task::Waker::noop()), Popped::Got(7));
     let refused = token.forbidden();
 

@@ -1,6 +1,6 @@
 //! Faults in the middleware itself, as far as an application can provoke them.
 
-use crate::puppet::{Deed, Strings, ask, life, strike};
+use crate::puppet::{Deed, Strings, ask, incarnation, strike};
 use blastema::prelude::*;
 use blastema::{MemoryMedium, Network};
 use blastema_testkit::TestNode;
@@ -28,7 +28,7 @@ async fn a_reader_of_fault_events_that_goes_away_is_forgotten() {
         node.await_recovered(FaultKind::Panic, "laser").await;
     }
 
-    assert_eq!(life(&node, "laser").await, 4);
+    assert_eq!(incarnation(&node, "laser").await, 4);
 }
 
 #[blastema_testkit::test]
@@ -48,7 +48,7 @@ async fn a_reader_that_never_reads_loses_events_and_is_told_how_many() {
     }
 
     assert!(slow.missed() > 0);
-    assert_eq!(life(&node, "laser").await, 601);
+    assert_eq!(incarnation(&node, "laser").await, 601);
     let record = node.faults().await;
     assert!(record.entries.len() + usize::try_from(record.dropped).unwrap() == 600);
 }

@@ -125,7 +125,7 @@ async fn run(seed: u64, patient: bool) {
     }
     assert_eq!(node.state(), NodeState::Running, "seed {seed}");
     let record = node.faults().await;
-    // What is only observed stands until its place begins a new life.
+    // What is only observed stands until its place begins a new incarnation.
     let observed =
         |entry: &&FaultEntry| entry.decided.as_ref().is_some_and(|(_, what)| what == "observe");
     let open = record.entries.iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);

@@ -233,7 +233,7 @@ impl Component for Planner {
 
     async fn on_activated(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
         let wheels = cx.commander::<Drive>("module2:wheels")?;
-        // The first life of all finds no network yet.
+        // The first incarnation of all finds no network yet.
         cx.spawn(async move {
             while wheels.claim().await.is_err() {
                 tokio::time::sleep(10 * MS).await;
@@ -259,7 +259,7 @@ impl Handle<Stick> for Planner {
 }
 
 #[blastema_testkit::test]
-async fn the_next_life_of_a_commander_goes_on_without_a_stop() {
+async fn the_next_incarnation_of_a_commander_goes_on_without_a_stop() {
     let planner = ChildSpec::new("planner", || Planner);
     let mut robot = Robot::start_with(|node| node.child(planner)).await;
     assert_eq!(robot.speeds(), [1.0]);
@@ -285,7 +285,7 @@ async fn a_commander_that_is_gone_for_good_leaves_the_wheels_at_rest() {
 }
 
 #[blastema_testkit::test]
-async fn wheels_that_are_between_two_lives_are_stopped_in_the_next() {
+async fn wheels_that_are_between_two_incarnations_are_stopped_in_the_next() {
     let mut robot = Robot::start().await;
     let commander = robot.commander("console");
     commander.claim().await.unwrap();

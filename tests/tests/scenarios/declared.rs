@@ -1,6 +1,6 @@
 //! Faults that a component declares: checks, its application's own list, storms, symptoms.
 
-use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Pull, Strings, ask, incarnation, strike};
 use blastema::core::detection::FaultTransition;
 use blastema::core::recovery::{ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
@@ -28,7 +28,7 @@ async fn a_failed_check_is_answered_as_the_plan_says() {
         assert_eq!(fault.detail, "the value is 7.5, outside of 0.0..=1.0");
         assert_eq!(fault.severity, Severity::Warning);
         node.advance(Duration::from_secs(1)).await;
-        assert_eq!(life(&node, "odometry").await, then);
+        assert_eq!(incarnation(&node, "odometry").await, then);
     }
 }
 
@@ -109,7 +109,7 @@ async fn a_fault_of_the_applications_own_is_found_and_answered_by_its_own_strate
     let fault = node.await_fault(grip(), "arm").await;
     assert_eq!((fault.kind.code(), fault.detail.as_str()), ("GRIP", "as it was told"));
     assert_eq!(node.await_recovered(grip(), "arm").await, Duration::from_millis(40));
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     let record = node.faults().await;
     let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
     assert_eq!(decided, Some("open gripper"));
@@ -141,7 +141,7 @@ async fn a_code_that_nobody_declared_says_so_and_brakes_nothing() {
     let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
     assert_eq!(decided, Some("observe"));
     assert!(!braked.load(Relaxed), "the robot goes on");
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
 }
 
 #[blastema_testkit::test]
@@ -181,7 +181,7 @@ async fn what_is_found_downstream_of_a_dead_part_is_marked_as_its_symptom() {
     let order: Vec<_> = record.entries.iter().map(|entry| entry.fault.id).collect();
     assert_eq!(order, [root.id, symptom.id, other.id], "roots first, symptoms behind theirs");
     node.await_recovered(FaultKind::Panic, "laser").await;
-    assert_eq!(life(&node, "planner").await, 1, "the victim was not restarted");
+    assert_eq!(incarnation(&node, "planner").await, 1, "the victim was not restarted");
 }
 
 #[blastema_testkit::test]
@@ -201,7 +201,7 @@ async fn an_error_of_a_victim_passes_with_its_root_or_is_treated_then() {
     let took = node.await_recovered(FaultKind::ErrorState, "planner").await;
 
     assert!(took > Duration::from_secs(2), "{took:?}");
-    assert_eq!(life(&node, "planner").await, 1, "a reset has helped");
+    assert_eq!(incarnation(&node, "planner").await, 1, "a reset has helped");
     let record = node.faults().await;
     let ended = |entry: &blastema::core::detection::FaultEntry| entry.recovered_at.is_some();
     assert!(record.entries.iter().all(ended), "{record:?}");

@@ -1,6 +1,6 @@
 //! Incarnations that end in an unusual place: while they stop, before they work, or between two.
 
-use crate::puppet::{Deed, News, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, News, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
@@ -20,7 +20,7 @@ async fn one_that_stops_by_itself_and_does_not_end_in_time_is_replaced() {
     node.await_fault(FaultKind::UnexpectedExit, "arm").await;
     node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
 }
 
 #[blastema_testkit::test]
@@ -35,7 +35,10 @@ async fn one_that_did_not_come_to_work_and_panics_is_left_to_its_supervisor() {
     node.advance(10_000 * MS).await;
 
     let arm = node.tree().await.unwrap().children[0].clone();
-    assert_eq!((arm.state, arm.incarnation.0), (ChildState::Running, life(&node, "arm").await));
+    assert_eq!(
+        (arm.state, arm.incarnation.0),
+        (ChildState::Running, incarnation(&node, "arm").await)
+    );
 }
 
 #[blastema_testkit::test]
@@ -71,5 +74,5 @@ async fn a_condition_that_panics_between_two_incarnations_is_a_failed_check() {
     let fault = node.await_fault(FaultKind::CheckFailed, "ear").await;
     assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
     node.await_recovered(FaultKind::Panic, "arm").await;
-    assert_eq!(life(&node, "ear").await, 2);
+    assert_eq!(incarnation(&node, "ear").await, 2);
 }

@@ -1,6 +1,6 @@
 //! A component says that it is in error.
 
-use crate::puppet::{Deed, Pull, Strings, ask, life};
+use crate::puppet::{Deed, Pull, Strings, ask, incarnation};
 use blastema::core::detection::FaultRecord;
 use blastema::prelude::*;
 use blastema::{Incarnation, Lifecycle, Severity};
@@ -23,7 +23,7 @@ fn decided(record: &FaultRecord) -> Vec<&str> {
 }
 
 #[blastema_testkit::test]
-async fn an_error_is_reset_within_the_same_life() {
+async fn an_error_is_reset_within_the_same_incarnation() {
     let strings = Strings::default();
     let mut node = node_of(&strings).await;
     strings.diary();
@@ -35,7 +35,7 @@ async fn an_error_is_reset_within_the_same_life() {
     assert_eq!((fault.detail.as_str(), fault.incarnation), ("the gripper slips", Incarnation(1)));
     let hooks = ["arm#1 on_aborting", "arm#1 on_error", "arm#1 on_reset", "arm#1 on_activated"];
     assert_eq!(strings.diary(), hooks);
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
     assert_eq!(decided(&node.faults().await), ["reset"]);
     assert_eq!(node.row("arm").await.state, Some(Lifecycle::Active));
 }
@@ -50,7 +50,7 @@ async fn a_hook_that_fails_is_an_error_too() {
     node.await_recovered(FaultKind::ErrorState, "arm").await;
 
     assert_eq!(fault.detail, "no current");
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
 }
 
 #[blastema_testkit::test]
@@ -65,7 +65,7 @@ async fn an_error_that_comes_back_climbs_the_ladder_to_a_restart() {
     }
 
     assert_eq!(decided(&node.faults().await), ["reset", "restart"]);
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
 
     // Long after, it is treated from the beginning.
     node.advance(Duration::from_secs(60)).await;
@@ -84,9 +84,9 @@ async fn a_reset_that_fails_is_followed_by_a_restart() {
     fail(&node, "the gripper slips").await;
     node.await_recovered(FaultKind::ErrorState, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     let finalized = strings.diary().iter().position(|line| line == "arm#1 on_finalize");
-    assert!(finalized.is_some(), "the old life had its last word");
+    assert!(finalized.is_some(), "the old incarnation had its last word");
     let record = node.faults().await;
     assert_eq!(decided(&record)[0], "restart");
     let ended = |e: &blastema::core::detection::FaultEntry| e.recovered_at.is_some();
@@ -102,11 +102,11 @@ async fn a_reset_that_never_answers_is_followed_by_a_restart() {
     fail(&node, "the gripper slips").await;
     node.await_recovered(FaultKind::ErrorState, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
 }
 
 #[blastema_testkit::test]
-async fn a_fatal_failure_is_answered_by_a_new_life() {
+async fn a_fatal_failure_is_answered_by_a_new_incarnation() {
     let strings = Strings::default();
     let mut node = node_of(&strings).await;
 
@@ -115,12 +115,12 @@ async fn a_fatal_failure_is_answered_by_a_new_life() {
     node.await_recovered(FaultKind::Fatal, "arm").await;
 
     assert_eq!((fault.detail.as_str(), fault.severity), ("it burns", Severity::Critical));
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
 }
 
 #[blastema_testkit::test]
-async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_life() {
+async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_incarnation() {
     for hook in ["on_aborting", "on_error", "on_reset"] {
         let strings = Strings::default();
         let mut node = node_of(&strings).await;
@@ -131,7 +131,7 @@ async fn a_panic_while_it_aborts_or_resets_is_answered_by_a_new_life() {
         node.await_recovered(FaultKind::Panic, "arm").await;
         node.advance(Duration::from_secs(5)).await;
 
-        assert_eq!(life(&node, "arm").await, 2, "{hook}");
+        assert_eq!(incarnation(&node, "arm").await, 2, "{hook}");
         let record = node.faults().await;
         let stands: Vec<_> = record
             .entries
@@ -151,6 +151,6 @@ async fn a_component_that_ends_itself_is_an_unexpected_exit() {
     node.await_fault(FaultKind::UnexpectedExit, "arm").await;
     node.await_recovered(FaultKind::UnexpectedExit, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
 }

@@ -1,6 +1,6 @@
 //! Restarts that are not worth it any more.
 
-use crate::puppet::{Deed, Do, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Strings, ask, incarnation, strike};
 use blastema::core::detection::Opinion;
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
@@ -34,7 +34,7 @@ async fn a_supervisor_that_gives_up_is_begun_anew_by_its_parent() {
 
     assert!(storm.detail.contains("motors needed more than 1 restarts"), "{}", storm.detail);
     assert_eq!(node.state(), NodeState::Running);
-    assert_eq!((life(&node, "motors").await, life(&node, "lamp").await), (3, 1));
+    assert_eq!((incarnation(&node, "motors").await, incarnation(&node, "lamp").await), (3, 1));
     let tree = node.tree().await.unwrap();
     assert_eq!((tree.restarts_left, tree.children[1].incarnation.0), (2, 2));
     let record = node.faults().await;
@@ -82,7 +82,7 @@ async fn a_budget_that_is_spent_comes_back_with_time() {
     for n in 1..=5 {
         strike(&node, "motors").await;
         node.await_recovered(FaultKind::Panic, "motors").await;
-        assert_eq!(life(&node, "motors").await, n + 1);
+        assert_eq!(incarnation(&node, "motors").await, n + 1);
         node.advance(PERIOD + Duration::from_millis(1)).await;
     }
 
@@ -100,7 +100,7 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
     strike(&node, "guest").await;
     strike(&node, "job").await;
     node.advance(Duration::from_secs(1)).await;
-    assert_eq!(life(&node, "job").await, 2, "it had failed");
+    assert_eq!(incarnation(&node, "job").await, 2, "it had failed");
     ask(&node, "job", Deed::Stop).await.unwrap();
     node.advance(Duration::from_secs(60)).await;
 
@@ -160,11 +160,11 @@ async fn a_component_that_fails_too_often_is_stopped_alone_unless_it_is_essentia
         assert_eq!(node.state(), NodeState::Running);
         let reason = node.await_given_up(FaultKind::Panic, "motors").await;
         assert!(reason.contains("safe stop"), "{reason}");
-        assert_eq!(life(&node, "lamp").await, 1);
+        assert_eq!(incarnation(&node, "lamp").await, 1);
         strike(&node, "lamp").await;
         node.await_recovered(FaultKind::Panic, "lamp").await;
         node.restart_child("motors").await.expect("a person brings it back");
-        assert_eq!(life(&node, "motors").await, 4);
+        assert_eq!(incarnation(&node, "motors").await, 4);
     }
 }
 
@@ -182,10 +182,10 @@ async fn a_supervisor_that_escalates_too_often_is_stopped_alone() {
     node.await_given_up(FaultKind::UnexpectedExit, "drive").await;
 
     assert_eq!(node.state(), NodeState::Running);
-    assert_eq!(life(&node, "lamp").await, 1);
+    assert_eq!(incarnation(&node, "lamp").await, 1);
     assert!(ask(&node, "motors", Deed::Nothing).await.is_err());
     node.restart_child("drive").await.expect("a person brings it back");
-    assert_eq!(life(&node, "motors").await, 5);
+    assert_eq!(incarnation(&node, "motors").await, 5);
 }
 
 #[blastema_testkit::test]
@@ -212,8 +212,8 @@ async fn a_thousand_components_that_fail_at_once_are_all_treated() {
 
         let tree = node.tree().await.expect("it runs");
         for leaf in &tree.children {
-            let (life, state) = (leaf.incarnation.0, leaf.state);
-            assert_eq!((life, state), (2, ChildState::Running), "{kind}: {leaf:?}");
+            let (incarnation, state) = (leaf.incarnation.0, leaf.state);
+            assert_eq!((incarnation, state), (2, ChildState::Running), "{kind}: {leaf:?}");
         }
         let record = node.faults().await;
         let told = record.entries.len() as u64 + record.dropped;

@@ -1,6 +1,6 @@
 //! Publishing and listening, across deaths.
 
-use crate::puppet::{Deed, News, Strings, ask, life, strike};
+use crate::puppet::{Deed, News, Strings, ask, incarnation, strike};
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode};
@@ -19,7 +19,7 @@ async fn a_condition_decides_before_anything_is_queued() {
 }
 
 #[blastema_testkit::test]
-async fn subscriptions_return_with_the_next_life_and_end_with_the_last() {
+async fn subscriptions_return_with_the_next_incarnation_and_end_with_the_last() {
     let strings = Strings::default();
     let builder = Node::builder("module1").child(strings.spec("mouth")).child(strings.spec("ear"));
     let mut node = TestNode::start(builder).await;
@@ -113,7 +113,7 @@ async fn an_object_can_listen_to_itself() {
     node.settle().await;
 
     assert_eq!(strings.lines("news"), ["ear#1 news 1"]);
-    assert_eq!(life(&node, "ear").await, 1);
+    assert_eq!(incarnation(&node, "ear").await, 1);
 }
 
 /// What `News` might be in another part of the program.

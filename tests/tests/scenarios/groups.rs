@@ -1,6 +1,6 @@
 //! Siblings that cannot do without each other.
 
-use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
@@ -18,16 +18,16 @@ async fn node_of(strings: &Strings, strategy: Strategy) -> TestNode {
     node
 }
 
-async fn lives(node: &TestNode) -> [u64; 4] {
+async fn incarnations(node: &TestNode) -> [u64; 4] {
     [
-        life(node, "a").await,
-        life(node, "b").await,
-        life(node, "c").await,
-        life(node, "stranger").await,
+        incarnation(node, "a").await,
+        incarnation(node, "b").await,
+        incarnation(node, "c").await,
+        incarnation(node, "stranger").await,
     ]
 }
 
-/// The first hooks of lives, and the last ones.
+/// The first hooks of incarnations, and the last ones.
 fn begins_and_ends(strings: &Strings) -> Vec<String> {
     let short = |line: String| {
         line.strip_suffix(" on_initialize")
@@ -47,7 +47,7 @@ async fn one_for_all_stops_in_reverse_order_and_starts_in_order() {
 
     // The one that panicked has no last word.
     assert_eq!(begins_and_ends(&strings), ["-c#1", "-a#1", "+a#2", "+b#2", "+c#2"]);
-    assert_eq!(lives(&node).await, [2, 2, 2, 1]);
+    assert_eq!(incarnations(&node).await, [2, 2, 2, 1]);
     node.await_fault(FaultKind::Panic, "b").await;
     node.expect_no_faults().await;
 }
@@ -77,8 +77,8 @@ async fn over_all_arbiters(strategy: Strategy) -> Vec<String> {
     strike(&node, "b").await;
     node.await_recovered(FaultKind::Panic, "b").await;
     let last = node.sender::<Do>("f").expect("a puppet of this name");
-    let life = last.ask_within(Do(Deed::Nothing), Duration::from_secs(30)).await;
-    assert_eq!(life.expect("all are at work"), 2);
+    let incarnation = last.ask_within(Do(Deed::Nothing), Duration::from_secs(30)).await;
+    assert_eq!(incarnation.expect("all are at work"), 2);
     node.shutdown().await;
     begins_and_ends(&strings)
 }
@@ -105,7 +105,7 @@ async fn rest_for_one_takes_those_that_were_started_after_it() {
     node.await_recovered(FaultKind::Panic, "b").await;
 
     assert_eq!(begins_and_ends(&strings), ["-c#1", "+b#2", "+c#2"]);
-    assert_eq!(lives(&node).await, [1, 2, 2, 1]);
+    assert_eq!(incarnations(&node).await, [1, 2, 2, 1]);
 }
 
 #[blastema_testkit::test]
@@ -117,7 +117,7 @@ async fn one_for_one_touches_nobody_else() {
     node.await_recovered(FaultKind::Panic, "b").await;
 
     assert_eq!(begins_and_ends(&strings), ["+b#2"]);
-    assert_eq!(lives(&node).await, [1, 2, 1, 1]);
+    assert_eq!(incarnations(&node).await, [1, 2, 1, 1]);
 }
 
 #[blastema_testkit::test]
@@ -149,7 +149,7 @@ async fn a_sibling_that_does_not_stop_is_given_up_after_its_time() {
     let took = node.await_recovered(FaultKind::Panic, "a").await;
 
     assert!(took >= Duration::from_secs(2) && took < Duration::from_secs(3), "{took:?}");
-    assert_eq!((life(&node, "a").await, life(&node, "b").await), (2, 2));
+    assert_eq!((incarnation(&node, "a").await, incarnation(&node, "b").await), (2, 2));
     node.await_fault(FaultKind::Panic, "a").await;
     node.await_fault(FaultKind::ErrorState, "b").await;
     node.expect_no_faults().await;
@@ -163,7 +163,7 @@ async fn what_is_sent_while_a_group_restarts_is_served_afterwards() {
 
     strike(&node, "a").await;
 
-    // The one that is between two lives keeps its queue.
+    // The one that is between two incarnations keeps its queue.
     assert_eq!(ask(&node, "a", Deed::Nothing).await.unwrap(), 2);
     assert_eq!(ask(&node, "b", Deed::Nothing).await.unwrap(), 2);
 }
@@ -183,8 +183,8 @@ async fn a_member_that_needs_another_and_fails_while_that_one_returns_holds_up_n
     let took = node.await_recovered(FaultKind::InitializationFailed, "b").await;
 
     assert!(took < Duration::from_secs(1), "a deadline had to pass: {took:?}");
-    assert_eq!(life(&node, "a").await, 2);
-    assert_eq!((life(&node, "b").await, life(&node, "c").await), (3, 2));
+    assert_eq!(incarnation(&node, "a").await, 2);
+    assert_eq!((incarnation(&node, "b").await, incarnation(&node, "c").await), (3, 2));
     node.expect_no_faults().await;
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Nothing here measures time, and no test sleeps: each test waits for what it says.
 
-use crate::puppet::{Deed, Do, Note, Pull, Strings, life};
+use crate::puppet::{Deed, Do, Note, Pull, Strings, incarnation};
 use blastema::core::detection::{FaultEntry, Opinion};
 use blastema::prelude::*;
 use blastema::{Incarnation, NodeBuilder, RestartError, ThreadKind, ThreadRow, ThreadState};
@@ -93,7 +93,7 @@ fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
         assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (2, 2));
         until("its queue came along", || strings.lines("note") == ["leg#2 note 1"]).await;
         assert_eq!(node.abandoned_threads(), 1);
-        assert_eq!(life(&node, "ear").await, 1);
+        assert_eq!(incarnation(&node, "ear").await, 1);
         strings.release();
         until("the thread comes back", || node.abandoned_threads() == 0).await;
         node.shutdown().await;
@@ -102,8 +102,8 @@ fn neighbours_of_a_hang_that_does_not_return_are_moved_with_their_queues() {
 
 /// The thread that this component lives on.
 fn thread_of(node: &Node, component: &str) -> Option<ThreadRow> {
-    let lives = |row: &ThreadRow| row.components.iter().any(|name| name.as_str() == component);
-    node.threads().into_iter().find(lives)
+    let hosts = |row: &ThreadRow| row.components.iter().any(|name| name.as_str() == component);
+    node.threads().into_iter().find(hosts)
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn a_hang_in_a_group_is_over_with_the_grace_and_moves_each_outsider_once() {
         for name in ["a", "b", "c", "outsider"] {
             assert_eq!(patiently(&node, name).await, 2, "{name}");
         }
-        assert_eq!(life(&node, "ear").await, 1);
+        assert_eq!(incarnation(&node, "ear").await, 1);
         let diary = strings.diary();
         let order = ["a#2 on_activated", "b#2 on_initialize", "b#2 on_activated"];
         let order = order.map(|line| at(&diary, line));

@@ -1,6 +1,6 @@
 //! A component does not come up.
 
-use crate::puppet::{Deed, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Fault, Incarnation, NodeBuilder, RestartedChild};
@@ -20,7 +20,7 @@ async fn a_failed_initialisation_is_tried_again_and_the_node_comes_up() {
     let fault = node.await_fault(FaultKind::InitializationFailed, "camera").await;
     node.await_recovered(FaultKind::InitializationFailed, "camera").await;
     assert_eq!((fault.detail.as_str(), fault.incarnation), ("no device", Incarnation(1)));
-    assert_eq!((life(&node, "camera").await, life(&node, "eye").await), (2, 1));
+    assert_eq!((incarnation(&node, "camera").await, incarnation(&node, "eye").await), (2, 1));
     let eye = strings.diary().iter().position(|line| line == "eye#1 on_initialize");
     assert!(eye.is_some());
     node.expect_no_faults().await;
@@ -40,7 +40,7 @@ async fn later_children_wait_until_the_one_before_them_is_at_work() {
 }
 
 #[blastema_testkit::test]
-async fn every_way_of_not_coming_up_is_answered_by_a_new_life() {
+async fn every_way_of_not_coming_up_is_answered_by_a_new_incarnation() {
     let day = Duration::from_secs(86_400);
     let cases = [
         ("on_initialize", Pull::Fatal("broken"), FaultKind::InitializationFailed),
@@ -61,7 +61,7 @@ async fn every_way_of_not_coming_up_is_answered_by_a_new_life() {
         node.await_recovered(kind, "camera").await;
 
         assert_eq!(node.state(), NodeState::Running, "{hook} {pull:?}");
-        assert!(life(&node, "camera").await <= 2, "{hook} {pull:?}");
+        assert!(incarnation(&node, "camera").await <= 2, "{hook} {pull:?}");
         let tree = node.tree().await.unwrap();
         assert_eq!(tree.children[0].state, ChildState::Running, "{hook} {pull:?}");
     }
@@ -87,14 +87,18 @@ async fn a_component_that_never_comes_up_is_put_to_safe_rest_and_the_node_serves
     let mut node = TestNode::start(builder).await;
 
     assert_eq!(node.state(), NodeState::Running);
-    assert_eq!(life(&node, "wheels").await, 1);
+    assert_eq!(incarnation(&node, "wheels").await, 1);
     let fault = node.await_fault(FaultKind::InitializationFailed, "camera").await;
     let reason = node.await_given_up(FaultKind::InitializationFailed, "camera").await;
     assert!(reason.contains("service is not restored"), "{reason}");
     assert_eq!(node.tree().await.unwrap().children[1].state, ChildState::Resting);
     let rested: Vec<_> = rested.lock().unwrap().iter().map(|fault| fault.id).collect();
     assert_eq!(rested, [fault.id]);
-    assert_eq!(strings.lines("camera").len(), 4 * 2, "four lives: on_initialize and on_finalize");
+    assert_eq!(
+        strings.lines("camera").len(),
+        4 * 2,
+        "four incarnations: on_initialize and on_finalize"
+    );
 }
 
 #[blastema_testkit::test]
@@ -114,7 +118,7 @@ async fn a_node_that_may_not_try_again_does_not_start_and_comes_to_safe_rest() {
 }
 
 #[blastema_testkit::test]
-async fn a_new_life_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fault() {
+async fn a_new_incarnation_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fault() {
     let strings = Strings::default();
     let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;
     (0..2).for_each(|_| strings.pull("camera", "on_initialize", Pull::Fail("no device")));
@@ -124,7 +128,7 @@ async fn a_new_life_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fau
     node.await_fault(FaultKind::InitializationFailed, "camera").await;
     node.await_recovered(FaultKind::InitializationFailed, "camera").await;
 
-    assert_eq!(life(&node, "camera").await, 4);
+    assert_eq!(incarnation(&node, "camera").await, 4);
     assert_eq!(node.faults().await.entries[1].fault.count, 2);
     node.expect_no_faults().await;
 }
@@ -141,7 +145,7 @@ async fn one_broken_part_and_a_panic_elsewhere_leave_the_node_running() {
     node.await_recovered(FaultKind::Panic, "wheels").await;
 
     assert_eq!(node.state(), NodeState::Running);
-    assert_eq!(life(&node, "wheels").await, 2);
+    assert_eq!(incarnation(&node, "wheels").await, 2);
     assert_eq!(panic.symptom_of, None, "each is blamed for its own");
     let kinds: Vec<_> = rested.lock().unwrap().iter().map(|fault| fault.kind.clone()).collect();
     assert_eq!(kinds, [FaultKind::InitializationFailed], "safe state is the camera's alone");
@@ -167,7 +171,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
         let node = TestNode::start(builder).await;
 
         assert_eq!(node.state(), NodeState::Running, "{hook}");
-        assert_eq!(life(&node, "eye").await, 1, "no component waits for a camera");
+        assert_eq!(incarnation(&node, "eye").await, 1, "no component waits for a camera");
         node.advance(Duration::from_secs(60)).await;
         assert_eq!(standing(&node).await, [FaultKind::Unavailable], "{hook}");
         let tree = node.tree().await.unwrap();
@@ -178,7 +182,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
 
         node.advance(Duration::from_secs(200)).await;
         assert_eq!(standing(&node).await, [], "{hook}: it is plugged in");
-        assert_eq!(life(&node, "camera").await, 1, "{hook}");
+        assert_eq!(incarnation(&node, "camera").await, 1, "{hook}");
         let tree = node.tree().await.unwrap();
         let leaf = &tree.children[0];
         assert_eq!((leaf.state, leaf.restarts), (ChildState::Running, 0), "{hook}");
@@ -198,7 +202,7 @@ async fn a_device_that_goes_and_comes_is_one_error_and_one_wait() {
     node.advance(Duration::from_secs(60)).await;
 
     assert_eq!(standing(&node).await, []);
-    assert_eq!(life(&node, "camera").await, 1, "its life went on");
+    assert_eq!(incarnation(&node, "camera").await, 1, "its incarnation went on");
     node.await_recovered(FaultKind::Unavailable, "camera").await;
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Running);
 }
@@ -214,11 +218,11 @@ async fn those_who_depend_on_a_missing_device_wait_for_it_and_the_node_runs() {
 
     let node = TestNode::start(builder).await;
 
-    assert_eq!(life(&node, "wheels").await, 1);
+    assert_eq!(incarnation(&node, "wheels").await, 1);
     assert_eq!(strings.lines("eye").len(), 0);
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Unavailable);
     node.advance(Duration::from_secs(60)).await;
-    assert_eq!((life(&node, "camera").await, life(&node, "eye").await), (1, 1));
+    assert_eq!((incarnation(&node, "camera").await, incarnation(&node, "eye").await), (1, 1));
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Running);
     node.shutdown().await;
 }
@@ -236,7 +240,7 @@ async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
     let camera = node.tree().await.unwrap().children[0].clone();
     assert_eq!((camera.incarnation, camera.state), (Incarnation(2), ChildState::Unavailable));
     let both = [FaultKind::Panic, FaultKind::Unavailable];
-    assert_eq!(standing(&node).await, both, "the next life waits, and has not recovered");
+    assert_eq!(standing(&node).await, both, "the next incarnation waits, and has not recovered");
     let restarted = node.restart_child("camera").await.expect("it is stopped, and begins again");
     assert_eq!(restarted, RestartedChild::Unavailable(Incarnation(3)), "it says that it waits");
     strings.cut_all();
@@ -244,7 +248,7 @@ async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
     assert_eq!(restarted, RestartedChild::Running(Incarnation(4)));
     node.await_recovered(FaultKind::Panic, "camera").await;
     assert_eq!(standing(&node).await, []);
-    assert_eq!(life(&node, "camera").await, 4);
+    assert_eq!(incarnation(&node, "camera").await, 4);
     strings.pull("camera", "on_initialize", Pull::Unavailable("no camera"));
     node.shutdown().await;
     assert_eq!(node.state(), NodeState::Stopped);
@@ -262,7 +266,7 @@ async fn a_supervisor_has_the_time_that_its_children_have_together() {
     let maps = SupervisorSpec::new("maps", Strategy::OneForOne).child(slow("a")).child(slow("b"));
 
     let node = TestNode::start(Node::builder("module1").supervisor(maps)).await;
-    assert_eq!((life(&node, "a").await, life(&node, "b").await), (1, 1));
+    assert_eq!((incarnation(&node, "a").await, incarnation(&node, "b").await), (1, 1));
     strings.diary();
     node.expect_no_faults().await;
     node.shutdown().await;
@@ -285,7 +289,7 @@ async fn a_supervisor_that_cannot_start_escalates_and_is_recovered_when_it_works
     node.await_recovered(FaultKind::RestartStorm, "drive").await;
 
     assert_eq!(node.state(), NodeState::Running);
-    assert_eq!((life(&node, "wheel").await, life(&node, "odometry").await), (6, 1));
+    assert_eq!((incarnation(&node, "wheel").await, incarnation(&node, "odometry").await), (6, 1));
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(standing(&node).await, []);
 }

@@ -7,6 +7,7 @@
 mod chain;
 mod chaos;
 mod commanders;
+mod death_watch;
 mod declared;
 mod either_order;
 mod endings;
@@ -19,7 +20,6 @@ mod groups;
 mod hangs;
 mod initialization;
 mod isolation;
-mod mourning;
 mod names;
 mod networks;
 mod panics;

@@ -191,7 +191,7 @@ async fn a_component_has_its_name_while_it_is_at_work() {
     let before = robot.nodes[2].holder("map").expect("it is held");
     assert_eq!(before.object.as_str(), "cartographer");
 
-    // A life that follows on the spot has the name of the one before it.
+    // An incarnation that follows on the spot has the name of the one before it.
     let boom = robot.nodes[2].sender::<Boom>("*:map").expect("it is a name");
     boom.tell(Boom).expect("it is taken");
     robot.advance(20 * MS).await;

@@ -7,7 +7,7 @@
 //!   module2 ══════════ module1
 //! ```
 
-use crate::puppet::{Deed, Do, Note, Strings, ask, life};
+use crate::puppet::{Deed, Do, Note, Strings, ask, incarnation};
 use blastema::core::net::LinkState;
 use blastema::core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
@@ -283,8 +283,12 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;
     robot.module1.advance(3000 * MS).await;
 
-    assert_eq!(laser.ask(Do(Deed::Nothing)).await.unwrap(), 1, "a new node, and its first life");
-    assert_eq!(life(&robot.module2, "laser").await, 1);
+    assert_eq!(
+        laser.ask(Do(Deed::Nothing)).await.unwrap(),
+        1,
+        "a new node, and its first incarnation"
+    );
+    assert_eq!(incarnation(&robot.module2, "laser").await, 1);
 }
 
 #[blastema_testkit::test]
@@ -341,7 +345,7 @@ async fn a_fault_of_another_node_is_told_to_the_recoverers_of_its_neighbours() {
     module1.advance(1000 * MS).await;
 
     assert_eq!(*told.lock().unwrap(), ["error state of module2:laser"]);
-    assert_eq!(life(&module2, "laser").await, 1, "its own node has recovered it");
+    assert_eq!(incarnation(&module2, "laser").await, 1, "its own node has recovered it");
 }
 
 #[blastema_testkit::test]

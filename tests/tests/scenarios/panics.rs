@@ -1,6 +1,6 @@
 //! A component panics, wherever it may.
 
-use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema::{Incarnation, Severity};
@@ -14,18 +14,22 @@ async fn node_of(strings: &Strings) -> TestNode {
 #[blastema_testkit::test]
 async fn a_panic_is_recovered_on_the_spot_and_recorded() {
     let mut node = node_of(&Strings::default()).await;
-    assert_eq!(life(&node, "laser").await, 1);
+    assert_eq!(incarnation(&node, "laser").await, 1);
 
     let struck = ask(&node, "laser", Deed::Panic("mirror stuck".into())).await;
 
-    let incarnation = Incarnation(1);
+    let first = Incarnation(1);
     let error = struck.expect_err("its receiver died");
-    assert_eq!(error.kind, DeliveryError::PeerDied { incarnation });
+    assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: first });
     assert_eq!(error.message, None, "it was taken up");
-    assert_eq!(life(&node, "laser").await, 2, "the same sender reaches the next life");
+    assert_eq!(
+        incarnation(&node, "laser").await,
+        2,
+        "the same sender reaches the next incarnation"
+    );
 
     let fault = node.await_fault(FaultKind::Panic, "laser").await;
-    assert_eq!((fault.incarnation, fault.severity, fault.count), (incarnation, Severity::Error, 1));
+    assert_eq!((fault.incarnation, fault.severity, fault.count), (first, Severity::Error, 1));
     assert!(fault.detail.starts_with("mirror stuck, at tests/tests/scenarios/puppet.rs:"));
     assert!(fault.detail.ends_with(", in test/do"), "{}", fault.detail);
     assert_eq!(node.await_recovered(FaultKind::Panic, "laser").await, Duration::ZERO);
@@ -37,7 +41,7 @@ async fn a_panic_is_recovered_on_the_spot_and_recorded() {
 }
 
 #[blastema_testkit::test]
-async fn what_was_queued_behind_a_deadly_message_is_served_by_the_next_life() {
+async fn what_was_queued_behind_a_deadly_message_is_served_by_the_next_incarnation() {
     let strings = Strings::default();
     let node = node_of(&strings).await;
     let (deadly, notes) = (node.sender::<Do>("laser"), node.sender::<Note>("laser"));
@@ -68,7 +72,7 @@ async fn a_panic_in_a_task_or_timer_of_its_own_is_the_components_death() {
         let fault = node.await_fault(FaultKind::Panic, "laser").await;
         assert!(fault.detail.starts_with(text) && fault.detail.ends_with(during), "{fault:?}");
         node.await_recovered(FaultKind::Panic, "laser").await;
-        assert_eq!(life(&node, "laser").await, before + 1);
+        assert_eq!(incarnation(&node, "laser").await, before + 1);
     }
 }
 
@@ -77,14 +81,14 @@ async fn a_panic_in_a_hook_is_the_components_death() {
     for hook in ["on_activated", "on_startup", "on_initialize", "factory"] {
         let strings = Strings::default();
         let mut node = node_of(&strings).await;
-        // The life after this one dies as it begins; its supervisor tries once more.
+        // The incarnation after this one dies as it begins; its supervisor tries once more.
         strings.pull("laser", hook, Pull::Panic("in a hook"));
         strike(&node, "laser").await;
 
         node.await_fault(FaultKind::Panic, "laser").await;
         node.await_recovered(FaultKind::Panic, "laser").await;
 
-        assert_eq!(life(&node, "laser").await, 3, "{hook}");
+        assert_eq!(incarnation(&node, "laser").await, 3, "{hook}");
         let record = node.faults().await;
         let during = if hook == "factory" { "its factory" } else { hook };
         let [entry] = &record.entries[..] else { panic!("{record:?}") };
@@ -118,7 +122,7 @@ async fn a_panic_with_something_that_is_no_text_is_reported_all_the_same() {
 
     let fault = node.await_fault(FaultKind::Panic, "laser").await;
     assert!(fault.detail.starts_with("a panic whose payload is no text"), "{}", fault.detail);
-    assert_eq!(life(&node, "laser").await, 2);
+    assert_eq!(incarnation(&node, "laser").await, 2);
 }
 
 #[blastema_testkit::test]
@@ -134,7 +138,7 @@ async fn a_condition_that_panics_is_the_listeners_death_and_no_one_elses() {
         let fault = node.await_fault(FaultKind::Panic, name).await;
         assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
         node.await_recovered(FaultKind::Panic, name).await;
-        assert_eq!(life(&node, name).await, 2);
+        assert_eq!(incarnation(&node, name).await, 2);
     }
     node.expect_no_faults().await;
 }
@@ -152,7 +156,7 @@ async fn under_rest_for_one_a_panic_takes_the_whole_chain() {
     let entry = &record.entries[0];
     assert_eq!(entry.decided.as_ref().map(|(_, measure)| measure.as_str()), Some("restart"));
     assert!(entry.recovered_at.is_some());
-    assert_eq!(life(&node, "laser").await, 2);
+    assert_eq!(incarnation(&node, "laser").await, 2);
 }
 
 #[blastema_testkit::test]

@@ -36,7 +36,7 @@ pub(crate) enum Deed {
     Fail(String),
     /// Leaves work for ever because of this.
     FailFatally(String),
-    /// Ends this life in order.
+    /// Ends this incarnation in order.
     Stop,
     /// Takes so many milliseconds, without keeping the thread.
     Await(u64),
@@ -155,10 +155,10 @@ pub(crate) struct Puppet {
 }
 
 impl Puppet {
-    async fn act(&self, hook: &'static str, life: Incarnation) -> Result<(), Failure> {
+    async fn act(&self, hook: &'static str, incarnation: Incarnation) -> Result<(), Failure> {
         let Puppet { name, strings } = self;
         if hook != "on_execute" {
-            strings.write(format!("{name}{life} {hook}"));
+            strings.write(format!("{name}{incarnation} {hook}"));
         }
         match strings.next(name, hook) {
             None => Ok(()),
@@ -286,19 +286,19 @@ impl Handle<News> for Puppet {
 impl Handle<Down> for Puppet {
     async fn handle(&mut self, down: Down, cx: &mut Context<Self>) {
         let Down { object, node, incarnation, ending } = down;
-        let (me, life) = (self.name, cx.incarnation());
+        let (me, own) = (self.name, cx.incarnation());
         let node = node.map(|node| format!("{node}:")).unwrap_or_default();
-        self.strings.write(format!("{me}{life} mourns {node}{object}{incarnation}: {ending:?}"));
+        self.strings.write(format!("{me}{own} mourns {node}{object}{incarnation}: {ending:?}"));
     }
 }
 
-/// Asks for a deed, and says which life did it.
+/// Asks for a deed, and says which incarnation did it.
 pub(crate) async fn ask(node: &Node, name: &str, deed: Deed) -> Result<u64, RequestError<Do>> {
     node.sender::<Do>(name).expect("a puppet of this name").ask(Do(deed)).await
 }
 
-/// Which life of the puppet answers now.
-pub(crate) async fn life(node: &Node, name: &str) -> u64 {
+/// Which incarnation of the puppet answers now.
+pub(crate) async fn incarnation(node: &Node, name: &str) -> u64 {
     ask(node, name, Deed::Nothing).await.expect("the puppet answers")
 }
 

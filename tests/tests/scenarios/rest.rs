@@ -1,6 +1,6 @@
 //! A node in the safe state: what goes on, who is told, and how it is brought back.
 
-use crate::puppet::{Deed, Do, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Ladder, Plan, RecoveryAction};
 use blastema::prelude::*;
 use blastema::{
@@ -102,7 +102,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
 }
 
 #[blastema_testkit::test]
-async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_life_is_at_work() {
+async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_incarnation_is_at_work() {
     let (strings, medium) = (Strings::default(), MemoryMedium::default());
     let (builder, _) = robot(&strings);
     let resting = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
@@ -122,7 +122,7 @@ async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_life_is_at_work()
 }
 
 #[blastema_testkit::test]
-async fn a_node_is_brought_back_from_rest_with_the_next_lives_of_its_components() {
+async fn a_node_is_brought_back_from_rest_with_the_next_incarnations_of_its_components() {
     let strings = Strings::default();
     let (builder, applied) = robot(&strings);
     let node = TestNode::start(builder).await;
@@ -137,11 +137,11 @@ async fn a_node_is_brought_back_from_rest_with_the_next_lives_of_its_components(
     let begun = strings.lines("on_initialize");
     assert_eq!(begun.len(), 2, "{begun:?}");
     assert!(begun[0].starts_with("lamp#") && begun[1].starts_with("motors#"), "{begun:?}");
-    assert_eq!((life(&node, "lamp").await, life(&node, "motors").await), (2, 3));
+    assert_eq!((incarnation(&node, "lamp").await, incarnation(&node, "motors").await), (2, 3));
     lamp.ask(Do(Deed::Nothing)).await.unwrap();
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
-    assert_eq!(standing(&node).await, [], "their next lives are at work");
+    assert_eq!(standing(&node).await, [], "their next incarnations are at work");
 
     // With a budget of its own, and with outputs that are applied again.
     strike(&node, "motors").await;
@@ -162,7 +162,7 @@ async fn only_a_node_at_rest_is_restarted() {
     let node = TestNode::start(builder).await;
     let refused = node.restart().await;
     assert_eq!(refused, Err(RestartError::NotAtRest { state: NodeState::Running }));
-    assert_eq!(life(&node, "lamp").await, 1);
+    assert_eq!(incarnation(&node, "lamp").await, 1);
 
     bring_to_rest(&node).await;
     let child = node.restart_child("lamp").await.unwrap_err();

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
 
-/// Sets a value; kills as many lives as it is told to, first.
+/// Sets a value; kills as many incarnations as it is told to, first.
 #[derive(Clone, Debug, PartialEq, Request)]
 #[contract(reply = u32, idempotent)]
 struct Set {
@@ -94,7 +94,7 @@ async fn robot() -> (TestNode, TestNode, Shelf) {
 }
 
 #[blastema_testkit::test]
-async fn what_may_be_done_twice_is_asked_of_the_next_life_here_and_elsewhere() {
+async fn what_may_be_done_twice_is_asked_of_the_next_incarnation_here_and_elsewhere() {
     let (one, two, shelf) = robot().await;
     for (node, name) in [(&one, "shelf"), (&two, "module1:shelf")] {
         shelf.0.store(0, Relaxed);
@@ -111,7 +111,7 @@ async fn what_may_be_done_twice_is_asked_of_the_next_life_here_and_elsewhere() {
 }
 
 #[blastema_testkit::test]
-async fn a_request_that_kills_every_life_is_quarantined_however_often_it_may_be_done() {
+async fn a_request_that_kills_every_incarnation_is_quarantined_however_often_it_may_be_done() {
     let (one, two, shelf) = robot().await;
     for (node, name) in [(&one, "shelf"), (&two, "module1:shelf")] {
         shelf.0.store(0, Relaxed);

@@ -53,7 +53,7 @@ async fn a_request_in_the_queue_survives_the_receivers_death() {
 }
 
 #[blastema_testkit::test]
-async fn between_two_lives_a_full_queue_says_restarting() {
+async fn between_two_incarnations_a_full_queue_says_restarting() {
     let strings = Strings::default();
     let group = SupervisorSpec::new("group", Strategy::OneForAll)
         .child(strings.spec("first"))
@@ -164,7 +164,7 @@ async fn a_node_that_has_stopped_refuses_everything_and_says_so() {
     assert_eq!(notes.deliver(Note(1)).await.expect_err("it is over").kind, DeliveryError::Stopped);
 }
 
-/// Hands out a sender that belongs to its present life.
+/// Hands out a sender that belongs to its present incarnation.
 struct Lender(std::sync::mpsc::SyncSender<Sender<Note>>);
 
 impl Component for Lender {
@@ -185,19 +185,19 @@ impl Handle<Die> for Lender {
 }
 
 #[blastema_testkit::test]
-async fn what_a_thread_of_a_dead_life_still_says_goes_nowhere() {
+async fn what_a_thread_of_a_dead_incarnation_still_says_goes_nowhere() {
     let strings = Strings::default();
     let (lend, lent) = std::sync::mpsc::sync_channel(8);
     let spec = ChildSpec::new("lender", move || Lender(lend.clone()));
     let lender = Harness::within(node_of(&strings).await, spec).await;
     let first = lent.try_recv().expect("it lent one");
-    first.tell(Note(1)).expect("its life lasts");
+    first.tell(Note(1)).expect("its incarnation lasts");
 
     lender.tell(Die).unwrap();
     lender.settle().await;
-    let second = lent.try_recv().expect("its next life lent one");
+    let second = lent.try_recv().expect("its next incarnation lent one");
 
-    let refused = first.tell(Note(2)).expect_err("that life is over");
+    let refused = first.tell(Note(2)).expect_err("that incarnation is over");
     assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Note(2)));
     second.tell(Note(3)).expect("this one lasts");
     lender.settle().await;

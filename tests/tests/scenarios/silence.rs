@@ -1,6 +1,6 @@
 //! Objects that give no sign of life, or wait for ever, while their arbiter turns.
 
-use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, life};
+use crate::puppet::{Deed, Do, Note, Pull, Strings, ask, incarnation};
 use blastema::Incarnation;
 use blastema::core::detection::Opinion;
 use blastema::prelude::*;
@@ -41,7 +41,7 @@ async fn a_silent_object_is_found_within_its_tolerance_and_replaced() {
 
     assert!(after >= 350 * MS && after <= 480 * MS, "three and a half intervals: {after:?}");
     assert_eq!(fault.incarnation, Incarnation(1));
-    assert_eq!(life(&node, "laser").await, 2);
+    assert_eq!(incarnation(&node, "laser").await, 2);
     node.advance(10 * HOUR / 3600).await;
     node.expect_no_faults().await;
 }
@@ -64,7 +64,7 @@ async fn an_object_that_stays_silent_ends_where_the_budget_says() {
 }
 
 #[blastema_testkit::test]
-async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_life() {
+async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_incarnation() {
     let strings = Strings::default();
     let spec = strings.spec("arm").max_wait(2000 * MS);
     let builder = Node::builder("module1").child(spec).child(strings.spec("eye"));
@@ -86,9 +86,9 @@ async fn a_handler_that_waits_for_ever_is_a_hang_and_its_queue_goes_to_the_next_
     assert!(fault.detail.starts_with("test/do has been waiting for"), "{}", fault.detail);
     let error = stuck.await.unwrap().expect_err("it was given up");
     assert_eq!(error.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
-    assert_eq!(life(&node, "eye").await, 1);
+    assert_eq!(incarnation(&node, "eye").await, 1);
     node.expect_no_faults().await;
 }
 
@@ -135,6 +135,6 @@ async fn who_answers_but_takes_no_message_is_stuck_and_replaced() {
     node.await_recovered(FaultKind::Hang, "arm").await;
 
     assert!(fault.detail.contains("it answers, but has taken none of 1 message;"), "{fault:?}");
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     assert_eq!(strings.lines("note"), ["arm#2 note 1"]);
 }

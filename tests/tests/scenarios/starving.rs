@@ -30,10 +30,10 @@ struct Bench(Arc<Inner>);
 struct Inner {
     open: Mutex<bool>,
     opened: Condvar,
-    /// From which of its lives on a laser blocks at start.
+    /// From which incarnation on a laser blocks at start.
     blocks_from: AtomicU64,
-    /// The latest life of the laser whose start has begun.
-    life: AtomicU64,
+    /// The latest incarnation of the laser whose start has begun.
+    incarnation: AtomicU64,
     count: AtomicU64,
 }
 
@@ -74,7 +74,7 @@ impl Component for Laser {
     }
 
     async fn on_startup(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
-        self.0.0.life.fetch_max(cx.incarnation().0, Relaxed);
+        self.0.0.incarnation.fetch_max(cx.incarnation().0, Relaxed);
         if cx.incarnation().0 >= self.0.0.blocks_from.load(Relaxed) {
             self.0.block();
         }
@@ -161,8 +161,8 @@ async fn until_none_stands(node: &Node) {
     assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{:?}", node.faults().await);
 }
 
-/// In which of its lives the component is.
-async fn life_of(node: &Node, name: &str) -> Incarnation {
+/// In which incarnation the component is.
+async fn incarnation_of(node: &Node, name: &str) -> Incarnation {
     let place = format!("module1:{name}");
     let row = node.table().await.into_iter().find(|row| row.place.to_string() == place);
     row.expect("it is watched").incarnation
@@ -183,18 +183,18 @@ fn neighbours_of_one_that_hangs_at_each_start_go_on_and_are_blamed_for_nothing()
         let bench = Bench::new(2);
         let builder = robot().child(bench.laser("laser")).child(bench.counter("counter"));
         let node = start(builder).await;
-        let life = || bench.0.life.load(Relaxed);
+        let incarnation = || bench.0.incarnation.load(Relaxed);
 
         node.sender("laser").unwrap().tell(Fire).unwrap();
-        until("its next life hangs", || life() >= 2).await;
-        until("the one after that", || life() >= 3).await;
+        until("its next incarnation hangs", || incarnation() >= 2).await;
+        until("the one after that", || incarnation() >= 3).await;
         let before = bench.0.count.load(Relaxed);
         until_given_up(&node, "laser").await;
         until_at_rest(&node, "laser").await;
 
         assert!(bench.0.count.load(Relaxed) > before, "it counts while the laser hangs");
         assert_no_root(&node, "counter").await;
-        assert!(life_of(&node, "counter").await <= Incarnation(2), "it moved once");
+        assert!(incarnation_of(&node, "counter").await <= Incarnation(2), "it moved once");
         assert_eq!(node.state(), NodeState::Running);
         let by = |row: blastema::ThreadRow| match row.state {
             ThreadState::Abandoned { by } => Some(by.to_string()),
@@ -224,7 +224,7 @@ fn a_component_that_hangs_at_each_start_holds_nobody_behind_it_up() {
         let node = start(builder).await;
 
         until("it counts", || bench.0.count.load(Relaxed) > 0).await;
-        assert_eq!(life_of(&node, "counter").await, Incarnation(1));
+        assert_eq!(incarnation_of(&node, "counter").await, Incarnation(1));
         assert_eq!(state_of(&node, "laser").await, ChildState::Resting);
         assert_no_root(&node, "counter").await;
         assert_eq!(node.state(), NodeState::Running);
@@ -243,15 +243,18 @@ fn a_component_that_keeps_its_share_of_threads_is_given_up_alone() {
             .child(bench.counter("counter"));
         let node = start(builder).await;
 
-        for life in 1..=4 {
-            until("it is in its next life", || bench.0.life.load(Relaxed) == life).await;
+        for incarnation in 1..=4 {
+            until("it is in its next incarnation", || {
+                bench.0.incarnation.load(Relaxed) == incarnation
+            })
+            .await;
             until_none_stands(&node).await;
             node.sender("laser").unwrap().tell(Fire).unwrap();
         }
         until_at_rest(&node, "laser").await;
 
         assert_eq!(until_given_up(&node, "laser").await, CONTAINED);
-        assert_eq!(bench.0.life.load(Relaxed), 4, "no fifth thread is lost to it");
+        assert_eq!(bench.0.incarnation.load(Relaxed), 4, "no fifth thread is lost to it");
         let refused = node.restart_child("laser").await;
         let Err(RestartError::ChildGaveUp { name, reason }) = refused else {
             panic!("{refused:?}")

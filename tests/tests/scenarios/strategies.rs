@@ -1,6 +1,6 @@
 //! What is done about a fault: measures that help, fail, panic, or take too long.
 
-use crate::puppet::{Deed, News, Note, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, News, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Backoff, ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
 use blastema::{NodeBuilder, RecoveryStrategy, StrategyContext};
@@ -69,11 +69,11 @@ async fn where_a_strategy_fails_the_next_rung_follows() {
             .then(RecoveryAction::Restart);
         let mut node = TestNode::start(robot(&strings, ladder).recovery("oil", make)).await;
 
-        for life_now in 1..=2 {
+        for incarnation_now in 1..=2 {
             declare(&node).await;
             node.await_fault(oil(), "joint").await;
             node.await_recovered(oil(), "joint").await;
-            assert_eq!(life(&node, "joint").await, life_now + 1, "case {n}");
+            assert_eq!(incarnation(&node, "joint").await, incarnation_now + 1, "case {n}");
             node.advance(Duration::from_secs(60)).await;
         }
         node.expect_no_faults().await;
@@ -87,10 +87,10 @@ async fn a_strategy_whose_drop_panics_harms_nobody() {
     let builder = robot(&strings, ladder).recovery("oil", || Useless::PanicsInDrop);
     let mut node = TestNode::start(builder).await;
 
-    for life_now in 1..=2 {
+    for incarnation_now in 1..=2 {
         declare(&node).await;
         node.await_recovered(oil(), "joint").await;
-        assert_eq!(life(&node, "joint").await, life_now + 1);
+        assert_eq!(incarnation(&node, "joint").await, incarnation_now + 1);
         // Long enough for it to be released.
         node.advance(Duration::from_secs(120)).await;
     }
@@ -156,7 +156,7 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
     assert_eq!(strings.lines("news"), ["ear#1 news 1"], "nor an event, in or out");
     assert!(node.row("joint").await.isolated);
     assert!(node.tree().await.unwrap().children[0].isolated);
-    assert_eq!(strings.lines("joint#1 on_finalize"), [""; 0], "its life goes on");
+    assert_eq!(strings.lines("joint#1 on_finalize"), [""; 0], "its incarnation goes on");
 }
 
 #[blastema_testkit::test]
@@ -172,11 +172,11 @@ async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
 
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
     strike(&node, "ear").await;
-    assert_eq!(life(&node, "ear").await, 2, "the chain is unharmed");
+    assert_eq!(incarnation(&node, "ear").await, 2, "the chain is unharmed");
 }
 
 #[blastema_testkit::test]
-async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
+async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_incarnation() {
     let strings = Strings::default();
     let ladder = Ladder::first(RecoveryAction::Restart);
     let group = SupervisorSpec::new("group", Strategy::RestForOne).child(strings.spec("joint"));
@@ -189,11 +189,11 @@ async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_life() {
 
     declare(&node).await;
     let behind = ask(&node, "joint", Deed::Nothing).await;
-    assert_eq!(behind.expect("it waits for the next life"), 2);
+    assert_eq!(behind.expect("it waits for the next incarnation"), 2);
     node.await_recovered(oil(), "joint").await;
     node.advance(Duration::from_secs(1)).await;
 
-    assert_eq!(life(&node, "joint").await, 2, "one restart for both");
+    assert_eq!(incarnation(&node, "joint").await, 2, "one restart for both");
     let record = node.faults().await;
     let cured = |kind: &FaultKind| {
         let entry = record.entries.iter().find(|entry| entry.fault.kind == *kind);

@@ -1,6 +1,6 @@
 //! Things of the user's that panic in unusual places: in `Drop`, while stopping.
 
-use crate::puppet::{Deed, Note, Pull, Strings, ask, life, strike};
+use crate::puppet::{Deed, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::ChildState;
@@ -17,7 +17,7 @@ async fn a_component_whose_drop_panics_after_a_panic_is_replaced_all_the_same() 
     strike(&node, "arm").await;
     node.await_fault(FaultKind::Panic, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
 }
 
@@ -31,7 +31,7 @@ async fn a_component_whose_drop_panics_while_it_is_restarted_is_replaced_all_the
     node.await_fault(FaultKind::Fatal, "arm").await;
     node.await_recovered(FaultKind::Fatal, "arm").await;
 
-    assert_eq!(life(&node, "arm").await, 2);
+    assert_eq!(incarnation(&node, "arm").await, 2);
     node.expect_no_faults().await;
 }
 
@@ -66,8 +66,8 @@ async fn a_component_that_panics_while_it_is_restarted_is_replaced() {
         node.await_recovered(FaultKind::Panic, "arm").await;
         node.advance(Duration::from_secs(1)).await;
 
-        assert!(life(&node, "arm").await >= 2, "{hook}");
-        assert!(life(&node, "hand").await >= 2, "{hook}");
+        assert!(incarnation(&node, "arm").await >= 2, "{hook}");
+        assert!(incarnation(&node, "hand").await >= 2, "{hook}");
         let record = node.faults().await;
         assert!(
             record.entries.iter().all(|entry| entry.status() != blastema::FaultStatus::Open),
@@ -159,12 +159,12 @@ async fn messages_whose_drop_panics_are_counted_when_their_receiver_ends() {
     assert_eq!(letters.count(&name, DeadReason::Stopped), 2);
     let fault = node.await_fault(FaultKind::CheckFailed, "depot").await;
     assert!(fault.detail.starts_with("the Drop of a message of test/bomb"), "{}", fault.detail);
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
     assert_eq!(node.state(), NodeState::Running);
 }
 
 #[blastema_testkit::test]
-async fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
+async fn a_message_that_killed_three_incarnations_is_quarantined_and_no_other() {
     let strings = Strings::default();
     let node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
     let arm = node.sender::<crate::puppet::Do>("arm").unwrap();
@@ -182,7 +182,7 @@ async fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
 
     assert_eq!(refused.kind, DeliveryError::Quarantined { kills: 3 });
     assert!(refused.message.is_some());
-    assert_eq!(life(&node, "arm").await, 4, "no life ended by it this time");
+    assert_eq!(incarnation(&node, "arm").await, 4, "no incarnation ended by it this time");
     let name = "arm".parse().unwrap();
     assert_eq!(node.dead_letters().count(&name, DeadReason::Quarantined), 1);
     // Another message of the same contract, word for word, is another message.
@@ -218,7 +218,7 @@ async fn ports_that_panic_are_an_error_that_names_the_component() {
     let node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
     let refused = node.add_child(ChildSpec::new("rash", || Rash)).await.expect_err("no ports");
     assert!(matches!(refused, SpecError::Ports { name, .. } if name.as_str() == "rash"));
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
     node.expect_no_faults().await;
 }
 
@@ -236,7 +236,7 @@ async fn a_component_whose_drop_panics_after_an_orderly_end_is_named_and_replace
     assert!(detail.starts_with("the Drop of the component panicked at"), "{detail}");
     assert!(detail.ends_with("while it goes"), "{detail}");
     node.advance(Duration::from_secs(1)).await;
-    assert_eq!((life(&node, "hand").await, life(&node, "arm").await), (2, 1));
+    assert_eq!((incarnation(&node, "hand").await, incarnation(&node, "arm").await), (2, 1));
 }
 
 /// Holds bombs in tasks and timers.
@@ -263,7 +263,7 @@ fn armed() -> Bomb {
 }
 
 #[blastema_testkit::test]
-async fn timers_and_tasks_whose_drops_panic_end_with_their_life_and_are_named() {
+async fn timers_and_tasks_whose_drops_panic_end_with_their_incarnation_and_are_named() {
     let strings = Strings::default();
     let builder = Node::builder("module1")
         .child(ChildSpec::new("arsenal", || Arsenal))
@@ -274,7 +274,7 @@ async fn timers_and_tasks_whose_drops_panic_end_with_their_life_and_are_named() 
 
     let fault = node.await_fault(FaultKind::CheckFailed, "arsenal").await;
     assert!(fault.detail.ends_with("boom"), "{}", fault.detail);
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
     assert_eq!(node.state(), NodeState::Running);
 }
 
@@ -326,5 +326,5 @@ async fn a_reply_whose_drop_panics_when_nobody_waits_is_the_callees_panic() {
     let fault = node.await_fault(FaultKind::Panic, "magazine").await;
     assert!(fault.detail.starts_with("a dud"), "{}", fault.detail);
     node.await_recovered(FaultKind::Panic, "magazine").await;
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
 }

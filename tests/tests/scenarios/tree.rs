@@ -1,6 +1,6 @@
 //! Components that come and go while the node runs.
 
-use crate::puppet::{Deed, Do, Note, Pull, Puppet, Strings, ask, life, strike};
+use crate::puppet::{Deed, Do, Note, Pull, Puppet, Strings, ask, incarnation, strike};
 use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::core::recovery::ChildState;
@@ -34,7 +34,7 @@ async fn a_name_that_is_taken_or_does_not_parse_is_refused() {
 
     assert!(matches!(taken, SpecError::Taken(_)), "{taken}");
     assert!(matches!(wrong, SpecError::Name(_)), "{wrong}");
-    assert_eq!(life(&node, "arm").await, 1, "the owner of the name is unharmed");
+    assert_eq!(incarnation(&node, "arm").await, 1, "the owner of the name is unharmed");
 }
 
 #[blastema_testkit::test]
@@ -110,7 +110,7 @@ async fn what_is_not_directly_under_the_root_cannot_be_removed() {
         let refused = node.remove_child(name).await.expect_err("the root does not keep it");
         assert!(matches!(refused, DeliveryError::Unknown { .. }), "{refused}");
     }
-    assert_eq!(life(&node, "arm").await, 1);
+    assert_eq!(incarnation(&node, "arm").await, 1);
 }
 
 #[blastema_testkit::test]

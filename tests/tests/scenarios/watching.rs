@@ -113,7 +113,7 @@ async fn who_watches_an_object_of_another_node_is_told_of_every_end_once() {
     assert!(first.starts_with(expected), "{first}");
     assert_eq!(second, ["widow#1 mourns module2:laser#2: Returned"]);
     assert_eq!(unknown, ["widow#1 mourns module2:absent#0: Unknown"]);
-    assert_eq!(robot.mourned().await, [""; 0], "the life that asked is over");
+    assert_eq!(robot.mourned().await, [""; 0], "the incarnation that asked is over");
 }
 
 #[blastema_testkit::test]

@@ -41,7 +41,7 @@ trait Medium: Default + 'static {
     fn garbage(&self, to: &MediumAddress);
 }
 
-/// A transport, and how to throw its present life away.
+/// A transport, and how to throw its present incarnation away.
 struct Opened {
     transport: Transport,
     wrapper: Option<Recipient<ReadInjectedFaults>>,
@@ -155,7 +155,8 @@ fn attach(transport: &Transport) -> (Probe<Received>, Probe<TransportReport>) {
     (frames, reports)
 }
 
-/// Starts an actor as the guardian of the node does, which gives it its next life after a panic.
+/// Starts an actor as the guardian of the node does, which gives it its next incarnation after a
+/// panic.
 fn start<A: Actor<Context = Context<A>> + Supervised>(actor: A) -> (Addr<A>, Rc<Cell<bool>>) {
     struct Ward<A: Actor<Context = Context<A>>>(ContextFut<A, Context<A>>, Rc<Cell<bool>>);
     impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
@@ -199,7 +200,7 @@ macro_rules! conformance {
             closing_releases_the_port,
             garbage_on_the_wire_harms_nobody,
             a_flood_before_a_receiver_that_hangs_stays_bounded,
-            the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
+            the_next_incarnation_after_a_panic_opens_at_the_same_address_for_the_same_receiver,
             $($more),*
         }
     };

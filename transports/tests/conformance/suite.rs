@@ -213,7 +213,7 @@ pub(crate) async fn a_flood_before_a_receiver_that_hangs_stays_bounded<M: Medium
     assert!(tokio::time::timeout(PATIENCE, fresh).await.is_ok(), "{:?}", b.counters().await);
 }
 
-pub(crate) async fn the_next_life_after_a_panic_opens_at_the_same_address_for_the_same_receiver<
+pub(crate) async fn the_next_incarnation_after_a_panic_opens_at_the_same_address_for_the_same_receiver<
     M: Medium,
 >() {
     let medium = M::default();

@@ -47,7 +47,7 @@ pub(crate) struct FakeRobot {
     written: u64,
     cut: BTreeSet<&'static str>,
     dead: BTreeSet<Module>,
-    lives: BTreeMap<Module, u64>,
+    incarnations: BTreeMap<Module, u64>,
     began: BTreeMap<Module, MachineInstant>,
     watched: BTreeMap<Module, MachineInstant>,
     lost: u64,
@@ -74,7 +74,7 @@ impl FakeRobot {
             written: 0,
             cut: BTreeSet::new(),
             dead: BTreeSet::new(),
-            lives: Module::ALL.map(|module| (module, 1)).into(),
+            incarnations: Module::ALL.map(|module| (module, 1)).into(),
             began: Module::ALL.map(|module| (module, MachineInstant::default())).into(),
             watched: BTreeMap::new(),
             lost: 0,
@@ -148,7 +148,7 @@ impl FakeRobot {
             Happening::Exits(module, how) => scenario.handle_exit(module, how, self.now),
             Happening::Returns(module) => {
                 self.dead.remove(&module);
-                *self.lives.entry(module).or_default() += 1;
+                *self.incarnations.entry(module).or_default() += 1;
                 self.began.insert(module, self.now);
                 scenario.handle_event(module, &ModuleEvent::Ready, self.now);
             }
@@ -276,7 +276,7 @@ impl FakeRobot {
             self.says(module, 2, ModuleEvent::Found(note));
         }
         if self.flaw != Flaw::NotBack || kind != FaultKind::Silence {
-            self.says(module, 5, ModuleEvent::Served { order, at: self.after(5), life: 2 });
+            self.says(module, 5, ModuleEvent::Served { order, at: self.after(5), incarnation: 2 });
         }
     }
 
@@ -314,7 +314,7 @@ impl FakeRobot {
         });
         let sources = FLOWS.iter().filter(|flow| flow.from == module).map(|flow| SourceState {
             flow: flow.name.into(),
-            epoch: self.lives[&module],
+            epoch: self.incarnations[&module],
             sent: self.sent(flow),
             returned: if flow.name == FLOWS[0].name { self.returned } else { 0 },
         });
@@ -330,14 +330,14 @@ impl FakeRobot {
 
     fn sink(&self, flow: &Flow) -> SinkState {
         let is_first = flow.name == FLOWS[0].name;
-        let flawed = |count| if is_first && self.lives[&flow.to] == 1 { count } else { 0 };
+        let flawed = |count| if is_first && self.incarnations[&flow.to] == 1 { count } else { 0 };
         // What came while the process was not there went down with the one before it.
         let began = self.began[&flow.to].max(self.began[&flow.from]);
         let first = (began - self.began[&flow.from]).as_millis() as u64 / 10 + 1;
         SinkState {
             flow: flow.name.into(),
-            process: self.lives[&flow.to],
-            epoch: self.lives[&flow.from],
+            process: self.incarnations[&flow.to],
+            epoch: self.incarnations[&flow.from],
             first,
             highest: self.sent(flow),
             missing: flawed(self.lost) + self.held_back(flow),

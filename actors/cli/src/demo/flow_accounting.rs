@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_earlier_life_had_taken_is_doubled_when_it_comes_to_the_next() {
+    fn what_an_earlier_incarnation_had_taken_is_doubled_when_it_comes_to_the_next() {
         let mut accounting = accounting();
         told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
         told(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);

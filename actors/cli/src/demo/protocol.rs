@@ -141,7 +141,7 @@ pub(crate) enum ModuleEvent {
         /// When the answer came.
         at: MachineInstant,
         /// The incarnation that answered.
-        life: u64,
+        incarnation: u64,
     },
     /// A fault was found.
     Found(FaultNote),
@@ -270,7 +270,7 @@ pub(crate) struct ObjectState {
     /// The monitor's opinion.
     pub(crate) opinion: ObjectOpinion,
     /// Its incarnation.
-    pub(crate) life: u64,
+    pub(crate) incarnation: u64,
 }
 
 /// A cable, seen from one end.
@@ -386,7 +386,7 @@ mod tests {
         round_trip(ModuleEvent::StartFailed { reason: "port\ntaken".into(), address_taken: true });
         round_trip(ModuleEvent::CarriedOut { order, at });
         round_trip(ModuleEvent::Refused { order, reason: "no \"such\" object".into() });
-        round_trip(ModuleEvent::Served { order, at, life: 2 });
+        round_trip(ModuleEvent::Served { order, at, incarnation: 2 });
         round_trip(ModuleEvent::Found(FaultNote {
             id: 1,
             kind: FaultKind::Custom("R01".into()),
@@ -410,7 +410,7 @@ mod tests {
                 name: "laser".into(),
                 state: Lifecycle::Active,
                 opinion: ObjectOpinion::Suspect,
-                life: 4,
+                incarnation: 4,
             }],
             links: vec![CableState { cable: "ethernet".into(), up: true }],
             sources: vec![SourceState::default()],

@@ -61,7 +61,7 @@ impl FaultTarget {
 
     /// Injects the fault and reports to the director.
     pub(super) async fn carry_out(self, fault: ObjectFault) {
-        let Ok(life) = self.probe.ask_within(Probe {}, ONSET).await else {
+        let Ok(incarnation) = self.probe.ask_within(Probe {}, ONSET).await else {
             self.refuse("the object does not answer before anything is done to it".into());
             return;
         };
@@ -88,10 +88,10 @@ impl FaultTarget {
             // A reset keeps the incarnation: an answer before the error does not count.
             ObjectFault::ErrorState => {
                 self.announce().await;
-                self.await_service(life).await;
+                self.await_service(incarnation).await;
             }
             _ => {
-                tokio::join!(self.announce(), self.await_service(life + 1));
+                tokio::join!(self.announce(), self.await_service(incarnation + 1));
             }
         }
     }
@@ -105,23 +105,23 @@ impl FaultTarget {
     }
 
     /// Reports when this incarnation, or a later one, answers.
-    async fn await_service(&self, life: u64) {
+    async fn await_service(&self, incarnation: u64) {
         let answered = timeout(PATIENCE, async {
             let mut pokes = 0;
             loop {
                 match self.probe.ask_within(Probe {}, ANSWER).await {
-                    Ok(answering) if answering >= life => return answering,
+                    Ok(answering) if answering >= incarnation => return answering,
                     _ if pokes < EAGER_POKES => yield_now().await,
                     _ => sleep(BETWEEN_POKES).await,
                 }
                 pokes += 1;
             }
         });
-        if let Ok(life) = answered.await {
+        if let Ok(incarnation) = answered.await {
             self.measurements.tell(ModuleEvent::Served {
                 order: self.order,
                 at: MachineInstant::now(),
-                life,
+                incarnation,
             });
         }
     }

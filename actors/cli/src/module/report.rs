@@ -39,7 +39,7 @@ pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
             name: address.object.to_string(),
             state: row.state.unwrap_or(Lifecycle::Created),
             opinion: opinion_of(row.opinion),
-            life: row.incarnation.0,
+            incarnation: row.incarnation.0,
         }),
         _ => None,
     };

@@ -129,7 +129,7 @@ impl RecoveryStrategy for Homing {
 }
 
 #[test]
-fn a_panic_is_recovered_by_the_next_life() {
+fn a_panic_is_recovered_by_the_next_incarnation() {
     paused(async {
         let chain = Chain::built_in().await;
 
@@ -165,7 +165,7 @@ fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
 
         let last = "1 given up: contained by safe stop; service is not restored";
         let told = chain.told_until(last).await;
-        let failed = "1 restart failed: laser: its next life did not start: no device";
+        let failed = "1 restart failed: laser: its next incarnation did not start: no device";
         assert_eq!(told.iter().filter(|line| *line == failed).count(), 3, "{told:?}");
         let others: Vec<&String> = told.iter().filter(|line| *line != failed).collect();
         assert_eq!(
@@ -322,7 +322,8 @@ fn a_recoverer_that_panics_takes_up_again_what_was_open() {
 
         chain.recoverer.do_send(Poison);
 
-        let overdue = "1 restart failed: laser: its next life did not start: not at work within 5s";
+        let overdue =
+            "1 restart failed: laser: its next incarnation did not start: not at work within 5s";
         let told = chain.told_until("1 recovered").await;
         assert_eq!(
             told,

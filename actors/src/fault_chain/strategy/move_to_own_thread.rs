@@ -1,4 +1,4 @@
-//! Move: the next life, on a thread of its own.
+//! Move: the next incarnation, on a thread of its own.
 
 use super::{RecoveryStrategy, StrategyContext};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};

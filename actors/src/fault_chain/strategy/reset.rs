@@ -1,4 +1,4 @@
-//! Reset: the component recovers by itself, in its present life.
+//! Reset: the component recovers by itself, in its present incarnation.
 
 use super::{RecoveryStrategy, StrategyContext};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};

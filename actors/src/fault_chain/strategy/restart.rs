@@ -1,4 +1,4 @@
-//! Restart: the next life in place of the present one.
+//! Restart: the next incarnation in place of the present one.
 
 use super::{RecoveryStrategy, StrategyContext};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};

@@ -44,19 +44,19 @@ impl StrategyContext {
         self.0.registry.sender(name)
     }
 
-    /// Replaces the life that the fault struck by the next one; its siblings fare as their
+    /// Replaces the incarnation that the fault struck by the next one; its siblings fare as their
     /// supervisor's strategy says. Resolves when all of them are at work.
     ///
     /// # Errors
-    /// The new life did not come to be, or the supervisor has given up.
+    /// The new incarnation did not come to be, or the supervisor has given up.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, controller) = self.controller(&fault.place)?;
         let fault = Some(fault.clone());
         judge(controller.restart.send(RestartChild { object, fault }).await).map(begun)
     }
 
-    /// Lets a component go on in its next life on a thread of its own; its queue comes along.
-    /// Resolves when it is at work there.
+    /// Lets a component go on in its next incarnation on a thread of its own; its queue comes
+    /// along. Resolves when it is at work there.
     ///
     /// # Errors
     /// It has a thread of its own already, or the whole node lives on one; or as
@@ -70,10 +70,10 @@ impl StrategyContext {
     /// Lets an object that is in error recover by itself.
     ///
     /// # Errors
-    /// It could not, or has no life.
+    /// It could not, or has no incarnation.
     pub async fn reset(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, controller) = self.controller(place)?;
-        // It is the same life as before.
+        // It is the same incarnation as before.
         let done = judge(controller.reset.send(ResetChild { object }).await)?;
         Ok(RecoveryDone { incarnation: None, ..done })
     }
@@ -116,8 +116,8 @@ impl StrategyContext {
         }
     }
 
-    /// Applies the safe outputs, and puts the object to rest: its life ends, it is isolated, and
-    /// only a person brings it back. A fault that is in no object puts the whole node to rest.
+    /// Applies the safe outputs, and puts the object to rest: its incarnation ends, it is isolated,
+    /// and only a person brings it back. A fault that is in no object puts the whole node to rest.
     ///
     /// # Errors
     /// The object is not kept by any supervisor.
@@ -133,7 +133,7 @@ impl StrategyContext {
     }
 
     /// Puts an object to rest whose node is at rest, or ends. No sender waits for that.
-    pub(crate) fn give_up_life(&self, fault: &Fault) {
+    pub(crate) fn give_up_incarnation(&self, fault: &Fault) {
         // One that was removed meanwhile has no supervisor.
         if let Ok((object, controller)) = self.controller(&fault.place) {
             controller.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
@@ -181,7 +181,7 @@ impl StrategyContext {
     }
 }
 
-/// Where a life was to begin, and none has, its rules do not let it.
+/// Where an incarnation was to begin, and none has, its rules do not let it.
 fn begun(done: RecoveryDone) -> RecoveryDone {
     RecoveryDone { finished: done.incarnation.is_none(), ..done }
 }

@@ -8,7 +8,8 @@ use blastema_core::recovery::{GiveUpReason, ReplacementCause};
 impl Handler<MoveChild> for SupervisorActor {
     type Result = ResponseFuture<RecoveryResult>;
 
-    /// The next life begins elsewhere: no restart that a budget counts, because nothing has failed.
+    /// The next incarnation begins elsewhere: no restart that a budget counts, because nothing has
+    /// failed.
     fn handle(&mut self, message: MoveChild, context: &mut Context<Self>) -> Self::Result {
         let MoveChild { object, fault } = message;
         let struck = fault.map(|fault| fault.incarnation);

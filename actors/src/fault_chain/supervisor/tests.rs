@@ -9,15 +9,19 @@ fn rules(strategy: Strategy) -> SupervisorRules {
     SupervisorRules { strategy, ..SupervisorRules::default() }
 }
 
-fn restart(bench: &Bench, child: &str, kind: FaultKind, life: u64) -> RestartChild {
+fn restart(bench: &Bench, child: &str, kind: FaultKind, incarnation: u64) -> RestartChild {
     if kind == FaultKind::Panic {
         bench.script.dies(child);
     }
-    RestartChild { object: object(child), fault: Some(fault(1, kind, child, life)) }
+    RestartChild { object: object(child), fault: Some(fault(1, kind, child, incarnation)) }
 }
 
-fn recovered(child: &str, life: u64) -> RecoveryResult {
-    Ok(Recovered { object: object(child), incarnation: Some(Incarnation(life)), waits: false })
+fn recovered(child: &str, incarnation: u64) -> RecoveryResult {
+    Ok(Recovered {
+        object: object(child),
+        incarnation: Some(Incarnation(incarnation)),
+        waits: false,
+    })
 }
 
 #[test]
@@ -65,7 +69,10 @@ fn a_child_that_hangs_in_its_start_is_declared_and_the_request_answered() {
         let outcome = root.address.send(restart(&bench, "a", FaultKind::Panic, 1)).await;
 
         let given_up = outcome.expect("it lives").expect_err("its child hangs");
-        assert_eq!(given_up.why.to_string(), "its next life did not start: not at work within 5s");
+        assert_eq!(
+            given_up.why.to_string(),
+            "its next incarnation did not start: not at work within 5s"
+        );
         let declared = bench.faults.expect().await;
         assert_eq!(declared.kind, FaultKind::InitializationFailed);
         assert_eq!((declared.object, declared.incarnation), (object("a"), Incarnation(2)));
@@ -117,7 +124,7 @@ fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
 }
 
 #[test]
-fn a_supervisor_below_escalates_and_its_next_life_answers_what_was_asked_of_the_old() {
+fn a_supervisor_below_escalates_and_its_next_incarnation_answers_what_was_asked_of_the_old() {
     paused(async {
         let bench = Bench::new();
         let inner_rules = SupervisorRules { intensity: 0, ..rules(Strategy::OneForAll) };

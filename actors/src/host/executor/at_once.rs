@@ -16,9 +16,9 @@ impl<C: Component> ComponentExecutor<C> {
             && !self.over
             && self.component.is_some()
             && self.waker.is_some()
-            && !self.life.has_wishes()
-            && !self.life.token.has_ended()
-            && !self.life.token.is_muted()
+            && !self.state.has_wishes()
+            && !self.state.token.has_ended()
+            && !self.state.token.is_muted()
             && self.budget.is_trusted()
     }
 
@@ -49,7 +49,7 @@ impl<C: Component> ComponentExecutor<C> {
         if self.is_abandoned() {
             self.leave(); // The hub goes on to neighbours, who must not stand behind this fence.
         }
-        if self.over || self.life.has_wishes() || !self.outbox.is_empty() {
+        if self.over || self.state.has_wishes() || !self.outbox.is_empty() {
             waker.wake_by_ref(); // The executor's own poll reports, and ends what is to end.
         }
         self.waker = Some(waker);

@@ -1,9 +1,9 @@
-//! How lives end, and what follows: a replacement on the spot, or a report and rest.
+//! How incarnations end, and what follows: a replacement on the spot, or a report and rest.
 
 use super::{ComponentExecutor, Service};
 use crate::component::Component;
 use crate::component::cell::Blame;
-use crate::component::life::{DeferredCommands, IncarnationState};
+use crate::component::incarnation::{DeferredCommands, IncarnationState};
 use crate::host::executor::outbox::DeferredReport;
 use crate::host::lifecycle::{EndReason, IncarnationLifecycle};
 use crate::liveness::label;
@@ -18,8 +18,8 @@ use std::any::Any;
 use std::rc::Rc;
 
 impl<C: Component> ComponentExecutor<C> {
-    /// A condition that the component gave has panicked. Gives the panic back where the life is
-    /// over already: it has one end.
+    /// A condition that the component gave has panicked. Gives the panic back where the incarnation
+    /// is over already: it has one end.
     pub(crate) fn die_of(
         &mut self,
         payload: Box<dyn Any + Send>,
@@ -41,7 +41,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.died(payload, during);
     }
 
-    /// This life has ended by a panic. Begins the next one where a standing order says so.
+    /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let at = panics::take_place();
@@ -50,8 +50,8 @@ impl<C: Component> ComponentExecutor<C> {
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }
-        let incarnation = self.life.incarnation;
-        self.life.token.end();
+        let incarnation = self.state.incarnation;
+        self.state.token.end();
         self.lose_message();
         // Before what is the user's is dropped, which may block.
         self.cell.record.exits.keep(incarnation, exit.clone());
@@ -68,10 +68,10 @@ impl<C: Component> ComponentExecutor<C> {
         match restarted_as {
             Some(next) => {
                 self.cell.record.exits.set_restarted(incarnation, next);
-                self.life = Rc::new(IncarnationState::new(next, self.slot.stamp));
+                self.state = Rc::new(IncarnationState::new(next, self.slot.stamp));
                 self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
                 self.start_failed = false;
-                self.begin_life();
+                self.begin_incarnation();
                 let subscriptions = self.cell.subscriptions();
                 subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.cell));
             }
@@ -80,11 +80,11 @@ impl<C: Component> ComponentExecutor<C> {
         self.report_exit(incarnation, &exit, restarted_as);
     }
 
-    /// What is being served ends with the life: its sender is told, and it is a dead letter.
+    /// What is being served ends with the incarnation: its sender is told, and it is a dead letter.
     pub(super) fn lose_message(&mut self) {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
-        let (record, incarnation) = (&self.cell.record, self.life.incarnation);
+        let (record, incarnation) = (&self.cell.record, self.state.incarnation);
         let contract = label::name(self.slot.stamp.read().during);
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
@@ -114,7 +114,7 @@ impl<C: Component> ComponentExecutor<C> {
         allowed
     }
 
-    /// Tells how a life has ended: the monitor, the supervisor, and those who watch.
+    /// Tells how an incarnation has ended: the monitor, the supervisor, and those who watch.
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
@@ -135,7 +135,8 @@ impl<C: Component> ComponentExecutor<C> {
             (ExitReason::Panicked { text, at, .. }, true) => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
-            // A life of which the supervisor knows that it never began does not die in addition.
+            // An incarnation of which the supervisor knows that it never began does not die in
+            // addition.
             _ if self.start_failed => None,
             _ => {
                 supervisor = Some(&self.supervisor);
@@ -143,7 +144,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         let exited = DeferredReport::Exited(incarnation);
-        // A replacement's own reports come after the end of the life that it replaces.
+        // A replacement's own reports come after the end of the incarnation that it replaces.
         let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let place = place.unwrap_or(self.outbox.len());
         // It is told when the turn is over: the replacement's first reply does not wait for that.
@@ -155,11 +156,11 @@ impl<C: Component> ComponentExecutor<C> {
         self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
 
-    /// The life ends without a panic, its hooks done.
+    /// The incarnation ends without a panic, its hooks done.
     pub(super) fn end(&mut self, end: EndReason) {
-        let incarnation = self.life.incarnation;
+        let incarnation = self.state.incarnation;
         self.over = true;
-        self.life.token.end();
+        self.state.token.end();
         self.dispose_of_all(if end == EndReason::Fatal { Blame::Log } else { Blame::Fault });
         if self.cell.queue.owner() != Some(incarnation) {
             return self.leave(); // It was abandoned while what is the user's was dropped.
@@ -192,7 +193,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.followed = false;
         self.dispose_service(blame);
         let record = &self.cell.record;
-        let DeferredCommands { tasks, .. } = self.life.take_wishes();
+        let DeferredCommands { tasks, .. } = self.state.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.schedule.clear();
         timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));
@@ -212,15 +213,15 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// This incarnation was abandoned, and the next one begins or has begun.
     pub(super) fn is_abandoned(&self) -> bool {
-        self.life.token.has_ended() && !self.over
+        self.state.token.has_ended() && !self.over
     }
 
-    /// Ends without a report, after having been given up. Who gave this life up knows of its end,
-    /// but perhaps not yet of those before it.
+    /// Ends without a report, after having been given up. Who gave this incarnation up knows of its
+    /// end, but perhaps not yet of those before it.
     pub(super) fn leave(&mut self) {
         self.over = true;
         self.dispose_of_all(Blame::Log);
-        let present = self.life.incarnation;
+        let present = self.state.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
         self.pulse.owe_exits(false);
@@ -243,9 +244,9 @@ impl<C: Component> ComponentExecutor<C> {
         if self.is_abandoned() || self.pulse.is_lost() {
             return self.leave();
         }
-        let incarnation = self.life.incarnation;
+        let incarnation = self.state.incarnation;
         self.over = true;
-        self.life.token.end();
+        self.state.token.end();
         self.lose_message();
         self.dispose_of_all(Blame::Log);
         self.cell.queue.leave(incarnation);

@@ -34,14 +34,14 @@ impl<C: Component> ComponentExecutor<C> {
                     self.schedule.limit(DueWork::Retry, retry_in);
                     self.cell.record.set_unavailable(&reason);
                     let object = self.cell.record.name.clone();
-                    let (incarnation, kind) = (self.life.incarnation, FaultKind::Unavailable);
+                    let (incarnation, kind) = (self.state.incarnation, FaultKind::Unavailable);
                     let declared = FaultDeclared { object, incarnation, kind, detail: reason };
                     self.outbox.push(DeferredReport::Declared(declared));
                 }
                 LifecycleReport::Child(event) => {
                     self.schedule.cancel_limit(DueWork::ReadyLimit);
                     self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
-                    self.outbox.push(DeferredReport::Child(event, self.life.incarnation));
+                    self.outbox.push(DeferredReport::Child(event, self.state.incarnation));
                 }
             }
         }
@@ -58,7 +58,7 @@ impl<C: Component> ComponentExecutor<C> {
         if state == Lifecycle::Active {
             self.cell.record.announce(|listener| listener.activated());
         }
-        let incarnation = self.life.incarnation;
+        let incarnation = self.state.incarnation;
         // States that were passed through within one poll are not told one by one.
         if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
             && last.incarnation == incarnation

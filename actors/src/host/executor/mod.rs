@@ -1,5 +1,5 @@
-//! Serves one component's life: hooks, timers, tasks and the data queue, every poll under the
-//! guard.
+//! Serves one component's incarnation: hooks, timers, tasks and the data queue, every poll under
+//! the guard.
 //!
 //! The guard is `catch_unwind` around each poll, inside the actor: actix never sees a panic, and
 //! only the component is rebuilt. The component stays in its [`ComponentSlot`] while a handler that
@@ -24,7 +24,7 @@ use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
 use crate::component::context::Context;
 use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
-use crate::component::life::IncarnationState;
+use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
@@ -77,7 +77,7 @@ enum Progress {
 
 pub(crate) struct ComponentExecutor<C: Component> {
     cell: Arc<ComponentCell<C>>,
-    life: Rc<IncarnationState<C>>,
+    state: Rc<IncarnationState<C>>,
     lifecycle: IncarnationLifecycle,
     component: Option<Rc<ComponentSlot<C>>>,
     service: Service,
@@ -97,9 +97,9 @@ pub(crate) struct ComponentExecutor<C: Component> {
     followed: bool,
     /// The message in service in the log: its id and contract, and whether a reply is wanted.
     logged: Option<(LogId, &'static str, bool)>,
-    /// The supervisor knows that the life did not come to work.
+    /// The supervisor knows that the incarnation did not come to work.
     start_failed: bool,
-    /// This life is over, and none comes after it here.
+    /// This incarnation is over, and none comes after it here.
     over: bool,
     deaths: VecDeque<Instant>,
     outbox: Vec<DeferredReport>,
@@ -107,7 +107,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
 }
 
 impl<C: Component> ComponentExecutor<C> {
-    /// An executor for a life that begins on this arbiter.
+    /// An executor for an incarnation that begins on this arbiter.
     pub(crate) fn new(
         cell: Arc<ComponentCell<C>>,
         incarnation: Incarnation,
@@ -115,10 +115,10 @@ impl<C: Component> ComponentExecutor<C> {
         supervisor: Arc<Recipient<ChildReport>>,
     ) -> Self {
         let slot = ActivitySlot::claim();
-        let life = Rc::new(IncarnationState::new(incarnation, slot.stamp));
+        let state = Rc::new(IncarnationState::new(incarnation, slot.stamp));
         let mut executor = ComponentExecutor {
             cell,
-            life,
+            state,
             lifecycle: IncarnationLifecycle::new(true),
             component: None,
             service: Service::Idle,
@@ -139,7 +139,7 @@ impl<C: Component> ComponentExecutor<C> {
             outbox: Vec::new(),
             supervisor,
         };
-        executor.begin_life();
+        executor.begin_incarnation();
         let record = &executor.cell.record;
         let cell = Arc::downgrade(&executor.cell);
         let watched = SampledComponent {
@@ -153,21 +153,21 @@ impl<C: Component> ComponentExecutor<C> {
         executor
     }
 
-    fn begin_life(&mut self) {
+    fn begin_incarnation(&mut self) {
         let record = &self.cell.record;
-        self.slot.stamp.begin_life(self.life.incarnation.0);
-        self.life.token.mute(record.is_isolated());
-        let (arbiter, token) = (self.arbiter.clone(), self.life.token.clone());
+        self.slot.stamp.begin_incarnation(self.state.incarnation.0);
+        self.state.token.mute(record.is_isolated());
+        let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.place(), token };
-        let is_newest = record.enter(self.life.incarnation, placement);
-        self.schedule.begin(record.limits.interval, self.life.timers.clone());
+        let is_newest = record.enter(self.state.incarnation, placement);
+        self.schedule.begin(record.limits.interval, self.state.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
         if self.lifecycle.is_starting() {
             self.schedule.limit(DueWork::ReadyLimit, record.limits.ready_within);
         }
         // An incarnation that was abandoned before its placement was known was not told so.
-        if !is_newest || self.cell.queue.owner() != Some(self.life.incarnation) {
-            self.life.token.end();
+        if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
+            self.state.token.end();
         }
     }
 
@@ -181,7 +181,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.arbiter.vacate();
     }
 
-    /// The supervisor asks for a recovery within this life.
+    /// The supervisor asks for a recovery within this incarnation.
     pub(crate) fn reset(&mut self) {
         self.lifecycle.handle_reset();
         self.pass_reports();
@@ -198,7 +198,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.pass_reports();
     }
 
-    /// One poll of everything. Ready when the last life here is over.
+    /// One poll of everything. Ready when the last incarnation here is over.
     pub(crate) fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
         if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
             self.waker = Some(cx.waker().clone());
@@ -213,7 +213,7 @@ impl<C: Component> ComponentExecutor<C> {
         if self.budget.is_resting() {
             return Poll::Pending; // The scheduler wakes it when the others have had their turn.
         }
-        let muted = self.life.token.is_muted();
+        let muted = self.state.token.is_muted();
         if muted {
             self.pulse.mute(true);
         }
@@ -235,7 +235,7 @@ impl<C: Component> ComponentExecutor<C> {
         if over { Poll::Ready(()) } else { Poll::Pending }
     }
 
-    /// Says whether the last life here is over.
+    /// Says whether the last incarnation here is over.
     fn turn(&mut self, cx: &mut task::Context<'_>) -> bool {
         if self.over {
             return true;
@@ -248,7 +248,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         }
         for _ in 0..BUDGET {
-            if self.over || self.life.token.has_ended() {
+            if self.over || self.state.token.has_ended() {
                 return true;
             }
             match catch_unwind(AssertUnwindSafe(|| self.step(cx))) {
@@ -288,7 +288,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// One hook, timer or message a little further.
     fn step(&mut self, cx: &mut task::Context<'_>) -> Progress {
-        if self.life.has_wishes() {
+        if self.state.has_wishes() {
             self.grant();
         }
         if !matches!(self.service, Service::Idle) {
@@ -319,14 +319,14 @@ impl<C: Component> ComponentExecutor<C> {
             self.message_next = true;
             return self.do_work(work, cx);
         }
-        match self.cell.queue.take(self.life.incarnation, cx.waker()) {
+        match self.cell.queue.take(self.state.incarnation, cx.waker()) {
             Popped::Got(mail) => self.open(mail, cx),
             Popped::Empty => match self.schedule.next_due() {
                 Some(work) => self.do_work(work, cx),
                 None => Progress::Wait,
             },
             Popped::Retired => {
-                self.life.token.end();
+                self.state.token.end();
                 Progress::Over
             }
         }
@@ -373,11 +373,11 @@ impl<C: Component> ComponentExecutor<C> {
     #[inline]
     fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
         let Some(component) = &self.component else { return };
-        self.life.captured_at.set(Some(brief.captured_at));
+        self.state.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
             self.logged = Some((id, brief.name, mail.revocable().is_some()));
             let record = &self.cell.record;
-            message_log::begun(id, brief.name, &record.name, self.life.incarnation);
+            message_log::begun(id, brief.name, &record.name, self.state.incarnation);
         }
         if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
             let nested = &mut self.nests[at];
@@ -434,7 +434,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// What is in service awaits something, perhaps what it has just started.
     fn wait(&mut self) -> Progress {
-        if self.life.has_wishes() {
+        if self.state.has_wishes() {
             self.grant();
         }
         Progress::Wait
@@ -443,7 +443,7 @@ impl<C: Component> ComponentExecutor<C> {
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
         self.slot.stamp.begin(label(FACTORY));
-        let cx = Context::new(self.cell.clone(), self.life.clone());
+        let cx = Context::new(self.cell.clone(), self.state.clone());
         let component = (self.cell.factory)();
         self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
         self.slot.stamp.step();
@@ -452,7 +452,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Fulfils what a handler or hook asked for.
     fn grant(&mut self) {
-        let wishes = self.life.take_wishes();
+        let wishes = self.state.take_wishes();
         if let Some(interval) = wishes.interval
             && self.schedule.set_interval(interval)
         {

@@ -48,7 +48,7 @@ impl DeferredReport {
         }
     }
 
-    /// A life before this one ended by itself.
+    /// An incarnation before this one ended by itself.
     pub(super) fn is_death_before(&self, incarnation: Incarnation) -> bool {
         matches!(self, DeferredReport::Exited(of) if *of < incarnation)
     }

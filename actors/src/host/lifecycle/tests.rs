@@ -17,8 +17,8 @@ fn run(lifecycle: &mut IncarnationLifecycle) -> Vec<Hook> {
     ran
 }
 
-/// A life that has come as far as `state`, its reports told.
-fn life(state: Lifecycle) -> IncarnationLifecycle {
+/// An incarnation that has come as far as `state`, its reports told.
+fn incarnation(state: Lifecycle) -> IncarnationLifecycle {
     let mut lifecycle = IncarnationLifecycle::new(true);
     match state {
         Created => {}
@@ -67,7 +67,7 @@ fn answers(reports: Vec<LifecycleReport>) -> Vec<ChildEvent> {
 }
 
 #[test]
-fn a_life_is_initialised_started_and_activated() {
+fn an_incarnation_is_initialised_started_and_activated() {
     let mut lifecycle = IncarnationLifecycle::new(true);
 
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
@@ -80,7 +80,7 @@ fn a_life_is_initialised_started_and_activated() {
 }
 
 #[test]
-fn a_life_that_nobody_waits_for_tells_no_supervisor() {
+fn an_incarnation_that_nobody_waits_for_tells_no_supervisor() {
     let mut lifecycle = IncarnationLifecycle::new(false);
     run(&mut lifecycle);
     assert_eq!(answers(lifecycle.poll_reports()), []);
@@ -103,7 +103,7 @@ fn a_failed_initialisation_is_fatal() {
 #[test]
 fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
     for hook in [Hook::Execute, Hook::RateChanged] {
-        let mut lifecycle = life(Active);
+        let mut lifecycle = incarnation(Active);
         lifecycle.handle_done(hook, failed("out of range"));
         assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
         assert_eq!(lifecycle.next(), LifecycleStep::Rest);
@@ -138,7 +138,7 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
 
 #[test]
 fn a_failed_reset_is_fatal() {
-    let mut lifecycle = life(Error);
+    let mut lifecycle = incarnation(Error);
     lifecycle.handle_reset();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
 
@@ -152,7 +152,7 @@ fn a_failed_reset_is_fatal() {
 
 #[test]
 fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
-    let mut lifecycle = life(Active);
+    let mut lifecycle = incarnation(Active);
     lifecycle.handle_failure("one".into());
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Aborting));
     lifecycle.handle_done(Hook::Aborting, failed("two"));
@@ -167,7 +167,7 @@ fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
 #[test]
 fn stop_ends_every_state_in_its_own_way() {
     let check = |state, expected: &[Hook]| {
-        let mut lifecycle = life(state);
+        let mut lifecycle = incarnation(state);
         lifecycle.handle_stop(EndReason::Stopped);
         assert_eq!(run(&mut lifecycle), expected, "{state}");
         assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Stopped), "{state}");
@@ -200,12 +200,12 @@ fn a_stop_that_overtakes_the_activation_deactivates_again() {
 #[test]
 fn reset_is_answered_in_every_state() {
     for state in [Created, Initialized, Fatal, Finalized] {
-        let mut lifecycle = life(state);
+        let mut lifecycle = incarnation(state);
         lifecycle.handle_reset();
         let reports = answers(lifecycle.poll_reports());
         assert!(matches!(reports[..], [ChildEvent::ResetFailed { .. }]), "{state}");
     }
-    let mut lifecycle = life(Active);
+    let mut lifecycle = incarnation(Active);
     lifecycle.handle_reset();
     assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Reset]);
 }
@@ -214,13 +214,13 @@ fn reset_is_answered_in_every_state() {
 fn activation_orders_act_only_between_initialized_and_active() {
     for state in [Created, Error, Fatal, Finalized] {
         for active in [true, false] {
-            let mut lifecycle = life(state);
+            let mut lifecycle = incarnation(state);
             let before = lifecycle.hooks.clone();
             lifecycle.handle_activate(active);
             assert_eq!(lifecycle.hooks, before);
         }
     }
-    let mut lifecycle = life(Initialized);
+    let mut lifecycle = incarnation(Initialized);
     lifecycle.handle_activate(true);
     assert_eq!(run(&mut lifecycle), [Hook::Activated]);
     lifecycle.handle_activate(false);
@@ -238,12 +238,12 @@ fn a_declared_failure_acts_in_every_state_that_can_still_fail() {
         (Fatal, Fatal),
         (Finalized, Finalized),
     ] {
-        let mut lifecycle = life(state);
+        let mut lifecycle = incarnation(state);
         lifecycle.handle_failure("declared".into());
         assert_eq!(lifecycle.state, expected, "{state}");
     }
     for state in [Created, Initialized, Active, Error] {
-        let mut lifecycle = life(state);
+        let mut lifecycle = incarnation(state);
         lifecycle.handle_failure(Failure::fatal("declared"));
         assert_eq!(lifecycle.state, Fatal, "{state}");
     }
@@ -252,12 +252,12 @@ fn a_declared_failure_acts_in_every_state_that_can_still_fail() {
 #[test]
 fn a_changed_rate_is_told_only_at_work() {
     for state in [Created, Initialized, Error, Fatal, Finalized] {
-        let mut lifecycle = life(state);
+        let mut lifecycle = incarnation(state);
         let before = lifecycle.hooks.clone();
         lifecycle.handle_rate_changed();
         assert_eq!(lifecycle.hooks, before, "{state}");
     }
-    let mut lifecycle = life(Active);
+    let mut lifecycle = incarnation(Active);
     lifecycle.handle_rate_changed();
     assert_eq!(run(&mut lifecycle), [Hook::RateChanged]);
 }
@@ -276,7 +276,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
 }
 
 #[test]
-fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_life() {
+fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_incarnation() {
     let mut lifecycle = IncarnationLifecycle::new(true);
     let mut waited = Vec::new();
     for _ in 0..10 {
@@ -297,7 +297,7 @@ fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_life() 
 
 #[test]
 fn a_reset_whose_device_is_missing_goes_on_by_itself() {
-    let mut lifecycle = life(Error);
+    let mut lifecycle = incarnation(Error);
     lifecycle.handle_reset();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
     lifecycle.handle_done(Hook::Reset, missing());
@@ -311,7 +311,7 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
 }
 
 #[test]
-fn a_life_that_waits_is_stopped_fails_and_is_not_activated_twice() {
+fn an_incarnation_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
         let mut lifecycle = IncarnationLifecycle::new(true);
         while let LifecycleStep::Run(next) = lifecycle.next() {
@@ -337,7 +337,7 @@ fn a_life_that_waits_is_stopped_fails_and_is_not_activated_twice() {
 
 #[test]
 fn a_device_that_is_missing_at_work_is_a_failure_like_any_other() {
-    let mut lifecycle = life(Active);
+    let mut lifecycle = incarnation(Active);
 
     lifecycle.handle_done(Hook::Execute, missing());
 

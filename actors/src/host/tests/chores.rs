@@ -161,7 +161,7 @@ fn ticks_that_were_missed_are_skipped() {
 }
 
 #[test]
-fn timers_and_tasks_end_with_the_life_that_started_them() {
+fn timers_and_tasks_end_with_the_incarnation_that_started_them() {
     paused(async {
         let kit = kit().await;
         kit.worker.tell(Job::Every).unwrap();
@@ -203,7 +203,7 @@ impl Handle<Said> for Ear {
 }
 
 #[test]
-fn a_detached_sender_ends_with_the_life_that_made_it() {
+fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
     paused(async {
         let kit = kit().await;
         let heard = Log::default();

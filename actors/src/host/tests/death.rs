@@ -14,7 +14,7 @@ use std::time::Duration;
 use tokio::task::spawn_local;
 
 #[test]
-fn a_panic_ends_one_life_and_the_queue_lives() {
+fn a_panic_ends_one_incarnation_and_the_queue_lives() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
@@ -45,7 +45,7 @@ fn a_panic_ends_one_life_and_the_queue_lives() {
 }
 
 #[test]
-fn the_asker_of_the_message_that_kills_is_told_which_life_died() {
+fn the_asker_of_the_message_that_kills_is_told_which_incarnation_died() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
@@ -174,7 +174,7 @@ fn a_panic_anywhere_in_a_component_is_its_death() {
 }
 
 #[test]
-fn a_life_whose_arbiter_goes_away_is_reported_as_aborted() {
+fn an_incarnation_whose_arbiter_goes_away_is_reported_as_aborted() {
     let system = actix_rt::System::new();
     system.block_on(async {
         let stage = Stage::on(crate::arbiter::pool::ArbiterPool::pool(1));
@@ -250,7 +250,7 @@ impl Handle<Boom> for Widow {
 }
 
 #[test]
-fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
+fn who_watches_is_told_how_each_incarnation_ends_until_its_own_does() {
     paused(async {
         let stage = Stage::new();
         let told = Arc::new(Mutex::new(vec![]));
@@ -291,7 +291,7 @@ fn who_watches_is_told_how_each_life_ends_until_its_own_does() {
         assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
         child.stop();
         settle().await;
-        assert_eq!(endings(), [], "the life that asked is over");
+        assert_eq!(endings(), [], "the incarnation that asked is over");
     });
 }
 

@@ -155,8 +155,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
             let blocker = blocker.clone();
             async move { blocker.ask_within(Block(1), LONG).await }
         });
-        let (culprit, life, during, victims) = site.hangs().await;
-        assert_eq!((culprit, life, during), (name("blocker"), Incarnation(1), "Block"));
+        let (culprit, incarnation, during, victims) = site.hangs().await;
+        assert_eq!((culprit, incarnation, during), (name("blocker"), Incarnation(1), "Block"));
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
         let here = NodeName::new("here").unwrap();
@@ -332,7 +332,7 @@ fn events_that_a_lost_arbiter_was_handing_out_come_along() {
         assert_eq!(witness.incarnation(), Incarnation(2));
         site.open.send(()).unwrap();
         site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
-        assert_eq!(logged(&site.heard), [9, 9], "the old life is fenced");
+        assert_eq!(logged(&site.heard), [9, 9], "the old incarnation is fenced");
         site.stage.environment.arbiters.stop();
     });
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 #[test]
-fn a_life_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
+fn an_incarnation_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
     paused(async {
         let stage = Stage::new();
         let (spec, _) = acc("acc");
@@ -30,14 +30,14 @@ fn a_life_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
         assert_eq!(acc.ask(Slow(0)).await, Ok(3000));
         let started = stage.reports.wait(|report| report.incarnation == begun).await;
         assert_eq!(started.event, ChildEvent::Started);
-        assert_eq!(acc.ask(Add(0)).await, Ok(3000), "one life serves");
+        assert_eq!(acc.ask(Add(0)).await, Ok(3000), "one incarnation serves");
     });
 }
 
-type Lives = Arc<Mutex<Vec<Incarnation>>>;
+type Incarnations = Arc<Mutex<Vec<Incarnation>>>;
 
-/// Notes each of its lives.
-struct Census(Lives);
+/// Notes each of its incarnations.
+struct Census(Incarnations);
 
 impl Component for Census {
     fn ports(ports: &mut Ports<Self>) {
@@ -63,11 +63,11 @@ impl Handle<Add> for Census {
 }
 
 #[test]
-fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
+fn a_panic_and_an_order_at_the_same_time_never_make_two_incarnations_of_one_number() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(2));
-        let lives = Lives::default();
-        let kept = lives.clone();
+        let incarnations = Incarnations::default();
+        let kept = incarnations.clone();
         let spec = ChildSpec::new("census", move || Census(kept.clone()))
             .queue(64, crate::WhenFull::Refuse);
         let (mut child, census) = stage.start(spec).await;
@@ -86,7 +86,7 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
             let begun = child.start(known, stage.reports.recipient().into());
             let answered = loop {
                 match census.ask_within(Add(0), Duration::from_secs(30)).await {
-                    Ok(life) => break Incarnation(life),
+                    Ok(incarnation) => break Incarnation(incarnation),
                     Err(error)
                         if matches!(
                             error.kind,
@@ -100,10 +100,10 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_lives_of_one_number() {
         drop(child);
         stage.environment.arbiters.stop();
 
-        let mut begun = lives.lock().unwrap().clone();
+        let mut begun = incarnations.lock().unwrap().clone();
         let count = begun.len();
         begun.sort_unstable();
         begun.dedup();
-        assert_eq!(begun.len(), count, "each life has a number of its own");
+        assert_eq!(begun.len(), count, "each incarnation has a number of its own");
     });
 }

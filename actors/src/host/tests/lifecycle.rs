@@ -101,7 +101,7 @@ fn states(stage: &Stage) -> Vec<(Lifecycle, Option<String>)> {
 const BEGINNING: [&str; 3] = ["on_initialize", "on_startup", "on_activated"];
 
 #[test]
-fn a_life_runs_from_initialisation_to_its_end_in_order() {
+fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
     paused(async {
         let stage = Stage::new();
         let (spec, diary) = diary();
@@ -242,7 +242,7 @@ fn a_component_leaves_work_and_returns_when_it_is_asked_to() {
 }
 
 #[test]
-fn a_failed_reset_and_a_fatal_failure_end_the_life() {
+fn a_failed_reset_and_a_fatal_failure_end_the_incarnation() {
     paused(async {
         let stage = Stage::new();
         let (spec, diary) = diary();
@@ -269,7 +269,7 @@ fn a_failed_reset_and_a_fatal_failure_end_the_life() {
 }
 
 #[test]
-fn a_life_that_is_not_ready_in_time_has_failed_to_start() {
+fn an_incarnation_that_is_not_ready_in_time_has_failed_to_start() {
     paused(async {
         let stage = Stage::new();
         let (spec, diary) = diary();
@@ -286,7 +286,7 @@ fn a_life_that_is_not_ready_in_time_has_failed_to_start() {
 }
 
 #[test]
-fn a_life_that_does_not_end_in_time_is_ended_out_of_order() {
+fn an_incarnation_that_does_not_end_in_time_is_ended_out_of_order() {
     paused(async {
         let stage = Stage::new();
         let (spec, diary) = diary();
@@ -305,7 +305,7 @@ fn a_life_that_does_not_end_in_time_is_ended_out_of_order() {
 }
 
 #[test]
-fn each_hook_that_fails_while_a_life_ends_says_so() {
+fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
     for outcome in [Outcome::Fail, Outcome::FailFatally] {
         paused(async move {
             let stage = Stage::new();

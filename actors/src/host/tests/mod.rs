@@ -62,13 +62,13 @@ impl Stage {
         spec.into_child(&self.environment).unwrap()
     }
 
-    /// Begins a life, and waits for what comes of it.
+    /// Begins an incarnation, and waits for what comes of it.
     pub(super) async fn begin(&self, child: &mut dyn Child, incarnation: u64) -> ChildEvent {
         child.start(Incarnation(incarnation), self.reports.recipient().into());
         self.reports.wait(|report| report.object == *child.name()).await.event
     }
 
-    /// A component in its first life.
+    /// A component in its first incarnation.
     pub(super) async fn start<C: Component>(
         &self,
         spec: ChildSpec<C>,

@@ -74,7 +74,7 @@ fn a_condition_that_panics_on_each_event_of_a_batch_is_one_reported_death() {
 }
 
 #[test]
-fn each_life_that_a_condition_ends_within_a_batch_is_reported() {
+fn each_incarnation_that_a_condition_ends_within_a_batch_is_reported() {
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(picky("picky").0).await;
@@ -84,9 +84,10 @@ fn each_life_that_a_condition_ends_within_a_batch_is_reported() {
         settle().await;
 
         let exits = stage.exits.drain();
-        let lives: Vec<_> = exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
+        let incarnations: Vec<_> =
+            exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
         let next = |n| Some(Incarnation(n));
-        assert_eq!(lives, [(1, next(2)), (2, next(3)), (3, None)]);
+        assert_eq!(incarnations, [(1, next(2)), (2, next(3)), (3, None)]);
         let died = |event: &ChildEvent| {
             matches!(event, ChildEvent::Died { .. } | ChildEvent::StartFailed { .. })
         };
@@ -96,7 +97,7 @@ fn each_life_that_a_condition_ends_within_a_batch_is_reported() {
 }
 
 #[test]
-fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
+fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_before_it() {
     paused(async {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
@@ -109,8 +110,13 @@ fn a_life_that_is_given_up_leaves_the_report_of_the_life_before_it() {
         settle().await;
 
         let exits = stage.exits.drain();
-        let lives: Vec<_> = exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
-        assert_eq!(lives, [(1, Some(Incarnation(2)))], "the second was given up, not the first");
+        let incarnations: Vec<_> =
+            exits.iter().map(|e| (e.incarnation.0, e.restarted_as)).collect();
+        assert_eq!(
+            incarnations,
+            [(1, Some(Incarnation(2)))],
+            "the second was given up, not the first"
+        );
     });
 }
 
@@ -136,7 +142,7 @@ fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_tu
     });
 }
 
-/// Panics on each sample; what was left of its first life blocks until the test lets it go.
+/// Panics on each sample; what was left of its first incarnation blocks until the test lets it go.
 struct Clingy {
     held: Option<Arc<Held>>,
 }
@@ -186,7 +192,7 @@ impl Drop for Clingy {
 }
 
 #[test]
-fn a_panic_whose_drop_blocks_is_reported_when_the_life_is_given_up_and_once() {
+fn a_panic_whose_drop_blocks_is_reported_when_the_incarnation_is_given_up_and_once() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (open, held) = Held::new();
@@ -235,7 +241,7 @@ impl Handle<Sample> for Trap {
 }
 
 #[test]
-fn a_panic_whose_unwinding_blocks_is_reported_when_the_life_is_given_up_and_once() {
+fn a_panic_whose_unwinding_blocks_is_reported_when_the_incarnation_is_given_up_and_once() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (open, held) = Held::new();
@@ -261,13 +267,13 @@ fn a_panic_whose_unwinding_blocks_is_reported_when_the_life_is_given_up_and_once
 }
 
 #[test]
-fn a_panic_is_reported_though_the_factory_of_the_next_life_blocks() {
+fn a_panic_is_reported_though_the_factory_of_the_next_incarnation_blocks() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
-        let ((_open, held), lives) = (Held::new(), AtomicU64::new(0));
+        let ((_open, held), incarnations) = (Held::new(), AtomicU64::new(0));
         let blocks = held.clone();
         let spec = ChildSpec::new("clingy", move || {
-            if lives.fetch_add(1, Relaxed) == 1 {
+            if incarnations.fetch_add(1, Relaxed) == 1 {
                 blocks.wait();
             }
             Clingy { held: None }
@@ -345,7 +351,7 @@ impl Handle<Remnant> for Hoard {
 }
 
 #[test]
-fn what_waited_for_a_life_that_was_given_up_is_dropped_on_no_thread_of_its_supervisor() {
+fn what_waited_for_an_incarnation_that_was_given_up_is_dropped_on_no_thread_of_its_supervisor() {
     actix_rt::System::new().block_on(async {
         KEEPS.set(true);
         let stage = Stage::on(ArbiterPool::pool(1));

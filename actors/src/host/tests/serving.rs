@@ -142,7 +142,7 @@ fn a_component_that_floods_itself_starves_nobody() {
 }
 
 #[test]
-fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
+fn a_message_that_killed_three_incarnations_is_quarantined_and_no_other() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
@@ -150,9 +150,12 @@ fn a_message_that_killed_three_lives_is_quarantined_and_no_other() {
         let sender = acc.sender();
         let (poison, other) = (sender.repeatable(boom("x")), sender.repeatable(boom("y")));
 
-        for life in 1..=3 {
+        for incarnation in 1..=3 {
             let why = poison.ask().await.unwrap_err().kind;
-            assert_eq!(why, DeliveryError::PeerDied { incarnation: crate::Incarnation(life) });
+            assert_eq!(
+                why,
+                DeliveryError::PeerDied { incarnation: crate::Incarnation(incarnation) }
+            );
         }
 
         let refused = poison.ask().await.unwrap_err();

@@ -64,12 +64,12 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         assert_eq!(logged(&log), [7]);
 
         let (_, kill) = registry.skeleton(&name("acc"), Boom::NAME).unwrap();
-        for life in 1..=3 {
+        for incarnation in 1..=3 {
             let (place, reply_to) = reply();
             kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap();
             settle().await;
             let why = place.lock().unwrap().take().unwrap().unwrap_err();
-            assert_eq!(why, DeliveryError::PeerDied { incarnation: Incarnation(life) });
+            assert_eq!(why, DeliveryError::PeerDied { incarnation: Incarnation(incarnation) });
         }
         let (place, reply_to) = reply();
         let refused = kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap_err();

@@ -1,4 +1,4 @@
-//! Conditions under guard and watch, hubs of ended lives, and events across a hang.
+//! Conditions under guard and watch, hubs of ended incarnations, and events across a hang.
 
 use super::{Log, Stage, logged};
 use crate::arbiter::pool::ArbiterPool;
@@ -210,14 +210,14 @@ fn events_are_served_once_and_in_order_across_a_hang() {
 }
 
 #[test]
-fn the_hubs_of_ended_lives_are_released() {
+fn the_hubs_of_ended_incarnations_are_released() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (spec, log) = ear("restarted", None);
         let (mut child, _) = stage.add(spec.on_own_thread());
-        for life in 1..=20 {
-            assert_eq!(stage.begin(&mut *child, life).await, ChildEvent::Started);
-            assert_eq!(hubs(&stage), 1, "in life {life}");
+        for incarnation in 1..=20 {
+            assert_eq!(stage.begin(&mut *child, incarnation).await, ChildEvent::Started);
+            assert_eq!(hubs(&stage), 1, "in incarnation {incarnation}");
             child.abandon();
         }
         assert_eq!(stage.begin(&mut *child, 21).await, ChildEvent::Started);

@@ -106,7 +106,7 @@ fn a_component_publishes_on_its_contracts_topic_and_on_others() {
 }
 
 #[test]
-fn a_subscription_ends_with_a_stop_and_returns_with_the_next_life() {
+fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = listener("ear");
@@ -122,7 +122,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_life() {
         settle().await;
         publish(&stage, "other", 2);
         settle().await;
-        assert_eq!((logged(&log), ear.queued()), (vec![], 1), "kept between two lives");
+        assert_eq!((logged(&log), ear.queued()), (vec![], 1), "kept between two incarnations");
         stage.reports.drain();
         assert_eq!(stage.begin(&mut *child, 3).await, ChildEvent::Started);
         settle().await;

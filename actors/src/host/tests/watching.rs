@@ -15,11 +15,11 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Chatter(u64);
 
-/// Is published by each life.
+/// Is published by each incarnation.
 #[derive(Clone, Debug, PartialEq, Event)]
 struct Born(u64);
 
-/// Is watched by each life.
+/// Is watched by each incarnation.
 #[derive(Clone, Debug, PartialEq, Variable)]
 struct Mood(u64);
 
@@ -149,7 +149,7 @@ fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
 }
 
 #[test]
-fn a_notice_that_was_not_taken_ends_with_the_life_that_watched() {
+fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
@@ -166,7 +166,7 @@ fn a_notice_that_was_not_taken_ends_with_the_life_that_watched() {
         assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
         settle().await;
 
-        assert_eq!(taken(&told), [], "the second life saw it alive");
+        assert_eq!(taken(&told), [], "the second incarnation saw it alive");
         arm.tell(boom("y")).unwrap();
         settle().await;
         assert!(matches!(&taken(&told)[..], [Told::Down(_, 2, _)]));
@@ -179,7 +179,7 @@ fn watchers<C: Component>(of: &ActorRef<C>) -> usize {
 }
 
 #[test]
-fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
+fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind() {
     paused(async {
         let stage = Stage::new();
         let (_arm, arm) = stage.start::<Acc>(acc("arm").0).await;
@@ -197,17 +197,17 @@ fn three_hundred_lives_that_watch_listen_and_publish_leave_nothing_behind() {
         assert_eq!((before.0, before.1), (1, 2));
         assert_eq!(stage.environment.variables().watchers(), 1);
 
-        for life in 1..=300 {
+        for incarnation in 1..=300 {
             widow.tell(boom("again")).unwrap();
             settle().await;
-            assert_eq!(widow.incarnation(), Incarnation(life + 1));
+            assert_eq!(widow.incarnation(), Incarnation(incarnation + 1));
         }
 
         let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         assert_eq!(after, before, "watches, and what holds the component");
         assert_eq!(stage.environment.variables().watchers(), 1);
         let told = interest.lock().unwrap().clone();
-        assert_eq!(told, ["Born"], "one interest for all lives");
+        assert_eq!(told, ["Born"], "one interest for all incarnations");
         assert_eq!(stage.environment.topics().listened().len(), 1);
     });
 }

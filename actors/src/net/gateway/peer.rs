@@ -10,9 +10,9 @@ pub(super) struct GatewayPeer {
     pub(super) send_state: Arc<PeerSendState>,
     /// The number of the session that was opened last.
     pub(super) session: u32,
-    /// The life that it is with, or was.
+    /// The incarnation that it is with, or was.
     pub(super) incarnation: Incarnation,
-    /// That life has ended in order.
+    /// That incarnation has ended in order.
     pub(super) left: bool,
     /// Contracts that it does not mean as this node does, in this incarnation.
     differences: Vec<String>,

@@ -188,7 +188,7 @@ fn an_idempotent_request_is_asked_again_by_itself_and_takes_effect_once() {
 }
 
 #[test]
-fn an_idempotent_request_goes_on_to_the_next_life_of_the_callees_node() {
+fn an_idempotent_request_goes_on_to_the_next_incarnation_of_the_callees_node() {
     paused(async {
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;

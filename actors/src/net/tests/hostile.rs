@@ -50,7 +50,8 @@ fn stale(tag: u32) -> Vec<Segment> {
         Segment::Acknowledge { tag, control: ack(), data: ack(), redundant: None },
         Segment::Reset { tag },
         Segment::Close { tag },
-        // Sessions of a past life, of one to come, and of more sessions than there ever were.
+        // Sessions of a past incarnation, of one to come, and of more sessions than there ever
+        // were.
         open(0, 7),
         open(1000, 1),
         open(1, u32::MAX),

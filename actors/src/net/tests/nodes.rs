@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_node_that_dies_and_returns_is_a_new_life_and_what_it_owed_is_resolved() {
+fn a_node_that_dies_and_returns_is_a_new_incarnation_and_what_it_owed_is_resolved() {
     paused(async {
         let mut robot = Robot::default();
         let left = robot.module("left", 1, &[("ethernet", &["right"])]).await;

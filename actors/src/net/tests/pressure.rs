@@ -341,7 +341,7 @@ fn a_peer_that_does_not_stop_loses_what_is_too_much_and_is_named_and_others_are_
 }
 
 #[test]
-fn a_reading_that_finds_its_receiver_between_two_lives_is_counted_as_that_and_not_as_full() {
+fn a_reading_that_finds_its_receiver_between_two_incarnations_is_counted_as_that_and_not_as_full() {
     paused(async {
         let (_robot, left, right) = pair().await;
         let (_slow, _log) = slow(&right, MS, WhenFull::Refuse).await;

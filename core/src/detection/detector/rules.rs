@@ -92,8 +92,8 @@ impl Detector {
         }
     }
 
-    /// What is seen of a life that is over changes nothing; but that it panicked is told in every
-    /// case. Its report comes late where what the panic left behind has blocked its thread.
+    /// What is seen of an incarnation that is over changes nothing; but that it panicked is told in
+    /// every case. Its report comes late where what the panic left behind has blocked its thread.
     fn judge_late(&mut self, scene: &Scene, finding: Finding) {
         let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
         else {
@@ -107,7 +107,7 @@ impl Detector {
         }
         let detail = describe_panic(&text, &at, during);
         let id = self.record(scene, FaultKind::Panic, detail, Cause::Itself);
-        self.await_next_life(id, scene.at);
+        self.await_next_incarnation(id, scene.at);
     }
 
     /// An object that waits behind a hang is remembered, so that its silence is known for a
@@ -170,7 +170,7 @@ impl Detector {
         let cause = hang.map_or(Cause::Itself, Cause::Known);
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = seen.state;
-        // A life that was already over ends in some way or other; that is no second fault.
+        // An incarnation that was already over ends in some way or other; that is no second fault.
         let over = std::mem::replace(&mut seen.doomed, exit != ExitReason::Stopped);
         seen.state = match exit {
             ExitReason::Stopped => Lifecycle::Finalized,
@@ -181,7 +181,8 @@ impl Detector {
                 (FaultKind::Panic, describe_panic(&text, &at, during))
             }
             ExitReason::Returned if !over && !self.may_end.contains(object) => {
-                // A life that ends itself in order is finalized before its guard says how it ended.
+                // An incarnation that ends itself in order is finalized before its guard says how
+                // it ended.
                 (FaultKind::UnexpectedExit, "it ended itself without having been told to".into())
             }
             ExitReason::Fatal if !over => {
@@ -205,8 +206,8 @@ impl Detector {
         let known = self.chronicle.standing(&scene.place, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
-        // A recoverer hears of it if the next life dies likewise.
-        self.await_next_life(id, scene.at);
+        // A recoverer hears of it if the next incarnation dies likewise.
+        self.await_next_incarnation(id, scene.at);
     }
 
     fn judge_state(
@@ -243,13 +244,13 @@ impl Detector {
                 self.find(scene, FaultKind::Fatal, reason, Cause::Above);
             }
             Lifecycle::Active => {
-                let life = scene.incarnation;
-                // Also what a reset of this life was to end that came to wait.
+                let incarnation = scene.incarnation;
+                // Also what a reset of this incarnation was to end that came to wait.
                 let waits: Vec<FaultId> = self.unhanded_at(&scene.place).map(|f| f.id).collect();
                 let is_over = |fault: &Fault| {
                     let ended =
                         matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
-                    fault.incarnation < life || ended || waits.contains(&fault.id)
+                    fault.incarnation < incarnation || ended || waits.contains(&fault.id)
                 };
                 self.end_all_at(scene, is_over, true);
             }
@@ -404,8 +405,8 @@ fn describe_panic(text: &str, at: &str, during: &str) -> String {
     }
 }
 
-/// Whether a life of which this was seen does not wait any more for what was not there yet. One
-/// that is at work has recovered besides.
+/// Whether an incarnation of which this was seen does not wait any more for what was not there yet.
+/// One that is at work has recovered besides.
 fn ends_waiting(finding: &Finding) -> bool {
     match finding {
         Finding::Exited { .. } | Finding::Hangs { .. } | Finding::Waits { .. } => true,

@@ -1,7 +1,7 @@
 //! Every finding in every state, roots and symptoms, and what is said of them.
 
 mod findings;
-mod lives;
+mod incarnations;
 mod record;
 mod symptoms;
 

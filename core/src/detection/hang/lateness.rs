@@ -13,7 +13,7 @@ const EXPIRED_LEAST: u64 = 3;
 /// Windows in a row that must be bad.
 const WINDOWS: u32 = 2;
 
-/// What has been counted of one life.
+/// What has been counted of one incarnation.
 #[derive(Debug)]
 pub(super) struct Lateness {
     rounds: Option<Rounds>,
@@ -42,7 +42,7 @@ struct Rounds {
     before: u64,
     /// How many it has missed since.
     missed: u64,
-    /// How many it had missed before, in this life.
+    /// How many it had missed before, in this incarnation.
     earlier: u64,
 }
 
@@ -75,7 +75,7 @@ impl Lateness {
         Lateness { rounds: None, window, bad: 0, counts: Counts::default(), delayed_since: None }
     }
 
-    /// Rounds that this life has missed.
+    /// Rounds that this incarnation has missed.
     pub(super) fn missed_rounds(&self) -> u64 {
         self.rounds.map_or(0, |rounds| rounds.total())
     }

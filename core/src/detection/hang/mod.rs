@@ -11,9 +11,9 @@
 //! victims. What a victim suffers is told after its root was.
 //!
 //! Time in which the scanner itself was not scheduled is charged to no component: it keeps a clock
-//! that goes on only while it looks, and measures everything by that. A computer on which it is late
-//! at every look is judged later, and no less. Nor is time charged in which a thread was ready to
-//! run and the operating system did not run it.
+//! that goes on only while it looks, and measures everything by that. A computer on which it is
+//! late at every look is judged later, and no less. Nor is time charged in which a thread was ready
+//! to run and the operating system did not run it.
 
 mod entry;
 mod lateness;
@@ -85,7 +85,7 @@ struct ComponentRecord {
     worked: bool,
     /// This turn has been reported.
     waits: bool,
-    /// This life has given a sign.
+    /// This incarnation has given a sign.
     heard: bool,
     silence: Silence,
     /// It takes no messages, which has been reported.
@@ -347,7 +347,7 @@ impl HangDetector {
         })
     }
 
-    /// Which components have missed rounds in their present life, and how many; by slot.
+    /// Which components have missed rounds in their present incarnation, and how many; by slot.
     pub fn missed_rounds(&self) -> impl Iterator<Item = (SlotId, u64)> + '_ {
         self.awake().filter_map(|(slot, component)| {
             let missed = component.lateness.missed_rounds();

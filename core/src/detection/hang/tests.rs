@@ -359,7 +359,7 @@ fn silence_counts_only_where_signs_are_expected() {
 }
 
 #[test]
-fn a_new_life_begins_with_a_clean_record() {
+fn a_new_incarnation_begins_with_a_clean_record() {
     let mut world = World::new();
     (world.eyes.stamps[0].speaks, world.eyes.stamps[0].turn) = (true, 1);
     world.look();

@@ -82,7 +82,7 @@ pub struct HangLimits {
 /// How long a component may give no sign of life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MaxSilence {
-    /// From being at work to a life's first sign.
+    /// From being at work to an incarnation's first sign.
     pub first: Duration,
     /// From then on, between two of them.
     pub between: Duration,
@@ -113,7 +113,7 @@ pub struct ComponentSample {
     pub turn: u64,
     /// Signs of life.
     pub alive: u64,
-    /// Which of its lives.
+    /// Which incarnation.
     pub incarnation: Incarnation,
     /// It is at work: signs of life are to be expected, and its messages are served.
     pub speaks: bool,
@@ -218,7 +218,7 @@ pub enum LivenessEvent {
         slot: SlotId,
         /// Its component.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// Since when, at least.
         age: Duration,
@@ -227,7 +227,7 @@ pub enum LivenessEvent {
     Silent {
         /// Who.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// For how long, at least.
         silent_for: Duration,
@@ -236,7 +236,7 @@ pub enum LivenessEvent {
     Overloaded {
         /// Who.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// How much.
         figures: OverloadFigures,
@@ -248,7 +248,7 @@ pub enum LivenessEvent {
     Stuck {
         /// Who.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
         /// What waits.
         queue: QueueReading,
@@ -257,14 +257,14 @@ pub enum LivenessEvent {
     Flows {
         /// Who.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
     },
     /// A component that was silent gives signs of life again.
     Spoke {
         /// Who.
         object: ObjectName,
-        /// Which life.
+        /// Which incarnation.
         incarnation: Incarnation,
     },
     /// An arbiter that hung turns again.

@@ -136,9 +136,9 @@ impl Monitor {
     /// void. Which fault that is, if any, the detector decides.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
         self.pings.handle_stall(gap, now);
-        let (place, life) = (FaultLocation::Node(self.node.clone()), Incarnation::default());
+        let (place, incarnation) = (FaultLocation::Node(self.node.clone()), Incarnation::default());
         let finding = Finding::Node(NodeCondition::Paused { span: gap });
-        self.observe(place, life, finding, now);
+        self.observe(place, incarnation, finding, now);
         self.settle(now);
     }
 

@@ -81,7 +81,7 @@ fn panicked() -> ExitReason {
 }
 
 #[test]
-fn nothing_is_expected_of_an_object_before_its_first_life_is_reported() {
+fn nothing_is_expected_of_an_object_before_its_first_incarnation_is_reported() {
     let watch = Liveness::pull(TENTH, TENTH);
     let mut monitor = monitor();
     let laser = object("laser");
@@ -111,8 +111,8 @@ fn silence_is_observed_and_so_is_its_end() {
     assert_eq!(row(&monitor, "m:laser", 3001).opinion, Opinion::Trusted);
 }
 
-fn answer(life: Incarnation, state: Lifecycle) -> WorkProgress {
-    WorkProgress { incarnation: life, state }
+fn answer(incarnation: Incarnation, state: Lifecycle) -> WorkProgress {
+    WorkProgress { incarnation, state }
 }
 
 #[test]
@@ -201,7 +201,7 @@ fn what_is_not_confirmed_is_repeated_and_given_up_loudly() {
     assert_eq!((sent, given_up), (8, 8));
 }
 
-/// In which state the second life of `laser` is when something comes.
+/// In which state the second incarnation of `laser` is when something comes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     Going,
@@ -213,18 +213,18 @@ enum State {
 const INPUTS: [&str; 8] =
     ["alive", "died", "stopped", "state", "declared", "waits", "silent", "resumed"];
 
-fn feed(monitor: &mut Monitor, input: &str, life: Incarnation, now: Instant) {
+fn feed(monitor: &mut Monitor, input: &str, incarnation: Incarnation, now: Instant) {
     let laser = object("laser");
     match input {
-        "alive" => monitor.handle_alive(&laser, answer(life, Lifecycle::Active), now),
-        "died" => monitor.handle_exited(&laser, life, panicked(), None, now),
-        "stopped" => monitor.handle_exited(&laser, life, ExitReason::Stopped, None, now),
-        "state" => monitor.handle_state(&laser, life, Lifecycle::Active, None, now),
+        "alive" => monitor.handle_alive(&laser, answer(incarnation, Lifecycle::Active), now),
+        "died" => monitor.handle_exited(&laser, incarnation, panicked(), None, now),
+        "stopped" => monitor.handle_exited(&laser, incarnation, ExitReason::Stopped, None, now),
+        "state" => monitor.handle_state(&laser, incarnation, Lifecycle::Active, None, now),
         "declared" => {
-            monitor.handle_declared(&laser, life, FaultKind::CheckFailed, "1".into(), now);
+            monitor.handle_declared(&laser, incarnation, FaultKind::CheckFailed, "1".into(), now);
         }
-        "waits" => monitor.handle_waits(&laser, life, "Scan", TENTH, now),
-        "silent" => monitor.handle_silent(&laser, life, TENTH, now),
+        "waits" => monitor.handle_waits(&laser, incarnation, "Scan", TENTH, now),
+        "silent" => monitor.handle_silent(&laser, incarnation, TENTH, now),
         "resumed" => monitor.handle_resumed(&[laser], now),
         other => panic!("no input is called {other}"),
     }
@@ -276,9 +276,9 @@ fn every_input_in_every_state_says_what_it_should() {
 }
 
 #[test]
-fn nothing_that_an_older_life_still_says_changes_anything_but_its_panic_is_passed_on() {
+fn nothing_that_an_older_incarnation_still_says_changes_anything_but_its_panic_is_passed_on() {
     for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
-        // Who has resumed is told by the watch, which knows no lives.
+        // Who has resumed is told by the watch, which knows no incarnations.
         for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
             let mut monitor = in_state(state);
             let before = monitor.read_table(at(5));
@@ -295,7 +295,7 @@ fn nothing_that_an_older_life_still_says_changes_anything_but_its_panic_is_passe
 }
 
 #[test]
-fn whatever_a_newer_life_says_begins_a_new_history() {
+fn whatever_a_newer_incarnation_says_begins_a_new_history() {
     for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
         for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
             let mut monitor = in_state(state);
@@ -309,7 +309,7 @@ fn whatever_a_newer_life_says_begins_a_new_history() {
 }
 
 #[test]
-fn a_death_that_the_guard_has_mended_leaves_the_next_life_in_the_table() {
+fn a_death_that_the_guard_has_mended_leaves_the_next_incarnation_in_the_table() {
     let mut monitor = watched(Liveness::Guard);
 
     monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
@@ -328,11 +328,17 @@ fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
     seen(&mut enrolled, 0);
 
     for (case, mut monitor) in [("enrolled", enrolled), ("unknown", monitor())] {
-        for (life, next, millis) in [(ONE, TWO, 210), (TWO, THREE, 220)] {
-            monitor.handle_exited(&object("laser"), life, panicked(), Some(next), at(millis));
+        for (incarnation, next, millis) in [(ONE, TWO, 210), (TWO, THREE, 220)] {
+            monitor.handle_exited(
+                &object("laser"),
+                incarnation,
+                panicked(),
+                Some(next),
+                at(millis),
+            );
 
             let told = ["m:laser Exited", "m:laser State"];
-            assert_eq!(seen(&mut monitor, millis), told, "{case} {life}");
+            assert_eq!(seen(&mut monitor, millis), told, "{case} {incarnation}");
             let row = row(&monitor, "m:laser", millis);
             assert_eq!((row.incarnation, row.state), (next, Some(Lifecycle::Active)), "{case}");
         }
@@ -340,7 +346,7 @@ fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
 }
 
 #[test]
-fn a_life_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
+fn an_incarnation_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
     for (exit, state, opinion) in [
         (panicked(), Lifecycle::Fatal, Opinion::Failed),
         (ExitReason::Aborted, Lifecycle::Fatal, Opinion::Failed),
@@ -436,7 +442,7 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
 }
 
 #[test]
-fn a_node_that_begins_anew_with_a_smaller_number_is_seen_in_its_new_life() {
+fn a_node_that_begins_anew_with_a_smaller_number_is_seen_in_its_new_incarnation() {
     let mut monitor = Monitor::new(node("m"), MonitorLimits::default(), at(0));
     monitor.handle_node(node("n"), TWO, NodeCondition::Reachable, at(0));
     let lost = || NodeCondition::Lost { reason: "gone".to_owned() };
@@ -528,13 +534,13 @@ proptest! {
     ) {
         let mut monitor = watched(Liveness::pull(TENTH, TENTH));
         let mut now = at(0);
-        for (input, life, wait) in inputs {
+        for (input, incarnation, wait) in inputs {
             // An outsider's word that it is silent is believed; it is not what is tested here.
             if INPUTS[input] != "silent" {
-                feed(&mut monitor, INPUTS[input], Incarnation(life), now);
+                feed(&mut monitor, INPUTS[input], Incarnation(incarnation), now);
             }
-            let life = row(&monitor, "m:laser", 0).incarnation;
-            monitor.handle_alive(&object("laser"), answer(life, Lifecycle::Active), now);
+            let incarnation = row(&monitor, "m:laser", 0).incarnation;
+            monitor.handle_alive(&object("laser"), answer(incarnation, Lifecycle::Active), now);
             now = now + Duration::from_millis(wait);
             for told in run(&mut monitor, now.as_nanos() / 1_000_000) {
                 prop_assert_ne!(&told.1, "m:laser Silent");
@@ -558,8 +564,8 @@ fn what_goes_with_its_node_is_not_handed_over_and_what_a_component_dies_of_is() 
     assert_eq!(seen(&mut monitor, 1), ["m:arm Exited"]);
 }
 
-/// What a large node reports at its start is handed over as fast as it is confirmed: the report of a
-/// fault does not wait for seconds behind it.
+/// What a large node reports at its start is handed over as fast as it is confirmed: the report of
+/// a fault does not wait for seconds behind it.
 #[test]
 fn a_fault_right_after_the_start_of_many_objects_is_handed_over_at_once() {
     let mut monitor = Monitor::new(node("module1"), MonitorLimits::default(), at(0));

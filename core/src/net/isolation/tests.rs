@@ -19,8 +19,8 @@ impl Robot {
         robot
     }
 
-    fn join(&mut self, name: &str, life: u64, judges: &IsolationAuthority) {
-        let mut own = Isolation::new(node(name), Incarnation(life), judges.clone());
+    fn join(&mut self, name: &str, incarnation: u64, judges: &IsolationAuthority) {
+        let mut own = Isolation::new(node(name), Incarnation(incarnation), judges.clone());
         self.nodes.remove(&node(name));
         for (other, isolation) in &mut self.nodes {
             isolation.handle_ended(&node(name));
@@ -204,7 +204,7 @@ fn who_was_away_is_told_when_it_is_back() {
 }
 
 #[test]
-fn a_warden_that_was_restarted_can_take_back_what_its_earlier_life_has_said() {
+fn a_warden_that_was_restarted_can_take_back_what_its_earlier_incarnation_has_said() {
     let judges = wardens(&["a"]);
     let mut robot = Robot::new(&["a", "b", "d"], &judges);
     robot.decides("a", "d", true);
@@ -226,7 +226,7 @@ fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
     let accuse = |names: Vec<String>| {
         let vote = |(n, name): (usize, String)| (node(&name), true, n as u64 + 1, "x".repeat(300));
         let votes = names.into_iter().enumerate().map(vote).collect();
-        codec::encode_unbounded(&Ballot { life: Incarnation(u64::MAX), votes })
+        codec::encode_unbounded(&Ballot { incarnation: Incarnation(u64::MAX), votes })
     };
     victim.handle_told(&node("hostile"), &accuse((0..60).map(|n| format!("n{n}")).collect()));
     victim.handle_told(&node("hostile"), &accuse((0..70).map(|n| format!("n{n}")).collect()));

@@ -24,7 +24,7 @@ impl Link {
     pub(in crate::net) fn word(&self, now: Instant) -> Option<NeighbourEntry> {
         let Hello { stance, loss_permille, echo, .. } = self.hello(now, 0);
         let echo = echo.map(|Echo { incarnation, sequence, held_us }| CompactEcho {
-            life: incarnation.0 as u16,
+            incarnation: incarnation.0 as u16,
             sequence: sequence as u16,
             held_us,
         });
@@ -93,13 +93,13 @@ impl Link {
         }
     }
 
-    /// An echo in full, if it is of this life of ours.
+    /// An echo in full, if it is of this incarnation of ours.
     fn echo(&self, short: CompactEcho) -> Option<Echo> {
-        let CompactEcho { life, sequence, held_us } = short;
+        let CompactEcho { incarnation: tag, sequence, held_us } = short;
         let incarnation = self.config.incarnation;
         let last = self.sent.back().map(|(number, _)| *number)?;
         let back = (last as u16).wrapping_sub(sequence);
         let sequence = last.wrapping_sub(back.into());
-        (life == incarnation.0 as u16).then_some(Echo { incarnation, sequence, held_us })
+        (tag == incarnation.0 as u16).then_some(Echo { incarnation, sequence, held_us })
     }
 }

@@ -148,7 +148,7 @@ impl LinkSet {
                     to: NodeId(0),
                     stance: HelloState::Ready,
                     loss_permille: 0,
-                    echo: Some(CompactEcho { life: 0, sequence: 0, held_us: 0 }),
+                    echo: Some(CompactEcho { incarnation: 0, sequence: 0, held_us: 0 }),
                 };
                 let greeting = link.greeting(0, 1, vec![word; links.min(Self::WORDS)]);
                 let length = Frame::Greeting(greeting).encode().len() as u64 + Link::FRAMING;

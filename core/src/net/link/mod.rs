@@ -481,7 +481,7 @@ impl Link {
 }
 
 impl NeighbourRecord {
-    /// In which life, which hello, and when.
+    /// In which incarnation, which hello, and when.
     fn last_heard(&self) -> (Incarnation, u32, Instant) {
         (self.neighbour.incarnation, self.arrivals.highest(), self.heard_at)
     }

@@ -4,7 +4,7 @@ use super::*;
 use crate::{Incarnation, NodeName};
 
 mod given_up;
-mod lives;
+mod incarnations;
 mod repeated;
 
 fn at(millis: u64) -> Instant {
@@ -361,11 +361,11 @@ fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_aga
 fn a_neighbour_that_restarts_over_and_over_is_taken_each_time_as_soon_as_the_first() {
     let mut cable = running();
     let mut outages = Vec::new();
-    for life in 2..8 {
+    for incarnation in 2..8 {
         cable.cut = [true; 2];
         cable.run_until(cable.now + 100);
         cable.cut = [false; 2];
-        cable.ends[1] = Link::new(config("right", life), at(cable.now));
+        cable.ends[1] = Link::new(config("right", incarnation), at(cable.now));
         let back = cable.now;
         while cable.states() != [LinkState::Up; 2] {
             cable.run_until(cable.now + 1);

@@ -108,7 +108,7 @@ impl NodeDirectory {
         having.map(|names| ObjectAddress::new(names.node.clone(), object.clone())).collect()
     }
 
-    /// Every node that a session is open with, in which of its lives, and its objects.
+    /// Every node that a session is open with, in which incarnation, and its objects.
     pub fn nodes(&self) -> impl Iterator<Item = (&NodeName, Incarnation, &BTreeSet<ObjectName>)> {
         self.nodes.values().map(|names| (&names.node, names.incarnation, &names.objects))
     }

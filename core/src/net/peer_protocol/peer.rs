@@ -21,7 +21,7 @@ pub(super) type BindingTable = BTreeMap<u32, BindingKey>;
 #[derive(Debug)]
 pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
-    /// With which life of the peer.
+    /// With which incarnation of the peer.
     pub(super) incarnation: Incarnation,
     /// Our stamps count from here.
     pub(super) began: Instant,

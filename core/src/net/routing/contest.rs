@@ -6,10 +6,10 @@
 //!  A ──defend──► B ──► C     it is: A' is kept out, and told so
 //! ```
 //!
-//! A restarted node has its name from its old life at once: the links that led to the old
-//! one have told of its end. Only while routes still lead to the old life is a new one disputed,
-//! and if its end was not noticed, it does not defend itself. Where two halves of a
-//! network meet that have each a node of this name, the older life stays, everywhere.
+//! A restarted node has its name from its old incarnation at once: the links that led to the old
+//! one have told of its end. Only while routes still lead to the old incarnation is a new one
+//! disputed, and if its end was not noticed, it does not defend itself. Where two halves of a
+//! network meet that have each a node of this name, the older incarnation stays, everywhere.
 
 use super::{LinkHealth, LinkStatus, Router, RouterAlarm, RouterOutput};
 use crate::net::link::Neighbour;
@@ -20,7 +20,7 @@ use crate::net::wire::node_id::NodeId;
 use crate::{Incarnation, Instant, NodeName};
 use std::time::Duration;
 
-/// Which later life of a name is kept out.
+/// Which later incarnation of a name is kept out.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dispute {
     contender: Incarnation,
@@ -40,7 +40,7 @@ impl Router {
     /// The holder hears so often that the contender is still there.
     const ASK_AGAIN: Duration = Duration::from_secs(10);
 
-    /// Whether this life of a node is kept out, because an older one is still there.
+    /// Whether this incarnation of a node is kept out, because an older one is still there.
     pub(super) fn is_contested(&mut self, node: &NodeName, incarnation: Incarnation) -> bool {
         let (id, now) = (NodeId::of(node), self.now);
         let Some(holder) = self.routes.get(&id).map(|route| route.incarnation) else {
@@ -63,7 +63,7 @@ impl Router {
         true
     }
 
-    /// A link to a life that is kept out.
+    /// A link to an incarnation that is kept out.
     pub(super) fn contest(&mut self, link: LinkId, status: LinkStatus) {
         if self.links.remove(&link).is_some() {
             self.announce_links();
@@ -100,8 +100,8 @@ impl Router {
     }
 
     /// Whether a node that has our name, and a greater incarnation, sends something new. What an
-    /// earlier life of ours has said, before the clock that numbers lives was set back, others can
-    /// only repeat.
+    /// earlier incarnation of ours has said, before the clock that numbers incarnations was set
+    /// back, others can only repeat.
     pub(super) fn is_more_than_a_rumour(&mut self, theirs: AdvertisementId) -> bool {
         match self.unconfirmed_incarnation {
             Some((known, since)) if known.incarnation == theirs.incarnation => {
@@ -120,7 +120,7 @@ impl Router {
         }
     }
 
-    /// Another node of our name, of a later life, is there: it is for us to say that we are.
+    /// Another node of our name, of a later incarnation, is there: it is for us to say that we are.
     pub(super) fn defend(&mut self, against: Incarnation) {
         if self.usurper == Some(against) {
             self.go_on(RouterAlarm::NameTaken);
@@ -175,8 +175,8 @@ impl Router {
             return self.tell_collision(held, advertisement.node);
         }
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
-        // Also where a later life is held, which has ended, and an earlier one defends itself
-        // against it.
+        // Also where a later incarnation is held, which has ended, and an earlier one defends
+        // itself against it.
         let news = held.is_none_or(|held| {
             held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
         });
@@ -189,7 +189,7 @@ impl Router {
             held.map(|held| held.stamp).filter(|held| held.incarnation > incarnation)
         {
             if held.incarnation > against {
-                // A later life than the one that it knows of, and has not heard of it yet.
+                // A later incarnation than the one that it knows of, and has not heard of it yet.
                 return;
             }
             self.known.remove(&origin);
@@ -256,9 +256,10 @@ impl Router {
     pub(super) fn settle_disputes(&mut self) {
         let (routes, now) = (&self.routes, self.now);
         for (id, known) in &mut self.known {
-            let life = known.advertisement.stamp.incarnation;
-            known.ended |= known.reached && routes.get(id).is_none_or(|r| r.incarnation != life);
-            known.reached |= routes.get(id).is_some_and(|route| route.incarnation == life);
+            let incarnation = known.advertisement.stamp.incarnation;
+            known.ended |=
+                known.reached && routes.get(id).is_none_or(|r| r.incarnation != incarnation);
+            known.reached |= routes.get(id).is_some_and(|route| route.incarnation == incarnation);
         }
         let (before, known) = (self.disputes.len(), &mut self.known);
         self.disputes.retain(|id, dispute| {

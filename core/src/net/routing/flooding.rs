@@ -31,7 +31,7 @@ impl Router {
         for adjacent in self.links.values() {
             let edge = Edge {
                 to: adjacent.id,
-                life: Edge::life_tag(adjacent.neighbour.incarnation),
+                incarnation: Edge::incarnation_tag(adjacent.neighbour.incarnation),
                 cost: adjacent.cost,
                 mtu: adjacent.mtu,
             };

@@ -177,7 +177,7 @@ impl Router {
         self.routes.get(&node)
     }
 
-    /// Whether a link's hellos have said that this life of a node is at its other end.
+    /// Whether a link's hellos have said that this incarnation of a node is at its other end.
     pub fn is_neighbour(&self, node: &NodeName, incarnation: Incarnation) -> bool {
         let mut heard = self.links.values().map(|link| &link.neighbour);
         heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)

@@ -49,9 +49,10 @@ impl Router {
     /// A node's newest announcement follows another: has it withdrawn its links with us?
     pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
         let (id, stamp) = (self.id, newest.stamp);
-        let life = Edge::life_tag(self.own.stamp.incarnation);
-        let with_us =
-            |told: &Advertisement| told.edges.iter().any(|edge| edge.to == id && edge.life == life);
+        let incarnation = Edge::incarnation_tag(self.own.stamp.incarnation);
+        let with_us = |told: &Advertisement| {
+            told.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
+        };
         let before = before.filter(|told| told.stamp.incarnation == stamp.incarnation);
         // One that is full may lack what there was no room for.
         let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;

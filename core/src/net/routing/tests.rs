@@ -35,15 +35,20 @@ fn up(neighbour: &str, cost: u16) -> LinkStatus {
 
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
     let stamp = AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
-    let edge = |(to, cost): &(&str, u16)| Edge { to: id(to), life: 1, cost: *cost, mtu: 1400 };
+    let edge =
+        |(to, cost): &(&str, u16)| Edge { to: id(to), incarnation: 1, cost: *cost, mtu: 1400 };
     let edges = edges.iter().map(edge).collect();
     Advertisement { stamp, node: named(node), edges, withdrawn: false }
 }
 
-/// The same, of a node that is linked to that life of another.
-fn linked_to(life: u8, to: &str, advertisement: Advertisement) -> Advertisement {
+/// The same, of a node that is linked to that incarnation of another.
+fn linked_to(incarnation: u8, to: &str, advertisement: Advertisement) -> Advertisement {
     let mut linked = advertisement;
-    linked.edges.iter_mut().filter(|edge| edge.to == id(to)).for_each(|edge| edge.life = life);
+    linked
+        .edges
+        .iter_mut()
+        .filter(|edge| edge.to == id(to))
+        .for_each(|edge| edge.incarnation = incarnation);
     linked
 }
 
@@ -356,13 +361,13 @@ fn a_node_that_nobody_repeats_is_forgotten() {
 }
 
 #[test]
-fn a_restarted_node_is_told_with_its_new_life() {
+fn a_restarted_node_is_told_with_its_new_incarnation() {
     let mut router = between_two();
     let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
     reborn.stamp.incarnation = Incarnation(2);
 
-    // Its neighbours have heard the new life instead of the old one, and have proved the links
-    // again.
+    // Its neighbours have heard the new incarnation instead of the old one, and have proved the
+    // links again.
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
     tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
     let (node, incarnation) = (named("far"), Incarnation(1));
@@ -378,7 +383,7 @@ fn a_restarted_node_is_told_with_its_new_life() {
 }
 
 #[test]
-fn a_new_life_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answer() {
+fn a_new_incarnation_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answer() {
     let mut router = between_two();
     let mut reborn = advertisement("far", 1, &[("left", 1), ("right", 1)]);
     reborn.stamp.incarnation = Incarnation(2);
@@ -415,7 +420,7 @@ fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
 }
 
 #[test]
-fn a_second_node_of_our_name_is_told_once_and_an_earlier_life_of_ours_never() {
+fn a_second_node_of_our_name_is_told_once_and_an_earlier_incarnation_of_ours_never() {
     let mut router = between_two();
     let mut usurper = advertisement("own", 1, &[]);
     usurper.stamp.incarnation = Incarnation(9);

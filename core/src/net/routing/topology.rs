@@ -22,7 +22,7 @@ use std::time::Duration;
 pub struct Route {
     /// Whereto.
     pub node: NodeName,
-    /// In which of its lives.
+    /// In which incarnation.
     pub incarnation: Incarnation,
     /// The sum of the costs of the links on the shortest path.
     pub cost: u32,
@@ -183,7 +183,7 @@ impl<'a> Topology<'a> {
         Some(route)
     }
 
-    /// A node's name and newest known life: its own words, or what a link to it has heard.
+    /// A node's name and newest known incarnation: its own words, or what a link to it has heard.
     fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
         let told = self.known.get(&id).map(|a| (a.node.clone(), a.stamp.incarnation));
         let heard = self
@@ -232,13 +232,16 @@ impl<'a> Topology<'a> {
     }
 
     /// What another node says of its links; one that could not carry an announcement carries none
-    /// of our traffic either, and one to another life than the one that speaks does not lead to it.
+    /// of our traffic either, and one to another incarnation than the one that speaks does not lead
+    /// to it.
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
         known.iter().filter(|edge| {
             let told = self.known.get(&edge.to).map(|known| known.stamp.incarnation);
             usize::from(edge.mtu) >= MTU_MIN
-                && told.is_none_or(|life| Edge::life_tag(life) == edge.life)
+                && told.is_none_or(|incarnation| {
+                    Edge::incarnation_tag(incarnation) == edge.incarnation
+                })
         })
     }
 

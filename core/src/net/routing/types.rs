@@ -13,7 +13,7 @@ use std::time::Duration;
 pub struct RouterConfig {
     /// Our own name.
     pub node: NodeName,
-    /// Our own life.
+    /// Our own incarnation.
     pub incarnation: Incarnation,
     /// The most nodes that are remembered; more are refused and counted. Bounds memory and the time
     /// that a change takes.
@@ -126,7 +126,7 @@ pub enum RouterOutput {
     Reachable {
         /// Which.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
         /// The largest segment that can be sent to it, in bytes.
         mtu: usize,
@@ -142,7 +142,7 @@ pub enum RouterOutput {
     Lost {
         /// Which.
         node: NodeName,
-        /// In which of its lives.
+        /// In which incarnation.
         incarnation: Incarnation,
     },
     /// Another node announces links in this node's name again and again. It is outdone each time.
@@ -161,12 +161,12 @@ pub enum RouterOutput {
         /// Who is ignored.
         refused: NodeName,
     },
-    /// Another node of our name is in the network. The older life is taken for it, and the other is
-    /// kept out by all.
+    /// Another node of our name is in the network. The older incarnation is taken for it, and the
+    /// other is kept out by all.
     NameTaken {
         /// The other's incarnation.
         incarnation: Incarnation,
-        /// Ours is the older life.
+        /// Ours is the older incarnation.
         first: bool,
     },
 }

@@ -18,12 +18,12 @@ pub const PAYLOAD_MAX: usize = MESSAGE_MAX - HEADER_MAX;
 pub struct SessionConfig {
     /// Our own name.
     pub node: NodeName,
-    /// Our own life.
+    /// Our own incarnation.
     pub incarnation: Incarnation,
     /// The peer's name.
     pub peer: NodeName,
     /// Sessions of this machine are numbered above this. A machine that is rebuilt within one
-    /// life of its node must be given a greater number than the one before ever used.
+    /// incarnation of its node must be given a greater number than the one before ever used.
     pub number: u32,
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
     /// rides out longer outages; shorter gives messages back sooner. While there is a path whose

@@ -39,8 +39,8 @@ impl Session {
             self.refusals.count(&WireError::Version { theirs, ours: VERSION });
             return;
         }
-        // The router speaks for lives, whatever their numbers: one that it does not know is over,
-        // or forged, or will be told in a moment.
+        // The router speaks for incarnations, whatever their numbers: one that it does not know is
+        // over, or forged, or will be told in a moment.
         if let Some(known) = self.known.filter(|known| *known != open.incarnation) {
             match open.incarnation < known {
                 true => self.refusals.stale += 1,
@@ -100,7 +100,7 @@ impl Session {
         }
     }
 
-    /// The peer has a newer session, or a newer life: what we had with the old one is over.
+    /// The peer has a newer session, or a newer incarnation: what we had with the old one is over.
     pub(super) fn end_with_old_peer(&mut self, incarnation: Incarnation) {
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => {

@@ -20,7 +20,7 @@ pub enum SessionOutput {
     },
     /// A session has begun.
     Opened {
-        /// With this life of the peer.
+        /// With this incarnation of the peer.
         incarnation: Incarnation,
     },
     /// A message has arrived, once and in its order.
@@ -50,7 +50,7 @@ pub enum SessionOutput {
     },
     /// The session is over. What was unacknowledged has been returned before this.
     Ended {
-        /// Which life of the peer it was with.
+        /// Which incarnation of the peer it was with.
         incarnation: Incarnation,
         /// Why.
         why: DeliveryError,

@@ -42,7 +42,7 @@ impl fmt::Display for SessionState {
 pub struct SessionStatus {
     /// Where it stands.
     pub state: SessionState,
-    /// Which of the peer's lives it is with; `None` while there is none open.
+    /// Which of the peer's incarnations it is with; `None` while there is none open.
     pub incarnation: Option<Incarnation>,
     /// The smoothed round trip.
     pub round_trip: Option<Duration>,
@@ -59,7 +59,7 @@ pub struct SessionStatus {
 }
 
 impl Session {
-    /// The peer's life that the present session is with.
+    /// The peer's incarnation that the present session is with.
     pub fn peer(&self) -> Option<Incarnation> {
         match self.state {
             State::Open { peer } | State::Closing { peer, .. } => Some(peer.incarnation),

@@ -2,7 +2,7 @@
 
 mod best_effort;
 mod delivery;
-mod lives;
+mod incarnations;
 mod overtaking;
 mod paths;
 

@@ -8,7 +8,7 @@
 //! numbered:  4 │ link 2
 //! gave up:   5 │ link 2
 //!
-//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, life 1, cost 2, mtu 2)
+//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, incarnation 1, cost 2, mtu 2)
 //! stamp:         origin 4 │ incarnation 8 │ sequence 4
 //! ```
 //!
@@ -47,9 +47,9 @@ const GAVE_UP: u8 = 5;
 pub struct AdvertisementId {
     /// Whose.
     pub origin: NodeId,
-    /// In which of its lives.
+    /// In which incarnation.
     pub incarnation: Incarnation,
-    /// The n-th of that life.
+    /// The n-th of that incarnation.
     pub sequence: u32,
 }
 
@@ -71,9 +71,10 @@ pub struct Advertisement {
 pub struct Edge {
     /// To whom.
     pub to: NodeId,
-    /// To which of its incarnations, as [`life_tag`](Edge::life_tag) has it: while a node restarts,
-    /// some know its new incarnation already, and their links lead to no earlier one.
-    pub life: u8,
+    /// To which of its incarnations, as [`incarnation_tag`](Edge::incarnation_tag) has it: while a
+    /// node restarts, some know its new incarnation already, and their links lead to no earlier
+    /// one.
+    pub incarnation: u8,
     /// How dear it is to use; at least 1.
     pub cost: u16,
     /// The largest frame that it carries, in bytes; saturates.
@@ -92,16 +93,17 @@ pub enum RoutingMessage {
         /// Which. A sequence of 0 asks for the origin's advertisement.
         stamps: Vec<AdvertisementId>,
     },
-    /// A later life of a node has come up, while routes lead to an older one: is that still there?
+    /// A later incarnation of a node has come up, while routes lead to an older one: is that still
+    /// there?
     Dispute {
-        /// The later life; its sequence says nothing.
+        /// The later incarnation; its sequence says nothing.
         contender: AdvertisementId,
         /// The name of both.
         node: NodeName,
     },
-    /// The older life is there.
+    /// The older incarnation is there.
     Defend {
-        /// The later life, which is another node.
+        /// The later incarnation, which is another node.
         against: Incarnation,
         /// The older one's newest.
         advertisement: Advertisement,
@@ -113,9 +115,9 @@ pub enum RoutingMessage {
 }
 
 impl Edge {
-    /// What an edge says of a life: its last eight bits, which two lives that follow each other
-    /// share by chance at most.
-    pub fn life_tag(incarnation: Incarnation) -> u8 {
+    /// What an edge says of an incarnation: its last eight bits, which two incarnations that follow
+    /// each other share by chance at most.
+    pub fn incarnation_tag(incarnation: Incarnation) -> u8 {
         incarnation.0 as u8
     }
 }
@@ -157,7 +159,7 @@ impl Advertisement {
         bytes.put_u8(self.edges.len().min(NEIGHBOURS_MAX) as u8);
         for edge in self.edges.iter().take(NEIGHBOURS_MAX) {
             bytes.put_u32(edge.to.0);
-            bytes.put_u8(edge.life);
+            bytes.put_u8(edge.incarnation);
             bytes.put_u16(edge.cost);
             bytes.put_u16(edge.mtu);
         }
@@ -179,8 +181,8 @@ impl Advertisement {
         }
         let mut edges = Vec::with_capacity(count);
         for _ in 0..count {
-            let (to, life) = (NodeId(reader.u32()?), reader.u8()?);
-            let edge = Edge { to, life, cost: reader.u16()?, mtu: reader.u16()? };
+            let (to, incarnation) = (NodeId(reader.u32()?), reader.u8()?);
+            let edge = Edge { to, incarnation, cost: reader.u16()?, mtu: reader.u16()? };
             if edge.cost == 0 {
                 return Err(WireError::Malformed { what: "a link's cost" });
             }
@@ -292,7 +294,7 @@ mod tests {
         let node = NodeName::new("m1").unwrap();
         let stamp =
             AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
-        let edges = vec![Edge { to: NodeId(9), life: 7, cost: 10, mtu: 1400 }];
+        let edges = vec![Edge { to: NodeId(9), incarnation: 7, cost: 10, mtu: 1400 }];
         Advertisement { stamp, node, edges, withdrawn: false }
     }
 

@@ -10,7 +10,7 @@
 //!
 //! word:     4             2                  2              2             3
 //! ┌───────────────┬──────────────────┬───────────────┬───────────────┬─────────┐
-//! │ whom it is to │ stance, e, loss ‰│ echoed life   │ echoed seq.   │held 4 µs│  the last three
+//! │ whom it is to │ stance, e, loss ‰│ incarnation   │ echoed seq.   │held 4 µs│  the last three
 //! └───────────────┴──────────────────┴───────────────┴───────────────┴─────────┘  only where e is set
 //!   stance: 2 bits │ e: 1 bit, an echo follows │ 3 bits 0 │ loss: 10 bits
 //! ```
@@ -40,7 +40,7 @@ const HELD_MAX: u32 = (1 << 24) - 1;
 pub struct BusHello {
     /// Who speaks.
     pub node: NodeName,
-    /// In which of its lives.
+    /// In which incarnation.
     pub incarnation: Incarnation,
     /// The number of the interval in which it was sent, counted from the clock's origin.
     pub sequence: u32,
@@ -69,7 +69,7 @@ pub struct NeighbourEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CompactEcho {
     /// The lower bits of the other's incarnation.
-    pub life: u16,
+    pub incarnation: u16,
     /// The lower bits of the number of its last greeting.
     pub sequence: u16,
     /// How long ago it came, in microseconds, to four of them; saturates.
@@ -92,8 +92,8 @@ impl BusHello {
             bytes.put_u32(word.to.0);
             let echo = if word.echo.is_some() { ECHO } else { 0 };
             bytes.put_u16((word.stance as u16) << 14 | echo | word.loss_permille.min(1_000));
-            if let Some(CompactEcho { life, sequence, held_us }) = word.echo {
-                bytes.put_u16(life);
+            if let Some(CompactEcho { incarnation, sequence, held_us }) = word.echo {
+                bytes.put_u16(incarnation);
                 bytes.put_u16(sequence);
                 let held = (held_us / HELD_UNIT_US).min(HELD_MAX);
                 bytes.put_u8((held >> 16) as u8);
@@ -142,9 +142,9 @@ impl NeighbourEntry {
         let echo = if flags & ECHO == 0 {
             None
         } else {
-            let (life, sequence) = (reader.u16()?, reader.u16()?);
+            let (incarnation, sequence) = (reader.u16()?, reader.u16()?);
             let held = u32::from(reader.u8()?) << 16 | u32::from(reader.u16()?);
-            Some(CompactEcho { life, sequence, held_us: held * HELD_UNIT_US })
+            Some(CompactEcho { incarnation, sequence, held_us: held * HELD_UNIT_US })
         };
         Ok(NeighbourEntry { to, stance, loss_permille: flags & LOSS, echo })
     }
@@ -157,7 +157,7 @@ mod tests {
     use bytes::Bytes;
 
     fn greeting() -> BusHello {
-        let echo = CompactEcho { life: 0x0a0b, sequence: 9, held_us: 0x400 };
+        let echo = CompactEcho { incarnation: 0x0a0b, sequence: 9, held_us: 0x400 };
         let word = NeighbourEntry {
             to: NodeId(0x0102_0304),
             stance: HelloState::Ready,
@@ -200,7 +200,8 @@ mod tests {
         for cut in (2..bytes.len()).filter(|cut| ![15, 28].contains(cut)) {
             assert_eq!(Frame::decode(bytes.slice(..cut)), Err(WireError::Truncated), "{cut}");
         }
-        // No life, no turn, no name, no stance, a bit that means nothing, more lost than there was.
+        // No incarnation, no turn, no name, no stance, a bit that means nothing, more lost than
+        // there was.
         for (at, byte) in [(2, 0), (11, 0), (13, b'/'), (19, 0xe3), (19, 0xa7), (20, 0xe9)] {
             let mut wrong = bytes.to_vec();
             wrong[at] = byte;
@@ -221,7 +222,7 @@ mod tests {
     #[test]
     fn an_echo_that_was_held_for_longer_than_can_be_said_is_said_as_the_longest() {
         let mut long = greeting();
-        long.words[0].echo = Some(CompactEcho { life: 1, sequence: 1, held_us: u32::MAX });
+        long.words[0].echo = Some(CompactEcho { incarnation: 1, sequence: 1, held_us: u32::MAX });
 
         let Ok(Frame::Greeting(read)) = Frame::decode(Frame::Greeting(long).encode()) else {
             panic!("it is a greeting");

@@ -75,7 +75,7 @@ pub struct RoutingFragment {
 pub struct Hello {
     /// Who says it.
     pub node: NodeName,
-    /// In which of its lives.
+    /// In which incarnation.
     pub incarnation: Incarnation,
     /// The number of the interval in which it was sent, counted from the link's start.
     pub sequence: u32,

@@ -2,8 +2,8 @@
 //!
 //! The first byte holds the kind in its upper three bits and flags below. Every segment but an open
 //! carries its receiver's tag, a number that the receiver chose for this session and no other: what
-//! was meant for an earlier session, or an earlier life, is known by it. Lengths in bytes; `v` is a
-//! number of one byte up to 127, two up to 16383, and so on.
+//! was meant for an earlier session, or an earlier incarnation, is known by it. Lengths in bytes;
+//! `v` is a number of one byte up to 127, two up to 16383, and so on.
 //!
 //! ```text
 //! open         000 00000 │ version 1 │ tag 4 │ echo 4 │ incarnation 8 │ number 4
@@ -99,9 +99,9 @@ pub struct OpenSegment {
     pub tag: u32,
     /// The receiver's tag, as the sender knows it; 0 for not at all.
     pub echo: u32,
-    /// The sender's life.
+    /// The sender's incarnation.
     pub incarnation: Incarnation,
-    /// The n-th session of that life.
+    /// The n-th session of that incarnation.
     pub number: u32,
 }
 

@@ -52,7 +52,7 @@ impl Recoverer {
         self.tell_rest(fault, standstill);
     }
 
-    /// Lives are stopped one after the other: each that hangs would take all of its time.
+    /// Incarnations are stopped one after the other: each that hangs would take all of its time.
     fn give_up_hung(&mut self, fault: &Fault) {
         if fault.kind == FaultKind::Hang {
             self.outputs.push_back(RecovererOutput::GiveUpLife { fault: fault.clone() });

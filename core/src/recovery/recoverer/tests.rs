@@ -21,13 +21,13 @@ fn at(object: &str) -> FaultLocation {
     FaultLocation::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
 }
 
-fn fault(id: u64, kind: FaultKind, place: FaultLocation, life: u64) -> Fault {
+fn fault(id: u64, kind: FaultKind, place: FaultLocation, incarnation: u64) -> Fault {
     Fault {
         id: FaultId(id),
         severity: kind.severity(),
         kind,
         place,
-        incarnation: Incarnation(life),
+        incarnation: Incarnation(incarnation),
         detail: String::new(),
         found_at: Instant::ORIGIN,
         symptom_of: None,
@@ -35,16 +35,16 @@ fn fault(id: u64, kind: FaultKind, place: FaultLocation, life: u64) -> Fault {
     }
 }
 
-fn panic_of(id: u64, object: &str, life: u64) -> Fault {
-    fault(id, FaultKind::Panic, at(object), life)
+fn panic_of(id: u64, object: &str, incarnation: u64) -> Fault {
+    fault(id, FaultKind::Panic, at(object), incarnation)
 }
 
 fn symptom(id: u64, object: &str, root: u64) -> Fault {
     Fault { symptom_of: Some(FaultId(root)), ..fault(id, FaultKind::Silence, at(object), 1) }
 }
 
-fn works(life: u64) -> Result<RecoveryDone, RecoveryFailed> {
-    Ok(RecoveryDone { incarnation: Some(Incarnation(life)), ..RecoveryDone::default() })
+fn works(incarnation: u64) -> Result<RecoveryDone, RecoveryFailed> {
+    Ok(RecoveryDone { incarnation: Some(Incarnation(incarnation)), ..RecoveryDone::default() })
 }
 
 fn fails() -> Result<RecoveryDone, RecoveryFailed> {
@@ -71,8 +71,8 @@ impl Rig {
                 RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
                     FaultResolution::Decided { .. } | FaultResolution::Failed { .. } => continue,
                     FaultResolution::Observed => format!("{id} observed"),
-                    FaultResolution::Recovered { incarnation: Some(life) } => {
-                        format!("{id} recovered {life}")
+                    FaultResolution::Recovered { incarnation: Some(incarnation) } => {
+                        format!("{id} recovered {incarnation}")
                     }
                     FaultResolution::Recovered { incarnation: None } => format!("{id} recovered"),
                     FaultResolution::Waits => format!("{id} waits"),
@@ -146,7 +146,7 @@ fn a_fault_that_is_reported_again_is_treated_once() {
 }
 
 #[test]
-fn a_restart_whose_life_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
+fn a_restart_whose_incarnation_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let waits = RecoveryDone { waits: true, ..works(2).expect("it works") };
@@ -159,7 +159,8 @@ fn a_restart_whose_life_waits_is_not_told_as_a_recovery_and_the_case_is_closed()
 }
 
 #[test]
-fn a_restart_after_which_no_life_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried() {
+fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried()
+ {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
@@ -172,11 +173,11 @@ fn a_restart_after_which_no_life_follows_is_not_told_as_a_recovery_and_nothing_e
 }
 
 #[test]
-fn a_restart_whose_life_hangs_too_has_failed() {
+fn a_restart_whose_incarnation_hangs_too_has_failed() {
     let mut rig = Rig::new();
-    let hang = |life| fault(1, FaultKind::Hang, at("laser"), life);
+    let hang = |incarnation| fault(1, FaultKind::Hang, at("laser"), incarnation);
     assert_eq!(rig.find(hang(1)), ["#1 restart here:laser against hang, 1"]);
-    assert_eq!(rig.find(hang(1)), [""; 0], "the same life");
+    assert_eq!(rig.find(hang(1)), [""; 0], "the same incarnation");
 
     rig.find(hang(2));
     assert_eq!(rig.pass_to_due(), ["#2 restart here:laser against hang, 2"]);
@@ -293,7 +294,7 @@ fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
 }
 
 #[test]
-fn a_panic_of_the_new_life_is_not_taken_for_cured_by_its_beginning() {
+fn a_panic_of_the_new_incarnation_is_not_taken_for_cured_by_its_beginning() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "arm", 1));
     rig.find(panic_of(2, "arm", 2));
@@ -544,14 +545,14 @@ fn a_fault_that_went_by_itself_is_not_treated_again_when_the_measure_has_worked(
     rig.find(fault(1, FaultKind::Hang, at("arm"), 2));
     rig.stand_down(1, "arm");
 
-    // The restart has found the life of the fault, which moves again.
+    // The restart has found the incarnation of the fault, which moves again.
     assert_eq!(rig.outcome(1, works(2)), [""; 0]);
 
     assert_eq!(rig.machine.open_cases(), 0);
 }
 
 #[test]
-fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_it_finds() {
+fn a_restart_is_asked_against_the_newest_incarnation_and_cures_nothing_of_the_one_that_it_finds() {
     let mut rig = Rig::new();
     let silence = fault(1, FaultKind::Silence, at("arm"), 5);
     assert_eq!(rig.find(silence), ["#1 restart here:arm against silence, 1"]);
@@ -560,7 +561,7 @@ fn a_restart_is_asked_against_the_newest_life_and_cures_nothing_of_the_one_that_
 
     assert_eq!(rig.pass_to_due(), ["#2 restart here:arm against error state, 2"]);
 
-    // Life 8 is the one that is in error.
+    // Incarnation 8 is the one that is in error.
     let said = rig.outcome(2, works(8));
     assert_eq!(said, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
 }

@@ -11,8 +11,8 @@ pub struct RecoveryOrder {
     pub number: u64,
     /// What is to be done.
     pub measure: RecoveryAction,
-    /// Against what. Of several faults of one place it is one of the newest life: the one that says
-    /// that it does not answer, or else the first.
+    /// Against what. Of several faults of one place it is one of the newest incarnation: the one
+    /// that says that it does not answer, or else the first.
     pub fault: Fault,
     /// The how-manieth attempt at this measure, from 1.
     pub attempt: u32,
@@ -23,12 +23,12 @@ pub struct RecoveryOrder {
 /// A measure has worked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecoveryDone {
-    /// The life that is at work because of it, if it began one.
+    /// The incarnation that is at work because of it, if it began one.
     pub incarnation: Option<Incarnation>,
-    /// That life waits for something that is not there yet, such as a device, and tries again by
-    /// itself. It has recovered when it is at work.
+    /// That incarnation waits for something that is not there yet, such as a device, and tries
+    /// again by itself. It has recovered when it is at work.
     pub waits: bool,
-    /// No life follows: its end was final, as its rules say. Service is not restored.
+    /// No incarnation follows: its end was final, as its rules say. Service is not restored.
     pub finished: bool,
 }
 
@@ -67,11 +67,11 @@ pub enum FaultResolution {
     Observed,
     /// Service is restored.
     Recovered {
-        /// The life that is at work now, if a new one began.
+        /// The incarnation that is at work now, if a new one began.
         incarnation: Option<Incarnation>,
     },
-    /// Nothing more is done: the new life waits for something that is not there yet. Service is
-    /// restored when it is at work.
+    /// Nothing more is done: the new incarnation waits for something that is not there yet. Service
+    /// is restored when it is at work.
     Waits,
     /// No measure helped. Safe stop follows.
     GaveUp {
@@ -106,8 +106,9 @@ pub enum RecovererOutput {
         /// The measure that it carries out.
         measure: RecoveryAction,
     },
-    /// The node is in the safe state, or ends, and this life keeps its thread, or stands still
-    /// behind the one that does: have it given up, so that no component that stops waits for it.
+    /// The node is in the safe state, or ends, and this incarnation keeps its thread, or stands
+    /// still behind the one that does: have it given up, so that no component that stops waits for
+    /// it.
     GiveUpLife {
         /// Its hang.
         fault: Fault,

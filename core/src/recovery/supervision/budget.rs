@@ -85,12 +85,12 @@ impl Budget {
         self.spent.remove(&child);
     }
 
-    /// Nothing is waited for: a life of the supervisor ends.
+    /// Nothing is waited for: an incarnation of the supervisor ends.
     pub(super) fn settle(&mut self) {
         self.spent.clear();
     }
 
-    /// A life of the supervisor begins, with everything allowed.
+    /// An incarnation of the supervisor begins, with everything allowed.
     pub(super) fn clear(&mut self) {
         self.windows.clear();
         self.spent.clear();

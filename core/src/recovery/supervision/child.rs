@@ -5,7 +5,8 @@ use crate::recovery::{ChildRules, Restart};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 
-/// What is known of the life that is to be replaced. It decides how that life is ended.
+/// What is known of the incarnation that is to be replaced. It decides how that incarnation is
+/// ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplacementCause {
     /// It has ended already: there is nothing to stop. Whether that was an orderly end, the child's
@@ -19,13 +20,13 @@ pub enum ReplacementCause {
     /// It lives and answers: it is stopped in order. If it has ended by now, that was no orderly
     /// end.
     Faulty,
-    /// A person, or the application, wants its next life: if it lives, it is stopped in order. That
-    /// is not held against it or its supervisor either.
+    /// A person, or the application, wants its next incarnation: if it lives, it is stopped in
+    /// order. That is not held against it or its supervisor either.
     Asked,
 }
 
 impl ReplacementCause {
-    /// What a fault says about the life that it struck.
+    /// What a fault says about the incarnation that it struck.
     pub fn of(fault: &Fault) -> Self {
         match fault.kind {
             FaultKind::Panic | FaultKind::UnexpectedExit | FaultKind::InitializationFailed => {
@@ -41,7 +42,7 @@ impl ReplacementCause {
 /// Where a child stands with its supervisor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ChildState {
-    /// It has no life, and waits for its turn or for its supervisor to begin.
+    /// It has no incarnation, and waits for its turn or for its supervisor to begin.
     Waiting,
     /// It was told to start.
     Starting,
@@ -53,7 +54,7 @@ pub enum ChildState {
     Resetting,
     /// It was told to stop.
     Stopping,
-    /// Its life has ended, and the recoverer has not yet said what is to be done.
+    /// Its incarnation has ended, and the recoverer has not yet said what is to be done.
     Failed,
     /// It was put in safe state.
     Resting,
@@ -66,7 +67,7 @@ pub enum ChildState {
 pub struct ChildStatus {
     /// Its name.
     pub name: ObjectName,
-    /// Which of its lives; 0 before the first.
+    /// Which incarnation; 0 before the first.
     pub incarnation: Incarnation,
     /// Where it stands.
     pub state: ChildState,
@@ -140,7 +141,7 @@ impl SupervisedChild {
         }
     }
 
-    pub(super) fn lives(&self) -> bool {
+    pub(super) fn is_alive(&self) -> bool {
         self.state != ChildPhase::Down
     }
 

@@ -11,15 +11,16 @@
 //! strategy makes children depend on each other, or the child is essential, the supervisor
 //! escalates instead.
 //!
-//! Two sets carry all order. `going` holds the children whose present life must end: only the last
-//! of them in start order is stopped at a time. `coming` holds those that are to start: only the
-//! first of them is started at a time, and only when `going` is empty. A group restart puts
-//! children into both; whatever fails in between joins the same sets, so that nothing is lost or
-//! done twice. Under one_for_one a restarted child depends on no other and passes by both.
+//! Two sets carry all order. `going` holds the children whose present incarnation must end: only
+//! the last of them in start order is stopped at a time. `coming` holds those that are to start:
+//! only the first of them is started at a time, and only when `going` is empty. A group restart
+//! puts children into both; whatever fails in between joins the same sets, so that nothing is lost
+//! or done twice. Under one_for_one a restarted child depends on no other and passes by both.
 //!
-//! A child whose life has ended blocks those behind it in `coming` until the recoverer has said
-//! what is to be done: restart it, or put it to rest. The supervisor never restarts a component on
-//! its own account; only a supervisor below that has escalated is its own to decide about.
+//! A child whose incarnation has ended blocks those behind it in `coming` until the recoverer has
+//! said what is to be done: restart it, or put it to rest. The supervisor never restarts a
+//! component on its own account; only a supervisor below that has escalated is its own to decide
+//! about.
 
 mod budget;
 mod child;
@@ -47,7 +48,7 @@ enum Phase {
     Idle,
     Starting,
     Serving,
-    /// Its parent is about to end this life.
+    /// Its parent is about to end this incarnation.
     Leaving,
     Ending {
         escalation: Option<String>,
@@ -115,7 +116,7 @@ impl Supervisor {
         &self.rules
     }
 
-    /// Which of its own lives this is.
+    /// Which of its own incarnations this is.
     pub fn incarnation(&self) -> Incarnation {
         self.incarnation
     }
@@ -130,7 +131,7 @@ impl Supervisor {
         self.children.values().map(|child| child.status())
     }
 
-    /// Which life of this child is its present or last one, as far as is known here.
+    /// Which incarnation of this child is its present or last one, as far as is known here.
     pub fn incarnation_of(&self, name: &ObjectName) -> Option<Incarnation> {
         Some(self.children[self.index.get(name)?].incarnation)
     }
@@ -158,7 +159,7 @@ impl Supervisor {
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
-            // As its siblings, it takes no messages before the next life.
+            // As its siblings, it takes no messages before the next incarnation.
             self.outputs.push_back(SupervisorOutput::Retire { child: name });
         }
         self.advance(now);
@@ -172,7 +173,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// Begins a life: every child is started in order.
+    /// Begins an incarnation: every child is started in order.
     pub fn handle_begin(&mut self, incarnation: Incarnation, now: Instant) {
         self.handle_forsake(now);
         self.incarnation = incarnation;
@@ -189,8 +190,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The life is about to end, with others that are stopped before it: nothing is started any
-    /// more.
+    /// The incarnation is about to end, with others that are stopped before it: nothing is started
+    /// any more.
     pub fn handle_end_expected(&mut self) {
         if self.at_work() {
             self.phase = Phase::Leaving;
@@ -200,7 +201,7 @@ impl Supervisor {
         }
     }
 
-    /// Ends the life: every child is stopped in reverse order.
+    /// Ends the incarnation: every child is stopped in reverse order.
     pub fn handle_end(&mut self, now: Instant) {
         self.end(None);
         self.advance(now);
@@ -240,8 +241,8 @@ impl Supervisor {
         }
     }
 
-    /// A restart is wanted: by the recoverer for a fault of the life `struck`, or, without one, by
-    /// a person, whose wish no budget counts.
+    /// A restart is wanted: by the recoverer for a fault of the incarnation `struck`, or, without
+    /// one, by a person, whose wish no budget counts.
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
@@ -253,11 +254,11 @@ impl Supervisor {
         let Some(key) = self.admit(name, call, Wish::Work) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
-            // What becomes of it shows in the supervisor's next life, if there is one.
+            // What becomes of it shows in the supervisor's next incarnation, if there is one.
             Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if struck.is_some() => {
                 let child = self.kept(key);
                 child.failed = None;
-                let present = child.lives() && struck >= Some(child.incarnation);
+                let present = child.is_alive() && struck >= Some(child.incarnation);
                 if present && matches!(cause, ReplacementCause::Stuck | ReplacementCause::Behind) {
                     self.end_now(key, cause);
                     self.after_end(key, now);
@@ -278,9 +279,9 @@ impl Supervisor {
                 self.set_isolated(key, false);
             }
             // The guard has restarted it by itself, and its report is still under way.
-            Some(life) if life > child.incarnation => child.incarnation = life,
-            // A life that has been replaced already, unless its replacement has failed too.
-            Some(life) if life < child.incarnation && child.failed.is_none() => {
+            Some(incarnation) if incarnation > child.incarnation => child.incarnation = incarnation,
+            // An incarnation that has been replaced already, unless its replacement has failed too.
+            Some(incarnation) if incarnation < child.incarnation && child.failed.is_none() => {
                 return self.settle();
             }
             Some(_) => {}
@@ -321,8 +322,8 @@ impl Supervisor {
         self.set_isolated(key, isolated);
         self.grant(key, now);
         let child = self.kept(key);
-        let incarnation = child.lives().then_some(child.incarnation);
-        if isolated && !child.lives() && child.goal == ChildTarget::Run {
+        let incarnation = child.is_alive().then_some(child.incarnation);
+        if isolated && !child.is_alive() && child.goal == ChildTarget::Run {
             // The start of an isolated child is not waited for.
             child.goal = ChildTarget::Rest;
             child.failed = None;
@@ -356,7 +357,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child's new life is at work.
+    /// The child's new incarnation is at work.
     pub fn handle_started(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
         let state = self.kept(key).state;
@@ -371,8 +372,8 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child's life waits for something that is not there yet, and tries again by itself. Where
-    /// others depend on it, those behind it wait too; else they are started.
+    /// The child's incarnation waits for something that is not there yet, and tries again by
+    /// itself. Where others depend on it, those behind it wait too; else they are started.
     pub fn handle_unavailable(
         &mut self,
         name: &ObjectName,
@@ -402,13 +403,13 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child that was told to start has begun this life: not the one that it was told, if its
-    /// guard had begun that one on the spot meanwhile.
+    /// The child that was told to start has begun this incarnation: not the one that it was told,
+    /// if its guard had begun that one on the spot meanwhile.
     pub fn handle_begun(&mut self, name: &ObjectName, incarnation: Incarnation) {
         self.present(name, incarnation);
     }
 
-    /// The child's new life did not come to be.
+    /// The child's new incarnation did not come to be.
     pub fn handle_start_failed(
         &mut self,
         name: &ObjectName,
@@ -417,7 +418,7 @@ impl Supervisor {
         now: Instant,
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
-        self.life_ended(key, false, reason, now);
+        self.incarnation_ended(key, false, reason, now);
         self.advance(now);
     }
 
@@ -441,13 +442,13 @@ impl Supervisor {
         let Some(key) = self.present(name, incarnation) else { return };
         let child = self.kept(key);
         let ChildPhase::Resetting { call, .. } = child.state else { return };
-        let (child, life) = (child.name.clone(), child.incarnation);
+        let (child, incarnation) = (child.name.clone(), child.incarnation);
         self.set_state(key, ChildPhase::Running);
         match outcome {
             Ok(()) => self.outputs.push_back(SupervisorOutput::Recovered {
                 call,
                 child,
-                incarnation: Some(life),
+                incarnation: Some(incarnation),
             }),
             Err(reason) => {
                 self.answer_gave_up(call, child, GiveUpReason::ResetFailed { reason });
@@ -468,7 +469,7 @@ impl Supervisor {
         let Some(key) = self.present(name, incarnation) else { return };
         match restarted_as {
             Some(next) => self.restarted_on_the_spot(key, next, now),
-            None => self.life_ended(key, in_order, "it died".into(), now),
+            None => self.incarnation_ended(key, in_order, "it died".into(), now),
         }
         self.advance(now);
     }
@@ -482,7 +483,7 @@ impl Supervisor {
         now: Instant,
     ) {
         let Some(key) = self.present(name, incarnation) else { return };
-        self.life_ended(key, false, reason, now);
+        self.incarnation_ended(key, false, reason, now);
         // It may have been about to leave, and is gone now.
         let failed = self.children.get(&key).is_some_and(|child| child.failed.is_some());
         if failed

@@ -48,8 +48,8 @@ impl Supervisor {
         }
     }
 
-    /// Every child that is to have a life has one at work, or one that waits for what is not there
-    /// yet.
+    /// Every child that is to have an incarnation has one at work, or one that waits for what is
+    /// not there yet.
     fn is_up(&self) -> bool {
         let up = |child: &SupervisedChild| match child.state {
             ChildPhase::Running | ChildPhase::Resetting { .. } | ChildPhase::Unavailable => true,
@@ -99,13 +99,13 @@ impl Supervisor {
         match wish {
             Wish::Leave => None,
             Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::Forgotten)),
-            Wish::Rest => (!child.lives()).then_some(Ok(None)),
+            Wish::Rest => (!child.is_alive()).then_some(Ok(None)),
             Wish::Work => {
                 if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {
                     return Some(Err(GiveUpReason::Escalated { reason: reason.clone() }));
                 }
                 match child.goal {
-                    ChildTarget::Finished => return (!child.lives()).then_some(Ok(None)),
+                    ChildTarget::Finished => return (!child.is_alive()).then_some(Ok(None)),
                     ChildTarget::Rest | ChildTarget::Leave => {
                         return Some(Err(GiveUpReason::Resting));
                     }
@@ -134,8 +134,8 @@ impl Supervisor {
         first.is_some_and(|child| child.failed.is_some() || child.state == ChildPhase::Unavailable)
     }
 
-    /// Replaces a child's life, and those of its siblings as the strategy says; or says why that is
-    /// not worth it any more.
+    /// Replaces a child's incarnation, and those of its siblings as the strategy says; or says why
+    /// that is not worth it any more.
     pub(super) fn replace(
         &mut self,
         key: ChildKey,
@@ -159,11 +159,11 @@ impl Supervisor {
         }
         let held_against = !matches!(cause, ReplacementCause::Behind | ReplacementCause::Asked);
         let is_worth_it = !held_against || self.count_restart(key, now);
-        // A life that is stuck is not given up for nothing: it may move again before the recoverer
-        // takes its next measure.
+        // An incarnation that is stuck is not given up for nothing: it may move again before the
+        // recoverer takes its next measure.
         if is_worth_it || cause == ReplacementCause::Died || !self.at_work() {
             self.end_now(key, cause);
-            if !self.kept(key).lives() {
+            if !self.kept(key).is_alive() {
                 self.going.remove(&key);
             }
         }
@@ -172,9 +172,9 @@ impl Supervisor {
         }
         let child = self.kept(key);
         child.failed = None;
-        let lives = child.lives();
+        let alive = child.is_alive();
         match self.rules.strategy {
-            Strategy::OneForOne if lives => self.ask_to_stop(key, now),
+            Strategy::OneForOne if alive => self.ask_to_stop(key, now),
             Strategy::OneForOne => self.after_end(key, now),
             Strategy::OneForAll => self.renew_from(0),
             Strategy::RestForOne => self.renew_from(key),
@@ -190,7 +190,7 @@ impl Supervisor {
         }
         let reason = self.excess_of(key);
         let child = self.kept(key);
-        if !child.lives() {
+        if !child.is_alive() {
             child.failed = Some(reason.clone());
         }
         Err(GiveUpReason::IntensityExceeded { reason })
@@ -205,13 +205,13 @@ impl Supervisor {
                 continue;
             }
             child.failed = None;
-            if child.lives() {
+            if child.is_alive() {
                 going.push(key);
             }
             if child.rules.restart == Restart::Temporary {
                 child.goal = ChildTarget::Finished;
                 self.coming.remove(&key);
-                if !child.lives() {
+                if !child.is_alive() {
                     finished.push(child.name.clone());
                 }
             } else {
@@ -249,20 +249,20 @@ impl Supervisor {
         child.failed = None;
         self.coming.remove(&key);
         self.end_now(key, cause);
-        if self.kept(key).lives() {
+        if self.kept(key).is_alive() {
             self.ask_to_stop(key, now);
         } else {
             self.after_end(key, now);
         }
     }
 
-    /// Ends a life that need not, or cannot, be asked.
+    /// Ends an incarnation that need not, or cannot, be asked.
     pub(super) fn end_now(&mut self, key: ChildKey, cause: ReplacementCause) {
         match cause {
-            ReplacementCause::Died if self.kept(key).lives() => {
+            ReplacementCause::Died if self.kept(key).is_alive() => {
                 self.set_state(key, ChildPhase::Down)
             }
-            ReplacementCause::Stuck | ReplacementCause::Behind if self.kept(key).lives() => {
+            ReplacementCause::Stuck | ReplacementCause::Behind if self.kept(key).is_alive() => {
                 self.abandon(key)
             }
             ReplacementCause::Died
@@ -273,8 +273,8 @@ impl Supervisor {
         }
     }
 
-    /// A life has ended by itself, or has not come to be.
-    pub(super) fn life_ended(
+    /// An incarnation has ended by itself, or has not come to be.
+    pub(super) fn incarnation_ended(
         &mut self,
         key: ChildKey,
         in_order: bool,
@@ -303,7 +303,7 @@ impl Supervisor {
         self.after_end(key, now);
     }
 
-    /// What follows when a life is over.
+    /// What follows when an incarnation is over.
     pub(super) fn after_end(&mut self, key: ChildKey, now: Instant) {
         self.going.remove(&key);
         let alone = !self.coming.contains(&key) && self.at_work();
@@ -333,7 +333,7 @@ impl Supervisor {
             ChildPhase::Starting { .. } => {
                 let limit = rules.ready_within;
                 self.outputs.push_back(SupervisorOutput::Abandon { child: name.clone() });
-                self.life_ended(key, false, format!("not at work within {limit:?}"), now);
+                self.incarnation_ended(key, false, format!("not at work within {limit:?}"), now);
                 self.outputs.push_back(SupervisorOutput::Overdue {
                     child: name,
                     incarnation,
@@ -344,7 +344,7 @@ impl Supervisor {
                 self.abandon(key);
                 let is_awaited = self.pending.iter().any(|pending| pending.key == key);
                 if self.kept(key).goal == ChildTarget::Finished && !is_awaited {
-                    // A life that is given up cannot give back what waits for it.
+                    // An incarnation that is given up cannot give back what waits for it.
                     self.outputs.push_back(SupervisorOutput::Retire { child: name });
                 }
                 self.after_end(key, now);
@@ -555,19 +555,23 @@ impl Supervisor {
         self.outputs.push_back(SupervisorOutput::GaveUp { call, child, why });
     }
 
-    /// The child that a report is about, unless the report is about an earlier life.
-    pub(super) fn present(&mut self, name: &ObjectName, life: Incarnation) -> Option<ChildKey> {
+    /// The child that a report is about, unless the report is about an earlier incarnation.
+    pub(super) fn present(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+    ) -> Option<ChildKey> {
         let &key = self.index.get(name)?;
         let child = self.kept(key);
-        if life < child.incarnation {
+        if incarnation < child.incarnation {
             return None;
         }
-        child.incarnation = life;
+        child.incarnation = incarnation;
         Some(key)
     }
 
     pub(super) fn living(&self) -> impl Iterator<Item = ChildKey> + '_ {
-        self.children.iter().filter(|(_, child)| child.lives()).map(|(&key, _)| key)
+        self.children.iter().filter(|(_, child)| child.is_alive()).map(|(&key, _)| key)
     }
 
     pub(super) fn at_work(&self) -> bool {

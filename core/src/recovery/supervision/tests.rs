@@ -2,7 +2,7 @@
 
 mod budget;
 mod exceeded;
-mod lives;
+mod incarnations;
 mod rest;
 mod states;
 mod strategies;
@@ -86,8 +86,8 @@ impl Rig {
                 SupervisorOutput::StandingOrder { child, order: None } => {
                     format!("withdraw {child}")
                 }
-                SupervisorOutput::Recovered { call, child, incarnation: Some(life) } => {
-                    format!("{} recovered {child} {life}", call.0)
+                SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {
+                    format!("{} recovered {child} {incarnation}", call.0)
                 }
                 SupervisorOutput::Recovered { call, child, incarnation: None } => {
                     format!("{} let {child} go", call.0)
@@ -129,9 +129,9 @@ impl Rig {
         self.said()
     }
 
-    fn restart(&mut self, child: &str, cause: ReplacementCause, life: u64) -> Vec<String> {
+    fn restart(&mut self, child: &str, cause: ReplacementCause, incarnation: u64) -> Vec<String> {
         let call = self.call();
-        let struck = Some(Incarnation(life));
+        let struck = Some(Incarnation(incarnation));
         self.machine.handle_restart(&name(child), call, cause, struck, self.now);
         self.said()
     }
@@ -148,9 +148,14 @@ impl Rig {
         self.said()
     }
 
-    fn reset_done(&mut self, child: &str, life: u64, outcome: Result<(), &str>) -> Vec<String> {
+    fn reset_done(
+        &mut self,
+        child: &str,
+        incarnation: u64,
+        outcome: Result<(), &str>,
+    ) -> Vec<String> {
         let outcome = outcome.map_err(Into::into);
-        self.machine.handle_reset_done(&name(child), Incarnation(life), outcome);
+        self.machine.handle_reset_done(&name(child), Incarnation(incarnation), outcome);
         self.said()
     }
 
@@ -172,47 +177,47 @@ impl Rig {
         self.said()
     }
 
-    fn started(&mut self, child: &str, life: u64) -> Vec<String> {
-        self.machine.handle_started(&name(child), Incarnation(life), self.now);
+    fn started(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        self.machine.handle_started(&name(child), Incarnation(incarnation), self.now);
         self.said()
     }
 
-    fn unavailable(&mut self, child: &str, life: u64) -> Vec<String> {
+    fn unavailable(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
-        self.machine.handle_unavailable(&name(child), Incarnation(life), reason, self.now);
+        self.machine.handle_unavailable(&name(child), Incarnation(incarnation), reason, self.now);
         self.said()
     }
 
-    fn start_failed(&mut self, child: &str, life: u64) -> Vec<String> {
+    fn start_failed(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
-        self.machine.handle_start_failed(&name(child), Incarnation(life), reason, self.now);
+        self.machine.handle_start_failed(&name(child), Incarnation(incarnation), reason, self.now);
         self.said()
     }
 
-    fn stopped(&mut self, child: &str, life: u64) -> Vec<String> {
-        self.machine.handle_stopped(&name(child), Incarnation(life), self.now);
+    fn stopped(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        self.machine.handle_stopped(&name(child), Incarnation(incarnation), self.now);
         self.said()
     }
 
-    fn died(&mut self, child: &str, life: u64) -> Vec<String> {
-        self.machine.handle_died(&name(child), Incarnation(life), false, None, self.now);
+    fn died(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        self.machine.handle_died(&name(child), Incarnation(incarnation), false, None, self.now);
         self.said()
     }
 
-    fn returned(&mut self, child: &str, life: u64) -> Vec<String> {
-        self.machine.handle_died(&name(child), Incarnation(life), true, None, self.now);
+    fn returned(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        self.machine.handle_died(&name(child), Incarnation(incarnation), true, None, self.now);
         self.said()
     }
 
-    fn died_on_the_spot(&mut self, child: &str, life: u64) -> Vec<String> {
-        let next = Some(Incarnation(life + 1));
-        self.machine.handle_died(&name(child), Incarnation(life), false, next, self.now);
+    fn died_on_the_spot(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        let next = Some(Incarnation(incarnation + 1));
+        self.machine.handle_died(&name(child), Incarnation(incarnation), false, next, self.now);
         self.said()
     }
 
-    fn escalated(&mut self, child: &str, life: u64) -> Vec<String> {
+    fn escalated(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "too much".into();
-        self.machine.handle_escalated(&name(child), Incarnation(life), reason, self.now);
+        self.machine.handle_escalated(&name(child), Incarnation(incarnation), reason, self.now);
         self.said()
     }
 

@@ -18,8 +18,8 @@ pub enum GiveUpReason {
     /// The supervisor itself was stopped or has not begun.
     #[error("its supervisor is not at work")]
     NotAtWork,
-    /// The next life could not be built, initialised or activated.
-    #[error("its next life did not start: {reason}")]
+    /// The next incarnation could not be built, initialised or activated.
+    #[error("its next incarnation did not start: {reason}")]
     StartFailed {
         /// Why, as the component said it.
         reason: String,
@@ -30,8 +30,8 @@ pub enum GiveUpReason {
         /// Why, as the component said it.
         reason: String,
     },
-    /// A reset needs a life at work, and there is none.
-    #[error("it has no life that could be reset")]
+    /// A reset needs an incarnation at work, and there is none.
+    #[error("it has no incarnation that could be reset")]
     NoLife,
     /// It did not answer in time.
     #[error("it did not answer within {limit:?}")]
@@ -74,27 +74,27 @@ pub enum GiveUpReason {
 /// What a supervisor wants done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SupervisorOutput {
-    /// Begin the child's next life.
+    /// Begin the child's next incarnation.
     Start {
         /// The child.
         child: ObjectName,
-        /// Which life it is.
+        /// Which incarnation it is.
         incarnation: Incarnation,
     },
-    /// Ask the child's life to end.
+    /// Ask the child's incarnation to end.
     Stop {
         /// The child.
         child: ObjectName,
-        /// Another life is to follow, so that what waits for the child goes on waiting.
+        /// Another incarnation is to follow, so that what waits for the child goes on waiting.
         again: bool,
     },
-    /// Tell the child, which is a supervisor, that its life is about to end: others are stopped
-    /// before it.
+    /// Tell the child, which is a supervisor, that its incarnation is about to end: others are
+    /// stopped before it.
     ExpectEnd {
         /// The child.
         child: ObjectName,
     },
-    /// Give the child's life up without asking it.
+    /// Give the child's incarnation up without asking it.
     Abandon {
         /// The child.
         child: ObjectName,
@@ -124,17 +124,17 @@ pub enum SupervisorOutput {
         call: CallId,
         /// The child.
         child: ObjectName,
-        /// The life at work; `None` where no life is wanted.
+        /// The incarnation at work; `None` where no incarnation is wanted.
         incarnation: Option<Incarnation>,
     },
-    /// The request is fulfilled as far as it can be: the new life waits for something that is not
-    /// there yet, and tries again by itself.
+    /// The request is fulfilled as far as it can be: the new incarnation waits for something that
+    /// is not there yet, and tries again by itself.
     Waits {
         /// Whose.
         call: CallId,
         /// The child.
         child: ObjectName,
-        /// The life that waits.
+        /// The incarnation that waits.
         incarnation: Incarnation,
     },
     /// The request is not going to be fulfilled.
@@ -151,7 +151,7 @@ pub enum SupervisorOutput {
     Refused {
         /// The child.
         child: ObjectName,
-        /// The life that escalated.
+        /// The incarnation that escalated.
         incarnation: Incarnation,
         /// Which limit was exceeded, by whom.
         reason: String,
@@ -166,7 +166,7 @@ pub enum SupervisorOutput {
     Overdue {
         /// The child.
         child: ObjectName,
-        /// The life that did not come to be.
+        /// The incarnation that did not come to be.
         incarnation: Incarnation,
         /// The deadline.
         limit: Duration,
@@ -192,7 +192,7 @@ pub enum SupervisorOutput {
         /// Which limit was exceeded, by whom.
         reason: String,
     },
-    /// All children are at work for the first time in this life.
+    /// All children are at work for the first time in this incarnation.
     AllStarted,
     /// All children have ended, as it was told.
     AllStopped,

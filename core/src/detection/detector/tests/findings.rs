@@ -84,7 +84,7 @@ fn what_is_no_fault_is_not_recorded() {
 }
 
 #[test]
-fn a_life_that_ends_itself_is_missed_unless_it_was_known_to_end() {
+fn an_incarnation_that_ends_itself_is_missed_unless_it_was_known_to_end() {
     let cases = [
         (vec![Lifecycle::Finalized], FaultKind::UnexpectedExit),
         (vec![Lifecycle::Fatal, Lifecycle::Finalized], FaultKind::Fatal),

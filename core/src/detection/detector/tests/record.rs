@@ -30,7 +30,7 @@ fn the_recoverer_s_word_is_recorded_and_told() {
 }
 
 #[test]
-fn what_was_given_up_stays_latched_for_that_life_and_is_new_in_the_next() {
+fn what_was_given_up_stays_latched_for_that_incarnation_and_is_new_in_the_next() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, declared());
     bench.detector.handle_outcome(
@@ -95,12 +95,12 @@ fn a_node_that_leaves_in_order_takes_the_faults_of_its_links_along() {
 #[test]
 fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_stays_up() {
     let mut bench = Bench::new();
-    for life in 1..=500 {
-        bench.now = at(life * 444);
-        if life % 2 == 0 {
-            bench.see("@n", Incarnation(life), lost());
+    for incarnation in 1..=500 {
+        bench.now = at(incarnation * 444);
+        if incarnation % 2 == 0 {
+            bench.see("@n", Incarnation(incarnation), lost());
         }
-        bench.see("@n", Incarnation(life + 1), Finding::Node(NodeCondition::Restarted));
+        bench.see("@n", Incarnation(incarnation + 1), Finding::Node(NodeCondition::Restarted));
         bench.said();
     }
     let of_kind = |bench: &Bench, kind| {
@@ -249,8 +249,8 @@ proptest! {
         bench.depend("b", &["c", "n:x"]);
         bench.depend("c", &["a"]);
         let mut now = 0;
-        for (object, life, finding, wait) in seen {
-            bench.see(object, Incarnation(life), finding);
+        for (object, incarnation, finding, wait) in seen {
+            bench.see(object, Incarnation(incarnation), finding);
             now += wait;
             bench.run_until(now);
 

@@ -1,6 +1,6 @@
 //! Recorded frames that are replayed prove nothing.
 
-use super::lives::hellos_of;
+use super::incarnations::hellos_of;
 use super::*;
 use crate::random::Random;
 
@@ -99,14 +99,14 @@ fn an_end_that_begins_anew_and_hears_the_past_first_finds_the_present_all_the_sa
 }
 
 #[test]
-fn a_neighbour_that_begins_anew_is_found_while_its_last_life_is_repeated() {
+fn a_neighbour_that_begins_anew_is_found_while_its_last_incarnation_is_repeated() {
     for seed in 0..10 {
-        for life in [2, 1_000_000] {
+        for incarnation in [2, 1_000_000] {
             let mut cable = Cable::new(config("left", 1), config("right", 1_000));
             cable.run_until(20_000);
             let said = hellos_of(&cable, 1);
             let (mut random, mut n) = (Random::new(seed), 0);
-            cable.ends[1] = Link::new(config("right", life), at(cable.now));
+            cable.ends[1] = Link::new(config("right", incarnation), at(cable.now));
             cable.run_until(cable.now + 50);
             let healed = healed(&mut cable, || {
                 n += 1;
@@ -116,9 +116,9 @@ fn a_neighbour_that_begins_anew_is_found_while_its_last_life_is_repeated() {
                 };
                 Some(said[one % said.len()].clone())
             });
-            assert!(healed <= 110, "seed {seed}, life {life}: {healed} ms");
+            assert!(healed <= 110, "seed {seed}, incarnation {incarnation}: {healed} ms");
             let neighbour = cable.ends[0].neighbour().unwrap();
-            assert_eq!(neighbour.incarnation, Incarnation(life));
+            assert_eq!(neighbour.incarnation, Incarnation(incarnation));
         }
     }
 }

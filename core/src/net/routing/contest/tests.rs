@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A node's name, and its life.
+/// A node's name, and its incarnation.
 type Who = (&'static str, u64);
 
 #[derive(Default)]
@@ -31,7 +31,7 @@ impl Net {
         net
     }
 
-    /// A link is one cable's, whichever life is at its other end.
+    /// A link is one cable's, whichever incarnation is at its other end.
     fn number(&mut self, own: Who, far: &'static str) -> LinkId {
         let next = LinkId(self.numbers.len() as u16);
         *self.numbers.entry((own, far)).or_insert(next)
@@ -49,10 +49,10 @@ impl Net {
     }
 
     fn plug(&mut self, a: Who, b: Who) {
-        for (name, life) in [a, b] {
-            let config = RouterConfig::new(NodeName::new(name).unwrap(), Incarnation(life));
+        for (name, incarnation) in [a, b] {
+            let config = RouterConfig::new(NodeName::new(name).unwrap(), Incarnation(incarnation));
             let now = self.now;
-            self.routers.entry((name, life)).or_insert_with(|| Router::new(config, now));
+            self.routers.entry((name, incarnation)).or_insert_with(|| Router::new(config, now));
         }
         self.cables.extend([(a, b), (b, a)]);
         self.link(a, b, LinkHealth::Up);
@@ -200,7 +200,7 @@ fn a_node_whose_number_fell_has_its_name_within_a_second_although_a_greater_one_
 }
 
 #[test]
-fn a_life_that_ended_without_anybodys_knowing_does_not_keep_the_next_one_out_for_long() {
+fn an_incarnation_that_ended_without_anybodys_knowing_does_not_keep_the_next_one_out_for_long() {
     let mut net = Net::new(&[(A, B), (B, C)]);
     // Its link to B is not known to be dead.
     net.routers.remove(&A);

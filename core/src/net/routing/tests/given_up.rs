@@ -41,7 +41,8 @@ fn what_is_not_announced_yet_was_not_given_up_and_neither_is_what_there_was_no_r
     assert_eq!(given_up(&mut router, 1010), []);
     tell(&mut router, FIRST, advertisement("left", 5, &[("own", 1)]), 1020);
 
-    // Others' links, old words, another life, and a node with more links than it can tell of.
+    // Others' links, old words, another incarnation, and a node with more links than it can tell
+    // of.
     tell(&mut router, FIRST, advertisement("right", 1, &[("own", 1)]), 1030);
     tell(&mut router, FIRST, advertisement("left", 4, &[]), 1030);
     let mut reborn = advertisement("left", 9, &[]);

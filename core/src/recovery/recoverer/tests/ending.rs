@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn lives_that_hang_as_the_node_ends_are_given_up_and_not_restarted() {
+fn incarnations_that_hang_as_the_node_ends_are_given_up_and_not_restarted() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("arm"), 1));
     rig.machine.handle_node_end(rig.now);

@@ -5,9 +5,9 @@ use super::*;
 #[test]
 fn one_restart_too_many_ends_everything_and_escalates() {
     let mut rig = Rig::serving(Strategy::OneForOne);
-    for life in 1..=3 {
-        rig.restart("b", ReplacementCause::Died, life);
-        rig.started("b", life + 1);
+    for incarnation in 1..=3 {
+        rig.restart("b", ReplacementCause::Died, incarnation);
+        rig.started("b", incarnation + 1);
     }
 
     assert_eq!(rig.restart("b", ReplacementCause::Died, 4), ["stop c"]);
@@ -15,7 +15,7 @@ fn one_restart_too_many_ends_everything_and_escalates() {
     assert_eq!(rig.stopped("c", 1), ["stop a"]);
     assert_eq!(rig.stopped("a", 1), ["escalate: b needed more than 3 restarts in 60s"]);
 
-    // What was asked of the old life is answered by the new one.
+    // What was asked of the old incarnation is answered by the new one.
     assert_eq!(rig.begin(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #5", "5 recovered a #2"]);
     assert_eq!(rig.started("b", 5), ["start c #2", "4 recovered b #5"]);
@@ -46,12 +46,12 @@ fn the_end_of_the_root_is_the_end_of_hope() {
 fn old_restarts_are_forgotten() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
-    for life in 1..=20 {
+    for incarnation in 1..=20 {
         assert_eq!(
-            rig.restart("b", ReplacementCause::Died, life),
-            [format!("start b #{}", life + 1)]
+            rig.restart("b", ReplacementCause::Died, incarnation),
+            [format!("start b #{}", incarnation + 1)]
         );
-        rig.started("b", life + 1);
+        rig.started("b", incarnation + 1);
         rig.pass(21);
     }
 }

@@ -176,7 +176,11 @@ fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
     rig.begin();
     rig.started("a", 1);
     let escalated = rig.restart("a", ReplacementCause::Died, 1);
-    assert_eq!(escalated, ["escalate: a needed more than 0 restarts in 60s"], "its next life says");
+    assert_eq!(
+        escalated,
+        ["escalate: a needed more than 0 restarts in 60s"],
+        "its next incarnation says"
+    );
 
     assert_eq!(rig.end(), ["all stopped"]);
     rig.machine.handle_retired();

@@ -22,10 +22,13 @@ fn what_a_person_wants_is_counted_by_no_budget_and_needs_a_supervisor_at_work() 
     let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]);
     rig.begin();
     rig.started("a", 1);
-    for life in 1..5 {
+    for incarnation in 1..5 {
         assert_eq!(rig.restart_by_hand("a"), ["stop a"]);
-        assert_eq!(rig.stopped("a", life), [format!("start a #{}", life + 1)]);
-        assert_eq!(rig.started("a", life + 1), [format!("{life} recovered a #{}", life + 1)]);
+        assert_eq!(rig.stopped("a", incarnation), [format!("start a #{}", incarnation + 1)]);
+        assert_eq!(
+            rig.started("a", incarnation + 1),
+            [format!("{incarnation} recovered a #{}", incarnation + 1)]
+        );
     }
     assert_eq!(rig.machine.restarts_left(rig.now), 1);
 
@@ -44,7 +47,7 @@ fn a_stuck_child_is_put_to_rest_without_being_asked() {
 }
 
 #[test]
-fn nobody_waits_for_an_isolated_child_without_a_life() {
+fn nobody_waits_for_an_isolated_child_without_an_incarnation() {
     let children = ["a", "b"].map(|child| (child, permanent()));
     let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
     rig.begin();

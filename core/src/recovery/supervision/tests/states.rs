@@ -48,7 +48,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
     rig.started("a", 1);
     assert_eq!(rig.end(), ["stop a"]);
     assert_eq!(rig.restart_by_hand("a"), ["2 gave a up: its supervisor is not at work"]);
-    assert_eq!(rig.restart("a", ReplacementCause::Faulty, 1), [""; 0], "its next life says");
+    assert_eq!(rig.restart("a", ReplacementCause::Faulty, 1), [""; 0], "its next incarnation says");
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
     rig.machine.handle_retired();
     assert_eq!(rig.said(), ["3 gave a up: its supervisor is not at work"]);
@@ -56,7 +56,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
 }
 
 #[test]
-fn being_forsaken_gives_every_life_up_and_a_new_beginning_starts_all() {
+fn being_forsaken_gives_every_incarnation_up_and_a_new_beginning_starts_all() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Faulty, 1);
     rig.remove("c");
@@ -70,7 +70,7 @@ fn being_forsaken_gives_every_life_up_and_a_new_beginning_starts_all() {
 }
 
 #[test]
-fn a_second_beginning_without_an_end_leaves_no_life_twice() {
+fn a_second_beginning_without_an_end_leaves_no_incarnation_twice() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
     assert_eq!(rig.begin(), ["abandon c", "abandon b", "abandon a", "start a #2"]);
@@ -112,7 +112,7 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
         ("restart, stuck", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 1))),
         ("restart, behind another", |rig| drop(rig.restart("b", ReplacementCause::Behind, 1))),
         ("restart, faulty", |rig| drop(rig.restart("b", ReplacementCause::Faulty, 1))),
-        ("restart, next life", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 2))),
+        ("restart, next incarnation", |rig| drop(rig.restart("b", ReplacementCause::Stuck, 2))),
         ("restart by hand", |rig| drop(rig.restart_by_hand("b"))),
         ("restart of a", |rig| drop(rig.restart("a", ReplacementCause::Stuck, 1))),
         ("reset", |rig| drop(rig.reset("b"))),
@@ -151,12 +151,12 @@ fn finish(rig: &mut Rig, case: &str) {
             !matches!(child.state, ChildState::Running | ChildState::Resting | ChildState::Finished)
         });
         let Some(child) = open else { break };
-        let (name, life) = (child.name.as_str(), child.incarnation.0);
+        let (name, incarnation) = (child.name.as_str(), child.incarnation.0);
         match child.state {
-            ChildState::Starting => drop(rig.started(name, life)),
-            ChildState::Stopping => drop(rig.stopped(name, life)),
-            ChildState::Resetting => drop(rig.reset_done(name, life, Ok(()))),
-            ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, life)),
+            ChildState::Starting => drop(rig.started(name, incarnation)),
+            ChildState::Stopping => drop(rig.stopped(name, incarnation)),
+            ChildState::Resetting => drop(rig.reset_done(name, incarnation, Ok(()))),
+            ChildState::Failed => drop(rig.restart(name, ReplacementCause::Died, incarnation)),
             // Either another child must move first, or the supervisor does not want to.
             _ if !rig.machine.at_work() => break,
             _ => {
@@ -164,10 +164,10 @@ fn finish(rig: &mut Rig, case: &str) {
                     matches!(child.state, ChildState::Starting | ChildState::Stopping)
                 });
                 let child = moving.unwrap_or_else(|| panic!("{case}: {name} waits for no other"));
-                let (name, life) = (child.name.as_str(), child.incarnation.0);
+                let (name, incarnation) = (child.name.as_str(), child.incarnation.0);
                 match child.state {
-                    ChildState::Starting => drop(rig.started(name, life)),
-                    _ => drop(rig.stopped(name, life)),
+                    ChildState::Starting => drop(rig.started(name, incarnation)),
+                    _ => drop(rig.stopped(name, incarnation)),
                 }
             }
         }

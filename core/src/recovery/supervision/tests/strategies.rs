@@ -41,14 +41,14 @@ fn one_for_one_replaces_only_the_child_that_failed() {
 }
 
 #[test]
-fn a_life_that_stood_behind_anothers_hang_costs_no_restart() {
+fn an_incarnation_that_stood_behind_anothers_hang_costs_no_restart() {
     let mut rig = Rig::with(Strategy::OneForOne, 1, &[("b", ChildRules::default())]);
     rig.begin();
     rig.started("b", 1);
 
-    for life in 1..5 {
-        let next = life + 1;
-        let replaced = rig.restart("b", ReplacementCause::Behind, life);
+    for incarnation in 1..5 {
+        let next = incarnation + 1;
+        let replaced = rig.restart("b", ReplacementCause::Behind, incarnation);
 
         assert_eq!(replaced, ["abandon b".into(), format!("start b #{next}")]);
         rig.started("b", next);
@@ -200,7 +200,7 @@ fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
 }
 
 #[test]
-fn one_that_is_about_to_end_starts_nothing_and_answers_in_its_next_life() {
+fn one_that_is_about_to_end_starts_nothing_and_answers_in_its_next_incarnation() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.machine.handle_end_expected();
 

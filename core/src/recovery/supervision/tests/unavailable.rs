@@ -65,13 +65,13 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
 }
 
 #[test]
-fn a_life_that_its_guard_had_begun_is_not_taken_for_the_one_that_was_told_to_start() {
+fn an_incarnation_that_its_guard_had_begun_is_not_taken_for_the_one_that_was_told_to_start() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     assert_eq!(rig.restart("a", ReplacementCause::Stuck, 1), ["abandon a", "start a #2"]);
     // Its guard had restarted it as #2 just before, so that the new one is #3.
     rig.machine.handle_begun(&name("a"), Incarnation(3));
 
-    assert_eq!(rig.died("a", 2), [""; 0], "that is the life that was given up");
+    assert_eq!(rig.died("a", 2), [""; 0], "that is the incarnation that was given up");
     assert_eq!(rig.started("a", 2), [""; 0]);
     assert_eq!(rig.started("a", 3), ["1 recovered a #3"]);
 }

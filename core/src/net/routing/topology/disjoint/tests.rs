@@ -54,7 +54,7 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
                 AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
             let edges = at_end(node).map(|(_, (far, cost))| Announced {
                 to: id(far),
-                life: 1,
+                incarnation: 1,
                 cost,
                 mtu: 1400,
             });

@@ -1,9 +1,9 @@
-//! Faults of lives that end, begin, and were mended.
+//! Faults of incarnations that end, begin, and were mended.
 
 use super::*;
 
 #[test]
-fn a_life_that_becomes_active_ends_the_faults_of_the_lives_before() {
+fn an_incarnation_that_becomes_active_ends_the_faults_of_the_incarnations_before() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     bench.see("arm", ONE, declared());
@@ -17,7 +17,7 @@ fn a_life_that_becomes_active_ends_the_faults_of_the_lives_before() {
 }
 
 #[test]
-fn a_life_that_dies_before_it_is_active_is_the_same_fault_still() {
+fn an_incarnation_that_dies_before_it_is_active_is_the_same_fault_still() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
 
@@ -41,13 +41,14 @@ fn a_component_that_was_reset_is_recovered_when_it_is_active_again() {
 }
 
 #[test]
-fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_life_is_at_work() {
+fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_incarnation_is_at_work()
+ {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
 
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
-    assert_eq!(bench.said(), ["Found 1"], "the next life has not started yet");
+    assert_eq!(bench.said(), ["Found 1"], "the next incarnation has not started yet");
     assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
     assert_eq!(bench.run_until(5), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
@@ -57,7 +58,7 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
 }
 
 #[test]
-fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next_life() {
+fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next_incarnation() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
     assert_eq!(bench.said(), ["Found 1"]);
@@ -67,7 +68,7 @@ fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next
     assert_eq!(bench.said(), ["Repeated 1", "+1"]);
 }
 
-/// What the detector of a node says when life 1 of `arm` has panicked and was restarted.
+/// What the detector of a node says when incarnation 1 of `arm` has panicked and was restarted.
 fn restarted_on_the_spot() -> Bench {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
@@ -81,7 +82,8 @@ fn gave_up() -> RecoveryOutcome {
 }
 
 #[test]
-fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the_next_life() {
+fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the_next_incarnation()
+{
     for failure in [state(Lifecycle::Fatal), state(Lifecycle::Error), hangs(&[]), silent()] {
         let mut bench = restarted_on_the_spot();
         bench.see("arm", TWO, failure);
@@ -112,9 +114,9 @@ fn a_death_that_the_guard_could_not_mend_is_given_up_where_no_recoverer_decides(
 }
 
 #[test]
-fn a_fault_that_only_the_next_life_could_end_is_cleared_when_that_one_ends_in_order() {
+fn a_fault_that_only_the_next_incarnation_could_end_is_cleared_when_that_one_ends_in_order() {
     let told = |bench: &mut Bench| {
-        assert_eq!(bench.run_until(999), [""; 0], "another life may follow");
+        assert_eq!(bench.run_until(999), [""; 0], "another incarnation may follow");
         let said = bench.run_until(2000);
         assert_eq!(said[0], "Cleared 1");
         assert_eq!(bench.entries()[0].status(), FaultStatus::Closed);
@@ -144,7 +146,7 @@ fn a_fault_that_only_the_next_life_could_end_is_cleared_when_that_one_ends_in_or
 }
 
 #[test]
-fn a_panic_that_is_told_after_the_next_life_was_ended_or_given_up_ends_likewise() {
+fn a_panic_that_is_told_after_the_next_incarnation_was_ended_or_given_up_ends_likewise() {
     let mut bench = Bench::new();
     bench.see("arm", TWO, exited(ExitReason::Stopped));
     bench.see("arm", ONE, exited(panicked()));
@@ -160,7 +162,7 @@ fn a_panic_that_is_told_after_the_next_life_was_ended_or_given_up_ends_likewise(
 }
 
 #[test]
-fn a_fault_that_the_next_life_has_too_is_reminded_of_until_it_is_decided_again() {
+fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.said(), ["Found 1", "+1"]);
@@ -175,7 +177,7 @@ fn a_fault_that_the_next_life_has_too_is_reminded_of_until_it_is_decided_again()
 }
 
 #[test]
-fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
+fn a_fault_whose_restart_came_to_wait_stands_until_the_incarnation_is_at_work() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.said(), ["Found 1", "+1"]);
@@ -198,7 +200,7 @@ fn a_fault_whose_restart_came_to_wait_stands_until_the_life_is_at_work() {
 }
 
 #[test]
-fn a_fault_whose_reset_came_to_wait_is_recovered_when_the_life_is_active_again() {
+fn a_fault_whose_reset_came_to_wait_is_recovered_when_the_incarnation_is_active_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, declared());
@@ -230,12 +232,12 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
         ),
         (TWO, state(Lifecycle::Created), ""),
     ];
-    for (life, end, follows) in ends {
+    for (incarnation, end, follows) in ends {
         let mut bench = Bench::new();
         bench.see("arm", ONE, unavailable());
         assert_eq!(bench.said(), ["Found 1", "+1"]);
 
-        bench.see("arm", life, end);
+        bench.see("arm", incarnation, end);
 
         let standing = bench.entries().into_iter().filter(|entry| entry.stands());
         let standing: Vec<String> = standing.map(|e| format!("{:?}", e.fault.kind)).collect();
@@ -261,7 +263,7 @@ fn what_stands_when_the_node_ends_is_not_repaired_by_the_end_of_its_component() 
 }
 
 #[test]
-fn a_hang_of_the_life_that_was_to_end_a_hang_is_handed_over_again() {
+fn a_hang_of_the_incarnation_that_was_to_end_a_hang_is_handed_over_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, hangs(&[]));
     assert_eq!(bench.said(), ["Found 1", "+1"]);
@@ -275,7 +277,7 @@ fn a_hang_of_the_life_that_was_to_end_a_hang_is_handed_over_again() {
 }
 
 #[test]
-fn what_is_seen_of_an_older_life_is_ignored_and_counted() {
+fn what_is_seen_of_an_older_incarnation_is_ignored_and_counted() {
     let ended = exited(ExitReason::Aborted);
     let findings = [ended, silent(), declared(), state(Lifecycle::Error), hangs(&[])];
     for finding in findings {
@@ -290,7 +292,7 @@ fn what_is_seen_of_an_older_life_is_ignored_and_counted() {
 }
 
 #[test]
-fn a_panic_of_an_older_life_is_told_late_and_changes_nothing_else() {
+fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
     let mut bench = Bench::new();
     bench.see("arm", TWO, state(Lifecycle::Active));
     bench.see("arm", ONE, exited(panicked()));
@@ -309,7 +311,7 @@ fn a_panic_of_an_older_life_is_told_late_and_changes_nothing_else() {
 }
 
 #[test]
-fn a_life_that_was_over_already_ends_without_a_second_fault() {
+fn an_incarnation_that_was_over_already_ends_without_a_second_fault() {
     for exit in [ExitReason::Returned, ExitReason::Fatal, ExitReason::Aborted, ExitReason::Stopped]
     {
         let mut bench = Bench::new();
@@ -323,7 +325,7 @@ fn a_life_that_was_over_already_ends_without_a_second_fault() {
 }
 
 #[test]
-fn a_hook_that_fails_while_a_life_ends_is_recorded_and_not_handed_over() {
+fn a_hook_that_fails_while_an_incarnation_ends_is_recorded_and_not_handed_over() {
     let failed = |state, why: &str| Finding::State { state, reason: Some(why.to_owned()) };
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));

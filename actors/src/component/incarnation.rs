@@ -1,4 +1,4 @@
-//! What one life's context and its executor share, and what its threads are given.
+//! What one incarnation's context and its executor share, and what its threads are given.
 
 use crate::component::context::Context;
 use crate::component::long_operation::LongOperations;
@@ -14,7 +14,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Names one timer of one life.
+/// Names one timer of one incarnation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimerId(pub(crate) u64);
 
@@ -45,8 +45,8 @@ pub(crate) struct Timer<C: Component> {
     pub(crate) action: Option<TimerAction<C>>,
 }
 
-/// The timers of one life, under their numbers: those that the schedule has taken over, and behind
-/// them those that were set since.
+/// The timers of one incarnation, under their numbers: those that the schedule has taken over, and
+/// behind them those that were set since.
 pub(crate) struct TimerTable<C: Component> {
     pub(crate) standing: RefCell<BTreeMap<u64, Timer<C>>>,
     last: Cell<u64>,

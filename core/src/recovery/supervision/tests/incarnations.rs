@@ -1,4 +1,4 @@
-//! How one life begins, ends, and is told of.
+//! How one incarnation begins, ends, and is told of.
 
 use super::*;
 
@@ -7,7 +7,10 @@ fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Died, 1);
 
-    assert_eq!(rig.start_failed("b", 2), ["1 gave b up: its next life did not start: no device"]);
+    assert_eq!(
+        rig.start_failed("b", 2),
+        ["1 gave b up: its next incarnation did not start: no device"]
+    );
     assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["start b #3"]);
     assert_eq!(rig.started("b", 3), ["2 recovered b #3"]);
 }
@@ -20,7 +23,10 @@ fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
 
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
     assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["start a #2"]);
-    assert_eq!(rig.start_failed("a", 2), ["1 gave a up: its next life did not start: no device"]);
+    assert_eq!(
+        rig.start_failed("a", 2),
+        ["1 gave a up: its next incarnation did not start: no device"]
+    );
     assert_eq!(rig.rest("a", ReplacementCause::Died), ["isolate a", "start b #1", "2 let a go"]);
     assert_eq!(rig.started("b", 1), ["all started"]);
     assert_eq!(rig.state("a"), ChildState::Resting);
@@ -38,7 +44,7 @@ fn a_start_that_takes_too_long_is_given_up_and_declared() {
         [
             "abandon b",
             "overdue b",
-            "1 gave b up: its next life did not start: not at work within 5s"
+            "1 gave b up: its next incarnation did not start: not at work within 5s"
         ]
     );
     assert_eq!(rig.started("b", 2), [""; 0]);
@@ -57,7 +63,7 @@ fn a_child_that_does_not_stop_in_time_is_given_up() {
 }
 
 #[test]
-fn a_fault_of_an_earlier_life_is_answered_by_the_present_one() {
+fn a_fault_of_an_earlier_incarnation_is_answered_by_the_present_one() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Died, 1);
 
@@ -68,7 +74,7 @@ fn a_fault_of_an_earlier_life_is_answered_by_the_present_one() {
 }
 
 #[test]
-fn reports_of_an_earlier_life_change_nothing() {
+fn reports_of_an_earlier_incarnation_change_nothing() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Stuck, 1);
 
@@ -109,7 +115,7 @@ fn a_transient_child_may_return_and_a_temporary_one_may_also_die() {
     assert_eq!(rig.returned("p", 1), [""; 0]);
     assert_eq!(rig.restart("p", ReplacementCause::Died, 1), ["start p #2"]);
     assert_eq!(rig.restart_by_hand("t"), ["start t #2"]);
-    assert_eq!(rig.died("t", 2), ["4 gave t up: its next life did not start: it died"]);
+    assert_eq!(rig.died("t", 2), ["4 gave t up: its next incarnation did not start: it died"]);
     assert_eq!(rig.restart("t", ReplacementCause::Died, 2), ["start t #3"]);
 }
 
@@ -144,7 +150,7 @@ fn a_reset_is_passed_on_and_answered() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
     assert_eq!(rig.reset("b"), ["reset b"]);
-    assert_eq!(rig.reset("b"), ["2 gave b up: it has no life that could be reset"]);
+    assert_eq!(rig.reset("b"), ["2 gave b up: it has no incarnation that could be reset"]);
     assert_eq!(rig.reset_done("b", 1, Ok(())), ["1 recovered b #1"]);
     rig.reset("b");
     assert_eq!(
@@ -156,13 +162,13 @@ fn a_reset_is_passed_on_and_answered() {
     rig.reset("b");
     assert_eq!(
         rig.restart("b", ReplacementCause::Died, 1),
-        ["5 gave b up: it has no life that could be reset", "start b #2"]
+        ["5 gave b up: it has no incarnation that could be reset", "start b #2"]
     );
     assert_eq!(rig.reset("x"), ["7 gave x up: no such child"]);
 }
 
 #[test]
-fn a_child_is_told_whether_another_life_follows() {
+fn a_child_is_told_whether_another_incarnation_follows() {
     let told = |rig: &mut Rig| {
         let mut told = Vec::new();
         while let Some(action) = rig.machine.poll_output() {

@@ -25,7 +25,7 @@ fn a_restarted_peer_is_a_new_session_and_the_old_ones_messages_come_back() {
 }
 
 #[test]
-fn the_routers_word_of_a_new_life_ends_the_session_before_the_peer_says_anything() {
+fn the_routers_word_of_a_new_incarnation_ends_the_session_before_the_peer_says_anything() {
     let mut pair = Pair::open();
 
     pair.ends[0].handle_incarnation(Incarnation(2), at(pair.now));
@@ -36,15 +36,15 @@ fn the_routers_word_of_a_new_life_ends_the_session_before_the_peer_says_anything
 }
 
 #[test]
-fn a_peer_whose_new_life_has_a_smaller_number_is_talked_to_and_the_old_one_is_refused() {
+fn a_peer_whose_new_incarnation_has_a_smaller_number_is_talked_to_and_the_old_one_is_refused() {
     let mut pair = Pair::open();
-    for life in [9, 3, 2] {
+    for incarnation in [9, 3, 2] {
         let old: Vec<_> = pair.sent.iter().filter(|(end, _)| *end == 1).cloned().collect();
-        pair.ends[0].handle_incarnation(Incarnation(life), at(pair.now));
-        pair.ends[1] = Session::new(config("right", life, "left"), at(pair.now));
+        pair.ends[0].handle_incarnation(Incarnation(incarnation), at(pair.now));
+        pair.ends[1] = Session::new(config("right", incarnation, "left"), at(pair.now));
         pair.ends[1].handle_path(1389, at(pair.now));
         pair.run(30);
-        assert_eq!(pair.take(0).last(), Some(&opened(life)));
+        assert_eq!(pair.take(0).last(), Some(&opened(incarnation)));
         assert_eq!(pair.take(1), [opened(1)]);
 
         for (_, segment) in old {

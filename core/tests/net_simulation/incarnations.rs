@@ -1,4 +1,5 @@
-//! Lives whose numbers fall, words of lives that are over, and bits that were changed on their way.
+//! Incarnations whose numbers fall, words of incarnations that are over, and bits that were changed
+//! on their way.
 
 use crate::ROBOT;
 use crate::world::{CALM, Frames, MS, STORM, Weather, World, for_seeds};
@@ -7,7 +8,7 @@ use blastema_core::{Incarnation, Instant};
 use bytes::Bytes;
 use std::time::Duration;
 
-/// Every node reaches every other in its present life, and has a session with that.
+/// Every node reaches every other in its present incarnation, and has a session with that.
 fn is_whole(world: &World) -> bool {
     world.nodes.iter().flatten().all(|node| {
         let others = world.nodes.iter().flatten().filter(|other| other.name != node.name);
@@ -55,7 +56,7 @@ fn restarts_with_smaller_numbers(weather: Weather, bound: Duration) {
         world.kill(0);
         world.kill(1);
         world.kill(2);
-        world.lives = vec![1_000, 2_000, 3_000];
+        world.incarnations = vec![1_000, 2_000, 3_000];
         (0..3).for_each(|node| world.start(node));
         world.run(1000 * MS);
         for round in 0..4 {
@@ -67,7 +68,7 @@ fn restarts_with_smaller_numbers(weather: Weather, bound: Duration) {
             let dead_for = [0, 30, 200, 1500][round];
             world.run(Duration::from_millis(dead_for));
             // Below all that it ever had, and a day later above all of them again.
-            world.lives[victim] = if round < 3 { 500 - 100 * round as u64 } else { 10_000 };
+            world.incarnations[victim] = if round < 3 { 500 - 100 * round as u64 } else { 10_000 };
             world.start(victim);
             healed_within(&mut world, bound);
             world.run(1000 * MS);
@@ -88,18 +89,18 @@ fn a_node_that_begins_anew_with_a_smaller_number_is_back_within_seconds_in_a_sto
 }
 
 #[test]
-fn what_a_life_that_is_over_has_said_changes_nothing_whichever_number_is_greater() {
+fn what_an_incarnation_that_is_over_has_said_changes_nothing_whichever_number_is_greater() {
     for (old, new) in [(999, 9), (9, 999)] {
         for_seeds(220..225, |seed| {
             let mut world = World::new(seed, 3, &ROBOT, CALM);
             world.kill(1);
-            world.lives[1] = old;
+            world.incarnations[1] = old;
             world.start(1);
             world.run(1000 * MS);
             world.send(1, 2, 100);
             let said = watch(&mut world, 300 * MS);
             world.kill(1);
-            world.lives[1] = new;
+            world.incarnations[1] = new;
             world.start(1);
             healed_within(&mut world, Duration::from_secs(1));
             world.run(2000 * MS);
@@ -167,19 +168,19 @@ fn what_was_said_before_takes_no_link_down() {
 #[test]
 fn a_node_that_begins_anew_while_its_past_is_repeated_is_back_within_a_second() {
     for_seeds(262..264, |seed| {
-        for (in_turn, life) in [(true, 1), (false, 1), (true, 900), (false, 900)] {
+        for (in_turn, incarnation) in [(true, 1), (false, 1), (true, 900), (false, 900)] {
             let (mut world, said) = recorded(seed);
             world.kill(1);
             for _ in 0..200 {
                 repeat(&mut world, &said, in_turn);
             }
-            world.lives[1] = life;
+            world.incarnations[1] = incarnation;
             world.start(1);
             let began = world.now;
             while !is_whole(&world) {
                 repeat(&mut world, &said, in_turn);
                 let took = world.now - began;
-                assert!(took < Duration::from_secs(1), "{took:?}, {in_turn} {life}");
+                assert!(took < Duration::from_secs(1), "{took:?}, {in_turn} {incarnation}");
             }
         }
     });

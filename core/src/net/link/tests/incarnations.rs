@@ -21,16 +21,16 @@ fn changed(frame: &Bytes, change: impl Fn(&mut Hello)) -> Bytes {
 }
 
 /// The right end's process dies and restarts in this incarnation; returns when both are up again.
-fn restarted(cable: &mut Cable, life: u64, dead_for: u64) -> u64 {
+fn restarted(cable: &mut Cable, incarnation: u64, dead_for: u64) -> u64 {
     cable.cut[1] = true;
     cable.run_until(cable.now + dead_for);
     cable.cut[1] = false;
-    cable.ends[1] = Link::new(config("right", life), at(cable.now));
+    cable.ends[1] = Link::new(config("right", incarnation), at(cable.now));
     let began = cable.now;
     let healed = |cable: &Cable| {
-        let life = Some(Incarnation(life));
+        let incarnation = Some(Incarnation(incarnation));
         cable.states() == [LinkState::Up; 2]
-            && cable.ends[0].neighbour().map(|neighbour| neighbour.incarnation) == life
+            && cable.ends[0].neighbour().map(|neighbour| neighbour.incarnation) == incarnation
     };
     while !healed(cable) && cable.now < began + 10_000 {
         cable.run_until(cable.now + 1);
@@ -60,7 +60,7 @@ fn one_changed_bit_anywhere_in_a_hello_takes_nothing_down() {
 }
 
 #[test]
-fn a_hello_of_a_greater_life_that_nobody_lives_cuts_nobody_off_however_often_it_comes() {
+fn a_hello_of_a_greater_incarnation_that_nobody_lives_cuts_nobody_off_however_often_it_comes() {
     let mut cable = running();
     for _ in 0..100 {
         let last = hellos_of(&cable, 1).last().unwrap().clone();
@@ -95,13 +95,14 @@ fn a_number_far_ahead_is_not_believed_and_a_passed_one_is_once_its_end_shows_tha
 }
 
 #[test]
-fn a_neighbour_that_begins_anew_with_a_smaller_number_is_taken_once_the_old_life_is_silent() {
+fn a_neighbour_that_begins_anew_with_a_smaller_number_is_taken_once_the_old_incarnation_is_silent()
+{
     let mut cable = Cable::new(config("left", 1), config("right", 1000));
     cable.run_until(100);
-    for (life, dead_for) in [(999, 0), (500, 5), (400, 30), (3, 100), (2, 1000), (1, 3000)] {
-        // 3.5 intervals until the old life is given up, and the proof of the new one.
-        let healed = restarted(&mut cable, life, dead_for);
-        assert!(healed <= 110, "life {life} after {healed} ms");
+    for (incarnation, dead_for) in [(999, 0), (500, 5), (400, 30), (3, 100), (2, 1000), (1, 3000)] {
+        // 3.5 intervals until the old incarnation is given up, and the proof of the new one.
+        let healed = restarted(&mut cable, incarnation, dead_for);
+        assert!(healed <= 110, "incarnation {incarnation} after {healed} ms");
         cable.run_until(cable.now + 300);
     }
 }
@@ -110,7 +111,7 @@ fn a_neighbour_that_begins_anew_with_a_smaller_number_is_taken_once_the_old_life
 fn two_ends_that_have_both_begun_anew_with_smaller_numbers_find_each_other() {
     let mut cable = Cable::new(config("left", 1000), config("right", 1000));
     cable.run_until(100);
-    // Each has been told of a life of the other's that it never had.
+    // Each has been told of an incarnation of the other's that it never had.
     for end in 0..2 {
         let neighbour = cable.ends[end].neighbour.as_mut().unwrap();
         neighbour.neighbour.incarnation = Incarnation(u64::MAX);
@@ -119,12 +120,12 @@ fn two_ends_that_have_both_begun_anew_with_smaller_numbers_find_each_other() {
     cable.run_until(400);
 
     assert_eq!(cable.states(), [LinkState::Up; 2]);
-    let lives = cable.ends.each_ref().map(|end| end.neighbour().unwrap().incarnation);
-    assert_eq!(lives, [Incarnation(1000); 2]);
+    let incarnations = cable.ends.each_ref().map(|end| end.neighbour().unwrap().incarnation);
+    assert_eq!(incarnations, [Incarnation(1000); 2]);
 }
 
 #[test]
-fn what_is_left_on_its_way_of_a_life_that_is_over_is_refused_whatever_its_number() {
+fn what_is_left_on_its_way_of_an_incarnation_that_is_over_is_refused_whatever_its_number() {
     for (old, new) in [(1, 1000), (1000, 1)] {
         let mut cable = Cable::new(config("left", 1), config("right", old));
         cable.run_until(400);
@@ -145,7 +146,7 @@ fn what_is_left_on_its_way_of_a_life_that_is_over_is_refused_whatever_its_number
 }
 
 #[test]
-fn of_two_lives_that_both_answer_the_first_has_the_link() {
+fn of_two_incarnations_that_both_answer_the_first_has_the_link() {
     for (first, second) in [(1, 2), (2, 1)] {
         let mut cable = Cable::new(config("left", 1), config("right", first));
         cable.run_until(100);

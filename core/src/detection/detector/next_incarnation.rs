@@ -1,16 +1,17 @@
-//! Faults that no recoverer treats because another life is on its way already.
+//! Faults that no recoverer treats because another incarnation is on its way already.
 //!
-//! Such a fault is recovered when the next life is at work. Where that one fails by another fault,
-//! it shares what becomes of that; where it ends in order, and none follows, nothing is left to
-//! recover.
+//! Such a fault is recovered when the next incarnation is at work. Where that one fails by another
+//! fault, it shares what becomes of that; where it ends in order, and none follows, nothing is left
+//! to recover.
 
 use super::{DecisionTimeout, Detector};
 use crate::{Fault, FaultId, FaultLocation, Instant, Lifecycle};
 use std::iter;
 
 impl Detector {
-    /// This fault ends with the life after it, which may have ended before the fault was told.
-    pub(super) fn await_next_life(&mut self, id: FaultId, at: Instant) {
+    /// This fault ends with the incarnation after it, which may have ended before the fault was
+    /// told.
+    pub(super) fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
         self.unhanded.insert(id);
         let Some(entry) = self.chronicle.entry(id) else { return };
         let Fault { place, incarnation, .. } = entry.fault.clone();
@@ -34,8 +35,8 @@ impl Detector {
         }
     }
 
-    /// An object that ended in order takes along what only its next life could have ended, unless
-    /// it was stopped to be replaced: then that life begins soon.
+    /// An object that ended in order takes along what only its next incarnation could have ended,
+    /// unless it was stopped to be replaced: then that incarnation begins soon.
     pub(super) fn end_unhanded_at(&mut self, place: &FaultLocation, at: Instant) {
         let ended: Vec<FaultId> = self.unhanded_at(place).map(|fault| fault.id).collect();
         for id in ended {
@@ -43,7 +44,7 @@ impl Detector {
         }
     }
 
-    /// No life has begun in time after the one that ended in order.
+    /// No incarnation has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
         let FaultLocation::Object(address) = &entry.fault.place else { return };
@@ -54,7 +55,7 @@ impl Detector {
         }
     }
 
-    /// This fault, and those of the lives before it that were to end with its own.
+    /// This fault, and those of the incarnations before it that were to end with its own.
     pub(super) fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
         let Some(entry) = self.chronicle.entry(id) else { return Vec::new() };
         let fault = &entry.fault;

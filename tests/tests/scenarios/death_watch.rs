@@ -48,7 +48,7 @@ async fn who_watches_somebody_who_is_not_there_is_told_at_once() {
 }
 
 #[blastema_testkit::test]
-async fn a_watch_ends_with_the_life_that_asked_for_it_and_counts_once() {
+async fn a_watch_ends_with_the_incarnation_that_asked_for_it_and_counts_once() {
     let strings = Strings::default();
     let node = node_of(&strings).await;
 
