@@ -22,13 +22,13 @@ const CLIENTS_MAX: usize = 64;
 /// it.
 const PICTURES: usize = 8;
 /// A snapshot costs the node some milliseconds; strangers must not have it do nothing else.
-const APART: Duration = Duration::from_millis(100);
+const SNAPSHOT_INTERVAL: Duration = Duration::from_millis(100);
 /// Those who come together are given one snapshot.
-const TOGETHER: Duration = Duration::from_millis(10);
+const GATHER_DELAY: Duration = Duration::from_millis(10);
 /// A client that reads a large snapshot has read it by then, also on a busy machine.
-const ENOUGH: Duration = Duration::from_millis(200);
+const READ_TIME_MIN: Duration = Duration::from_millis(200);
 /// A person may have stopped the program that reads; a stranger must not stay for ever.
-const PATIENCE: Duration = Duration::from_secs(5);
+const READ_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A client: the n-th that connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -114,7 +114,7 @@ impl SnapshotServer {
     /// When the client that was given a snapshot longest ago is disconnected.
     fn oldest(&self) -> Option<(Instant, ClientId)> {
         let full = !self.is_open() || self.snapshots() >= PICTURES && self.waited_since.is_some();
-        let most = if full { ENOUGH } else { PATIENCE };
+        let most = if full { READ_TIME_MIN } else { READ_TIMEOUT };
         let looking = self.clients.iter().filter_map(|(client, client_state)| match client_state {
             ClientState::Looking { since, .. } => Some((*since + most, *client)),
             ClientState::Waiting | ClientState::Posing { .. } => None,
@@ -124,8 +124,8 @@ impl SnapshotServer {
 
     /// When the next snapshot is to be taken.
     fn next_picture(&self) -> Option<Instant> {
-        let waited = self.waited_since.filter(|_| self.snapshots() < PICTURES)? + TOGETHER;
-        Some(self.taken_at.map_or(waited, |at| waited.max(at + APART)))
+        let waited = self.waited_since.filter(|_| self.snapshots() < PICTURES)? + GATHER_DELAY;
+        Some(self.taken_at.map_or(waited, |at| waited.max(at + SNAPSHOT_INTERVAL)))
     }
 }
 
@@ -282,7 +282,7 @@ mod tests {
             room.step();
         }
         assert_eq!(room.most_pictures, PICTURES);
-        assert!(room.look() <= 10 + 100 + ENOUGH.as_millis() as u64 + TAKING);
+        assert!(room.look() <= 10 + 100 + READ_TIME_MIN.as_millis() as u64 + TAKING);
     }
 
     #[test]

@@ -14,11 +14,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 /// Watchers that may wait for one node's variables: more than a robot has consoles and planners.
-pub const WATCHERS_MAX: usize = 4096;
+const WATCHERS_MAX: usize = 4096;
 /// Variables that may be written together: all that one movement sets, several times over.
-pub const WRITES_MAX: usize = 256;
+const WRITES_MAX: usize = 256;
 /// A watcher that has not asked again for so long has gone.
-const WATCHER_PATIENCE: Duration = Duration::from_secs(10);
+const WATCHER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// What becomes of a variable's value when an incarnation of its owner ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -211,7 +211,7 @@ impl Variables {
             Some(entry) if entry.revision != after => Ok(entry.report(now)),
             Some(_) => {
                 // Those who went without a word make room.
-                let stale = |known: &VariableWatcher| now - known.asked > WATCHER_PATIENCE;
+                let stale = |known: &VariableWatcher| now - known.asked > WATCHER_TIMEOUT;
                 self.answer(stale, |_| Err(DeliveryError::DeadlinePassed));
                 if self.watchers.len() < WATCHERS_MAX {
                     let waiting = VariableWatcher { variable, asked: now };
@@ -518,7 +518,7 @@ mod tests {
         }
         assert_eq!(variables.poll_output().unwrap().result, Err(DeliveryError::Full));
 
-        variables.handle_watch(9999, key("speed"), after, NOW + 2 * WATCHER_PATIENCE);
+        variables.handle_watch(9999, key("speed"), after, NOW + 2 * WATCHER_TIMEOUT);
         assert_eq!(variables.outputs.len(), WATCHERS_MAX);
         variables.outputs.clear();
         variables.handle_withdrawn(&ObjectName::new("arm").unwrap());

@@ -24,7 +24,7 @@ use std::time::Duration;
 
 /// A turn that is measured ends when it took longer than this: a hundred times what the switch to
 /// another task costs.
-const SPAN: Duration = Duration::from_micros(200);
+const TURN_SPAN: Duration = Duration::from_micros(200);
 
 /// The time that one task of an arbiter has taken, and may take, in one turn.
 pub(crate) struct TurnBudget {
@@ -83,7 +83,7 @@ impl TurnBudget {
     #[inline]
     pub(crate) fn lasts(&self) -> bool {
         if self.measured.get() {
-            let spent = self.spent.get() || platform::now() - self.began.get() > SPAN;
+            let spent = self.spent.get() || platform::now() - self.began.get() > TURN_SPAN;
             self.spent.set(spent);
             return !spent;
         }

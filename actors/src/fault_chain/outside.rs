@@ -36,12 +36,12 @@ const TICK: Duration = Duration::from_millis(10);
 /// what it watches.
 const STALL: Duration = Duration::from_millis(50);
 /// How often the chain is asked, unless a watchdog wants to be stroked more often.
-const ASK: Duration = Duration::from_millis(250);
+const PING_INTERVAL: Duration = Duration::from_millis(250);
 /// A chain that has not answered for so long stands. It answers in microseconds: this is no matter
 /// of load.
-const ANSWER_WITHIN: Duration = Duration::from_secs(5);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 /// The thread ends after the present tick, unless a watchdog's driver blocks it.
-const END_WITHIN: Duration = Duration::from_secs(1);
+const END_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// What the thread is given.
 pub(crate) struct OutsideSetup {
@@ -87,7 +87,7 @@ impl ChainWatch {
         if let Some(end) = self.end.take() {
             // It may have panicked; what it would have done is not done then.
             let _ = end.send(in_order);
-            let _ = self.ended.recv_timeout(END_WITHIN);
+            let _ = self.ended.recv_timeout(END_TIMEOUT);
         }
     }
 }
@@ -109,7 +109,7 @@ impl Silence {
     /// Time passes without an answer. Says whether the chain stands from now on.
     fn handle_silent(&mut self, span: Duration) -> bool {
         self.since += span;
-        let begins = !self.stands && self.since > ANSWER_WITHIN;
+        let begins = !self.stands && self.since > ANSWER_TIMEOUT;
         self.stands |= begins;
         begins
     }
@@ -138,7 +138,7 @@ impl Watching {
 
     async fn run(mut self, told: oneshot::Receiver<bool>) {
         let wanted = self.setup.watchdogs.iter().map(|watchdog| watchdog.interval());
-        let every = wanted.fold(ASK, Duration::min).max(TICK);
+        let every = wanted.fold(PING_INTERVAL, Duration::min).max(TICK);
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last = platform::now();
@@ -204,7 +204,7 @@ impl Watching {
         }
         let (name, _) = &self.setup.pings[self.asked.load(Relaxed)];
         let reason =
-            format!("the fault chain has not answered for {ANSWER_WITHIN:?} (asked was {name})");
+            format!("the fault chain has not answered for {ANSWER_TIMEOUT:?} (asked was {name})");
         self.setup.stands.send_replace(true);
         // Before it is logged: the log may be what the chain waits for.
         (self.setup.last_resort)(reason.clone());
@@ -251,12 +251,12 @@ mod tests {
     #[test]
     fn a_chain_stands_once_until_it_answers_again() {
         let mut silence = Silence::default();
-        assert!(!silence.handle_silent(ANSWER_WITHIN));
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT));
         assert!(!silence.handle_answered());
 
-        assert!(!silence.handle_silent(ANSWER_WITHIN), "counted from the answer");
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT), "counted from the answer");
         assert!(silence.handle_silent(MS));
-        assert!(!silence.handle_silent(ANSWER_WITHIN), "once");
+        assert!(!silence.handle_silent(ANSWER_TIMEOUT), "once");
         assert!(silence.handle_answered());
         assert!(!silence.handle_answered());
     }

@@ -27,9 +27,9 @@ use tracing::{error, info, warn};
 
 /// How long a name is kept for a node that is not heard of any more. It is heard of four times as
 /// often, which costs some 60 bytes each, and nothing where a node claims nothing.
-const LEASE: Duration = Duration::from_secs(1);
+const CLAIM_LEASE: Duration = Duration::from_secs(1);
 /// How often it is looked at what was refused.
-const LOOK: Duration = Duration::from_secs(1);
+const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What the body is made of.
 #[derive(Clone)]
@@ -212,7 +212,7 @@ fn config(setup: &GlobalNamesSetup) -> GlobalNamesConfig {
     GlobalNamesConfig {
         node: setup.node.clone(),
         incarnation: setup.incarnation,
-        lease: LEASE,
+        lease: CLAIM_LEASE,
         settle: setup.settle,
         expected: setup.expected.iter().cloned().collect(),
     }
@@ -224,7 +224,7 @@ impl Actor for GlobalNamesActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(LOOK, |body, _| body.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
         self.drive(context);
     }
 }
@@ -477,7 +477,7 @@ mod tests {
             assert_eq!(names.holder(claim.name()).unwrap().epoch, epoch);
             assert!(Claim::make(&names, wanted()).await.is_err(), "it has it still");
             drop(claim);
-            advance(LEASE).await;
+            advance(CLAIM_LEASE).await;
             assert_eq!(names.rows(), []);
         });
     }

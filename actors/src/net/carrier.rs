@@ -29,7 +29,7 @@ use tracing::{debug, info};
 /// How often interfaces are looked at. A look is one system call for each, and one to wait. Each
 /// takes the kernel's lock on all interfaces for a moment (`carrier_show`), which is why it is not
 /// oftener.
-const LOOK: Duration = Duration::from_millis(2);
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// After so many looks, an interface that was not found is sought again: it may be plugged in
 /// later.
 const SEEK: u32 = 500;
@@ -192,7 +192,7 @@ impl News {
     fn wait(&self) {
         match &self.0 {
             Some(socket) => wait(socket),
-            None => std::thread::sleep(LOOK),
+            None => std::thread::sleep(POLL_INTERVAL),
         }
     }
 }
@@ -216,7 +216,7 @@ fn wait(socket: &Socket) {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
     /// So many messages are thrown away before the next look; a storm must not keep it off.
     const AT_ONCE: usize = 64;
-    let timeout = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
+    let timeout = Timespec { tv_sec: 0, tv_nsec: POLL_INTERVAL.subsec_nanos().into() };
     let mut ready = [PollFd::new(socket, PollFlags::IN)];
     if poll(&mut ready, Some(&timeout)).is_ok_and(|ready| ready > 0) {
         // What has happened is not read here: the files say how it is now. A buffer that ran over

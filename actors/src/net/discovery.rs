@@ -29,9 +29,9 @@ use std::time::Duration;
 use tracing::{info, warn};
 
 /// How often it is looked at what was refused.
-const LOOK: Duration = Duration::from_secs(1);
+const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// How often a beacon is sent. With it a node that joins is found within a second.
-const BEACON: Duration = Duration::from_secs(1);
+const BEACON_INTERVAL: Duration = Duration::from_secs(1);
 /// Beacons of one network that are listened to in a second: each node there sends one.
 const BEACONS_MAX: u32 = 1000;
 /// The first bytes of a beacon, with its version.
@@ -254,7 +254,7 @@ impl Actor for Ears {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(LOOK, |ears, _| ears.left = BEACONS_MAX);
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |ears, _| ears.left = BEACONS_MAX);
     }
 }
 
@@ -286,10 +286,10 @@ impl Actor for DiscoveryActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(LOOK, |body, _| body.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |body, _| body.look_at_refusals());
         if self.wiring.fields.iter().any(|field| field.spec.beacons.is_some()) {
             self.attach(context);
-            context.run_interval(BEACON, |body, _| body.say_beacons());
+            context.run_interval(BEACON_INTERVAL, |body, _| body.say_beacons());
         }
         self.drive(context);
     }

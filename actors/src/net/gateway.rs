@@ -36,7 +36,7 @@ use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
 use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
-use inbound::{InboundBacklog, LOOK, PeerBinding};
+use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
 use peer::GatewayPeer;
 use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
@@ -50,7 +50,7 @@ use undelivered::EndedSubscription;
 /// together.
 const NAMES_INTERVAL: Duration = Duration::from_millis(200);
 /// How long a node that ends waits for peers to agree to contracts of messages it has accepted.
-const LEAVE_PATIENCE: Duration = Duration::from_millis(500);
+const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// What the gateway must know after a panic.
 struct GatewaySetup {
@@ -471,7 +471,7 @@ impl Actor for GatewayActor {
             gateway.collect_losses();
             gateway.drive(context);
         });
-        context.run_interval(LOOK, |gateway, _| gateway.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |gateway, _| gateway.look_at_refusals());
     }
 }
 

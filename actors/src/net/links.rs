@@ -58,7 +58,7 @@ fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
 }
 
 /// How often it is looked at what was refused.
-const LOOK: Duration = Duration::from_secs(1);
+const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Who stands around the links.
 pub(super) struct LinksRecipients {
@@ -338,7 +338,7 @@ impl Actor for LinksActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(LOOK, |links, _| links.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |links, _| links.look_at_refusals());
         self.attach(context);
         self.drive(context);
     }

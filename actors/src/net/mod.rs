@@ -388,7 +388,7 @@ impl NetHandle {
 
     /// Every node that can be reached, and how.
     pub(crate) async fn read_routes(&self) -> Routes {
-        let nothing = Routes { routes: Vec::new(), refusals: Default::default() };
+        let nothing = Routes { routes: Vec::new() };
         self.router.send(ReadRoutes).await.unwrap_or(nothing)
     }
 

@@ -318,7 +318,7 @@ impl Handler<ReadRoutes> for RouterActor {
     fn handle(&mut self, _: ReadRoutes, _: &mut Context<Self>) -> Routes {
         let mut routes: Vec<_> = self.machine.routes().map(|(_, route)| route.clone()).collect();
         routes.sort_by(|a, b| a.node.cmp(&b.node));
-        Routes { routes, refusals: self.machine.refusals() }
+        Routes { routes }
     }
 }
 

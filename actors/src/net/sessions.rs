@@ -25,7 +25,7 @@ use tracing::{error, info, warn};
 /// The most peers that are remembered. Twice what a router knows at a time: robots change.
 const PEERS_MAX: usize = 512;
 /// How often it is looked at what was refused.
-const LOOK: Duration = Duration::from_secs(1);
+const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// A session that is built again counts on from there: more than any session needs.
 const NUMBERS_PER_LIFE: u32 = 1 << 16;
 
@@ -184,7 +184,7 @@ impl Actor for SessionsActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(LOOK, |sessions, _| sessions.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |sessions, _| sessions.look_at_refusals());
     }
 }
 

@@ -7,7 +7,7 @@ use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::session::SessionRow;
 use blastema_core::NodeName;
-use blastema_core::net::{Refusals, Route};
+use blastema_core::net::Route;
 use std::time::Duration;
 
 impl Node {
@@ -34,15 +34,6 @@ impl Node {
         match &self.0.networks {
             Some(networks) => networks.handle.read_routes().await.routes,
             None => Vec::new(),
-        }
-    }
-
-    /// What was not passed on, and why: what could not be understood, announcements that were old
-    /// or forged, copies whose way is not there any more.
-    pub async fn not_routed(&self) -> Refusals {
-        match &self.0.networks {
-            Some(networks) => networks.handle.read_routes().await.refusals,
-            None => Refusals::default(),
         }
     }
 

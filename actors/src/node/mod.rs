@@ -337,7 +337,7 @@ impl Node {
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
         // A network that hangs is not waited for as long as the picture waits for the table.
-        let links = tokio::time::timeout(snapshot::PATIENCE / 2, self.links());
+        let links = tokio::time::timeout(snapshot::PART_TIMEOUT / 2, self.links());
         let chain = &self.0.chain;
         let table = chain.answer(chain.table.send(ReadTable));
         let (rows, links) = futures_util::future::join(table, links).await;

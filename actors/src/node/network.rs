@@ -102,32 +102,16 @@ impl Network {
     /// other addresses are dropped.
     #[cfg(feature = "ip")]
     pub fn udp(name: &str, bind: SocketAddr) -> Self {
-        Network::udp_with(name, {
-            let mut config = UdpConfig::default();
-            config.bind = bind;
-            config
-        })
-    }
-
-    /// UDP with every setting.
-    #[cfg(feature = "ip")]
-    pub fn udp_with(name: &str, config: UdpConfig) -> Self {
+        let mut config = UdpConfig::default();
+        config.bind = bind;
         Network::over(name, Medium::At(Endpoint::Udp(config)))
     }
 
     /// TCP, at this address of our own, with one connection to each neighbour.
     #[cfg(feature = "ip")]
     pub fn tcp(name: &str, bind: SocketAddr) -> Self {
-        Network::tcp_with(name, {
-            let mut config = TcpConfig::default();
-            config.bind = bind;
-            config
-        })
-    }
-
-    /// TCP with every setting.
-    #[cfg(feature = "ip")]
-    pub fn tcp_with(name: &str, config: TcpConfig) -> Self {
+        let mut config = TcpConfig::default();
+        config.bind = bind;
         Network::over(name, Medium::At(Endpoint::Tcp(config)))
     }
 

@@ -20,7 +20,7 @@ use tokio::sync::oneshot::error::TryRecvError;
 use tracing::{info, warn};
 
 /// How often it is looked whether the outputs are safe.
-const LOOK: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
 /// The nodes of this process that signals end: those that have safe outputs or a journal, and have
 /// not ended.
@@ -84,8 +84,8 @@ impl Shared {
             if left.is_zero() {
                 break known;
             }
-            platform::wait(LOOK);
-            left = left.saturating_sub(LOOK);
+            platform::wait(POLL_INTERVAL);
+            left = left.saturating_sub(POLL_INTERVAL);
         };
         said.err().unwrap_or("safe outputs applied")
     }

@@ -18,7 +18,7 @@ use std::time::Duration;
 
 /// How long the parts of the picture are waited for, all at once. What does not come by then is not
 /// known, so that a node whose network hangs still shows the rest.
-pub(super) const PATIENCE: Duration = Duration::from_secs(1);
+pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
 /// if the actor that keeps it did not answer within a second; an empty list means that there is
@@ -112,7 +112,7 @@ impl NodeSnapshot {
 }
 
 async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
-    tokio::time::timeout(PATIENCE, part).await.ok()
+    tokio::time::timeout(PART_TIMEOUT, part).await.ok()
 }
 
 fn rows_of<T>(rows: &[T], row: impl Fn(&T) -> Value) -> Vec<Value> {

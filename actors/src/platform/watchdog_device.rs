@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Drivers fire after a few seconds at the earliest.
-const INTERVAL: Duration = Duration::from_secs(1);
+const STROKE_INTERVAL: Duration = Duration::from_secs(1);
 /// What disarms it when it is closed.
 const MAGIC: &[u8] = b"V";
 
@@ -81,7 +81,7 @@ impl ProcessWatchdog for WatchdogDevice {
     }
 
     fn interval(&self) -> Duration {
-        INTERVAL
+        STROKE_INTERVAL
     }
 
     fn stroke(&mut self) -> io::Result<()> {

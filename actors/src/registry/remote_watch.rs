@@ -29,9 +29,9 @@ use std::time::Duration;
 const PLACE: &str = "net/deaths";
 /// How long one question waits for an answer. Shorter costs messages; longer keeps the questions of
 /// watchers that have ended.
-const WITHIN: Duration = Duration::from_secs(30);
+const WATCH_TIMEOUT: Duration = Duration::from_secs(30);
 /// How often a node that was lost is asked again.
-const RETRY: Duration = Duration::from_secs(1);
+const RETRY_DELAY: Duration = Duration::from_secs(1);
 /// Questions that may wait at one node: as many as a large robot has watches to it.
 const WAITING_MAX: usize = 4096;
 /// The most bytes of a panic's text that go to another node.
@@ -106,7 +106,7 @@ async fn ask_on(
     let (mut seen, mut is_lost) = (None, false);
     loop {
         let question = AwaitEnd { object: object.clone(), seen };
-        let why = match sender.ask_within(question, WITHIN).await {
+        let why = match sender.ask_within(question, WATCH_TIMEOUT).await {
             Ok(Watched { ends, ended }) => {
                 (seen, is_lost) = (Some(ends), false);
                 if let Some(ended) = ended {
@@ -134,7 +134,7 @@ async fn ask_on(
             }
             _ => {}
         }
-        platform::sleep(RETRY).await;
+        platform::sleep(RETRY_DELAY).await;
     }
 }
 

@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// A rate over less than this would tell of bursts, not of the topic.
-const WINDOW: Duration = Duration::from_secs(1);
+const RATE_WINDOW: Duration = Duration::from_secs(1);
 /// Listeners of a node that starts, and of its neighbours, have joined by then.
 const JOINED_WITHIN: Duration = Duration::from_secs(5);
 
@@ -164,7 +164,7 @@ impl Traffic {
         let mut shown = lock(&self.shown);
         let (from, before) = shown.window;
         let span = now - from;
-        if span >= WINDOW {
+        if span >= RATE_WINDOW {
             shown.rate_hz = events.saturating_sub(before) as f64 / span.as_secs_f64();
             shown.window = (now, events);
         }

@@ -6,7 +6,7 @@
 
 use actix::{Message, Recipient};
 use blastema_core::net::wire::packet::UndeliveredReason;
-use blastema_core::net::{NodeId, PacketPriority, Refusals, Route};
+use blastema_core::net::{NodeId, PacketPriority, Route};
 use blastema_core::{GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 
@@ -100,8 +100,6 @@ pub struct ReadRoutes;
 pub struct Routes {
     /// In the order of the nodes' names.
     pub routes: Vec<Route>,
-    /// What was refused so far.
-    pub refusals: Refusals,
 }
 
 /// The receiver panics. For demonstrations and tests of what becomes of that.

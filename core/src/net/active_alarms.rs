@@ -1,7 +1,7 @@
 //! What was found wrong, and is a fault until it is over.
 //!
-//! Of some things one hears when they go on, and of nothing when they have ended: they are over
-//! when they were quiet for long enough. Others last until something puts an end to them.
+//! An alarm is raised, seen again while its cause lasts, and over when it was not seen for a
+//! minute, or is cleared.
 
 use crate::Instant;
 use std::collections::BTreeMap;
@@ -14,8 +14,8 @@ pub const QUIET: Duration = Duration::from_secs(60);
 /// What stands, by what it is; as much as there are things to be wrong.
 #[derive(Clone, Debug)]
 pub struct ActiveAlarms<K> {
-    /// When it was last heard of; `None` for what lasts until it is ended.
-    last: BTreeMap<K, Option<Instant>>,
+    /// When each was last seen.
+    last: BTreeMap<K, Instant>,
 }
 
 impl<K> Default for ActiveAlarms<K> {
@@ -25,19 +25,14 @@ impl<K> Default for ActiveAlarms<K> {
 }
 
 impl<K: Ord + Clone> ActiveAlarms<K> {
-    /// It is found now, and is over when nothing is heard of it any more.
+    /// It is found now, and is over when it was not seen for a minute.
     pub fn raise(&mut self, what: K, now: Instant) {
-        self.last.insert(what, Some(now));
-    }
-
-    /// It is found, and lasts until it is [ended](ActiveAlarms::clear).
-    pub fn raise_until_cleared(&mut self, what: K) {
-        self.last.insert(what, None);
+        self.last.insert(what, now);
     }
 
     /// It was heard of again, if it stands.
     pub fn go_on(&mut self, what: &K, now: Instant) {
-        if let Some(Some(last)) = self.last.get_mut(what) {
+        if let Some(last) = self.last.get_mut(what) {
             *last = now;
         }
     }
@@ -49,16 +44,15 @@ impl<K: Ord + Clone> ActiveAlarms<K> {
 
     /// What is over by now, once.
     pub fn take_over(&mut self, now: Instant) -> Vec<K> {
-        let quiet = |last: &Option<Instant>| last.is_some_and(|at| at + QUIET <= now);
-        let over = self.last.iter().filter(|(_, last)| quiet(last));
-        let over: Vec<K> = over.map(|(what, _)| what.clone()).collect();
-        self.last.retain(|_, last| !quiet(last));
+        let quiet = self.last.iter().filter(|(_, last)| **last + QUIET <= now);
+        let over: Vec<K> = quiet.map(|(what, _)| what.clone()).collect();
+        self.last.retain(|_, last| *last + QUIET > now);
         over
     }
 
     /// When the first of them may be over.
     pub fn due(&self) -> Option<Instant> {
-        self.last.values().flatten().min().map(|last| *last + QUIET)
+        self.last.values().min().map(|last| *last + QUIET)
     }
 
     /// All that stands.
@@ -79,7 +73,7 @@ mod tests {
     fn what_goes_on_stands_and_is_over_a_minute_after_it_was_last_heard_of() {
         let mut latch = ActiveAlarms::default();
         latch.raise('a', at(0));
-        latch.raise_until_cleared('b');
+        latch.raise('b', at(2000));
         latch.go_on(&'a', at(50));
         latch.go_on(&'c', at(50));
 

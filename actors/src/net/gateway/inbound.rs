@@ -17,7 +17,7 @@ use std::time::Duration;
 use tracing::{debug, error, info, warn};
 
 /// How often it is looked at who does not stop.
-pub(super) const LOOK: Duration = Duration::from_secs(1);
+pub(super) const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// So many that waited are handed over in one turn; then the network has its own.
 const AT_ONCE: usize = 64;
 

@@ -1,7 +1,7 @@
 //! What the gateway is told and asked.
 
 use super::peer::GatewayPeer;
-use super::{GatewayActor, LEAVE_PATIENCE, topic};
+use super::{GatewayActor, LEAVE_TIMEOUT, topic};
 use crate::net::gateway_messages::{
     FaultForwarded, ForwardFault, LocalEvent, LocalReply, SendToPeer, TopicInterestChanged,
 };
@@ -225,7 +225,7 @@ impl Handler<CloseSessions> for GatewayActor {
 
     fn handle(&mut self, _: CloseSessions, context: &mut Context<Self>) {
         self.leaving = true;
-        context.run_later(LEAVE_PATIENCE, |gateway, _| gateway.leave());
+        context.run_later(LEAVE_TIMEOUT, |gateway, _| gateway.leave());
         self.drive(context);
     }
 }

@@ -34,9 +34,9 @@ pub(in crate::node) struct Networks {
 
 /// How long a node that ends waits until its peers have what was sent to them. One that is gone
 /// must not keep it.
-const FAREWELL: Duration = Duration::from_secs(1);
+const LEAVE_TIMEOUT: Duration = Duration::from_secs(1);
 /// How often it looks whether they have.
-const FAREWELL_LOOK: Duration = Duration::from_millis(5);
+const LEAVE_POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 impl Networks {
     /// Whether this node has met another, was told of it, or has heard what others say of it.
@@ -60,11 +60,11 @@ impl Networks {
                 .iter()
                 .any(|row| row.standing.incarnation.is_some())
             {
-                tokio::time::sleep(FAREWELL_LOOK).await;
+                tokio::time::sleep(LEAVE_POLL_INTERVAL).await;
             }
         };
         // Whatever is left after that is lost with the peers.
-        let _ = tokio::time::timeout(FAREWELL, gone).await;
+        let _ = tokio::time::timeout(LEAVE_TIMEOUT, gone).await;
     }
 
     pub(in crate::node) fn stop(&self) {

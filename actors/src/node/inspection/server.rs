@@ -24,9 +24,9 @@ use tracing::info;
 
 /// How often it is looked whether the socket is still there. A look at the folder takes
 /// microseconds.
-const LOOK: Duration = Duration::from_millis(500);
+const SOCKET_CHECK_INTERVAL: Duration = Duration::from_millis(500);
 /// After so long a machine that had no descriptor left may have one again.
-const PAUSE: Duration = Duration::from_millis(10);
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(10);
 
 pub(super) struct InspectionServer {
     path: Arc<Path>,
@@ -72,7 +72,7 @@ impl InspectionServer {
 
     /// Ends when the node is gone.
     pub(super) async fn run(mut self) {
-        let mut looks = interval(LOOK);
+        let mut looks = interval(SOCKET_CHECK_INTERVAL);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         while self.carry_out() {
             let due = self.machine.poll_timeout();
@@ -164,7 +164,7 @@ async fn accept(listener: Option<&PathListener>) -> UnixStream {
     loop {
         match listener.accept().await {
             Ok(client) => return client,
-            Err(_) => sleep(PAUSE).await,
+            Err(_) => sleep(ACCEPT_RETRY_DELAY).await,
         }
     }
 }

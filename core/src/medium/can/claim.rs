@@ -24,12 +24,12 @@ use std::time::Duration;
 /// The longest name that is said, in bytes.
 const NAME_MAX: usize = 64;
 /// How long others have to object, as in J1939-81.
-const PATIENCE: Duration = Duration::from_millis(250);
+const CLAIM_TIMEOUT: Duration = Duration::from_millis(250);
 /// So long after a claim the next is said at the earliest: a flood of claims is not answered by
 /// another.
-const PAUSE: Duration = Duration::from_millis(50);
+const RETRY_DELAY: Duration = Duration::from_millis(50);
 /// The same where something else is said under our address, which may be an echo of what we said.
-const LONG_PAUSE: Duration = Duration::from_secs(1);
+const LONG_RETRY_DELAY: Duration = Duration::from_secs(1);
 /// A rival that was silent for so long has gone, and is news when it is back.
 const MEMORY: Duration = Duration::from_secs(10);
 /// What a claim begins with: the version of its form.
@@ -134,7 +134,7 @@ impl AddressClaim {
         let name = name[..end.unwrap_or(0)].to_owned();
         let own = AddressClaimed { held: false, number, name };
         let outputs = VecDeque::from([AddressClaimOutput::Say(own.clone())]);
-        let state = State::Claiming { until: now + PATIENCE };
+        let state = State::Claiming { until: now + CLAIM_TIMEOUT };
         AddressClaim { own, state, said: now, owed: false, rival: None, outputs }
     }
 
@@ -163,13 +163,13 @@ impl AddressClaim {
 
     /// Another node sends something else under our address: perhaps it does not know of us.
     pub fn handle_intruder(&mut self, now: Instant) {
-        if self.state != State::Lost && now - self.said >= LONG_PAUSE {
+        if self.state != State::Lost && now - self.said >= LONG_RETRY_DELAY {
             self.object(now);
         }
     }
 
     fn object(&mut self, now: Instant) {
-        self.owed = now - self.said < PAUSE;
+        self.owed = now - self.said < RETRY_DELAY;
         if !self.owed {
             self.said = now;
             self.outputs.push_back(AddressClaimOutput::Say(self.own.clone()));
@@ -190,7 +190,7 @@ impl Machine for AddressClaim {
             State::Held => None,
             State::Lost => return None,
         };
-        let owed = self.owed.then(|| self.said + PAUSE);
+        let owed = self.owed.then(|| self.said + RETRY_DELAY);
         settled.into_iter().chain(owed).min()
     }
 

@@ -158,7 +158,7 @@ impl Session {
     /// Chunks that may always be in flight elsewhere.
     const CONGESTION_MIN: usize = 8;
     /// How long an unfinished message is kept.
-    const ASSEMBLY_PATIENCE: Duration = Duration::from_secs(5);
+    const REASSEMBLY_TIMEOUT: Duration = Duration::from_secs(5);
     /// How often an unanswered close is sent.
     const CLOSE_TRIES: u32 = 5;
 
@@ -183,10 +183,10 @@ impl Session {
             reduced_until: 0,
             orders: [0; 2],
             waiting_since: None,
-            pieces: Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE),
+            pieces: Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             best_effort: BestEffort::new(
                 config.channels_max,
-                Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE),
+                Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT),
             ),
             replicas: DuplicateDiscard::default(),
             returned: None,
@@ -475,8 +475,8 @@ impl Session {
         }
         self.counters = self.counters();
         let assembly = self.config.message_max.saturating_mul(2);
-        self.pieces = Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE);
-        let pieces = Reassembly::new(assembly, Self::ASSEMBLY_PATIENCE);
+        self.pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
+        let pieces = Reassembly::new(assembly, Self::REASSEMBLY_TIMEOUT);
         self.best_effort = BestEffort::new(self.config.channels_max, pieces);
         self.replicas = DuplicateDiscard::default();
         self.congestion =

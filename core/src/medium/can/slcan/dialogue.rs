@@ -19,17 +19,17 @@ use crate::medium::can::{CanFrame, bits_on_bus};
 use std::time::Duration;
 
 /// How long an adapter may take for an answer. Those that answer do so within a few milliseconds.
-const PATIENCE: Duration = Duration::from_millis(200);
+const REPLY_TIMEOUT: Duration = Duration::from_millis(200);
 /// How long whatever an adapter says after it was closed counts for nothing: what a serial line of
 /// 9,600 bit/s and a dozen bytes take.
-const PAUSE: Duration = Duration::from_millis(20);
+const RETRY_DELAY: Duration = Duration::from_millis(20);
 /// Frames may be so far ahead of the bus: a dozen of them at 500 kbit/s, which every adapter's
 /// memory holds. More would only wait there, before what is more urgent.
 const AHEAD: Duration = Duration::from_millis(3);
 
 /// How often an adapter is asked how its bus is: as often as a hello or two goes by, and some bytes
 /// on the serial line.
-const ASKING: Duration = Duration::from_millis(100);
+const POLL_TIMEOUT: Duration = Duration::from_millis(100);
 /// One that leaves so many questions unanswered is asked no more.
 const QUESTIONS: u8 = 3;
 /// What the answer has, of CAN232: too many of its frames were not confirmed, and the last
@@ -150,7 +150,7 @@ impl AdapterControl {
             State::Open => return self.ask(now),
             State::Waiting { .. } | State::Failed(_) => return None,
         };
-        let patience = if step == SetupStep::Close { PAUSE } else { PATIENCE };
+        let patience = if step == SetupStep::Close { RETRY_DELAY } else { REPLY_TIMEOUT };
         self.state = State::Waiting { step, until: now + patience };
         Some(match step {
             SetupStep::Close => AdapterCommand::Close,
@@ -169,7 +169,7 @@ impl AdapterControl {
             return None;
         }
         // One that answers nothing need not be asked for ever.
-        self.question = (self.unanswered < QUESTIONS).then(|| now + ASKING);
+        self.question = (self.unanswered < QUESTIONS).then(|| now + POLL_TIMEOUT);
         self.unanswered = self.unanswered.saturating_add(1);
         self.question.map(|_| AdapterCommand::Status)
     }
