@@ -19,10 +19,15 @@ pub(crate) fn isolation(evidence: &Evidence, out: &mut Vec<String>) {
         let part =
             evidence.robot.parts.iter().position(|part| place == format!("robot:{}", part.name));
         let (true, Some(part)) = (isolated, part) else { continue };
+        let restarts =
+            |what: &What| matches!(what, What::Began | What::Struck(Cause::RestartChild));
+        // What came first at one instant of virtual time is not known.
+        let at_once = evidence.of_part(part).filter(|entry| entry.at == event.at);
+        if at_once.into_iter().any(|entry| restarts(&entry.what)) {
+            continue;
+        }
         let since = evidence.of_part(part).skip_while(|entry| entry.at <= event.at);
-        let until = since.take_while(|entry| {
-            !matches!(entry.what, What::Began | What::Struck(Cause::RestartChild))
-        });
+        let until = since.take_while(|entry| !restarts(&entry.what));
         let took =
             |what: &What| matches!(what, What::Serving(_) | What::Read { .. } | What::Load(_));
         if let Some(entry) = until.into_iter().find(|entry| took(&entry.what)) {

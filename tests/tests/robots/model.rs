@@ -10,7 +10,7 @@ use crate::plan::{Branch, Clock, Group};
 use crate::requests::requests;
 use crate::run::{Evidence, is_open, leaves};
 use crate::story::{line, story};
-use blastema::core::recovery::ChildState;
+use blastema::core::recovery::{ChildState, GiveUpReason};
 use blastema::detection::FaultEntry;
 use blastema::recovery::{Restart, Strategy};
 use blastema::{FaultKind, Lifecycle, NodeState, Opinion};
@@ -454,7 +454,12 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
                 out.push(format!("pictures: {told}"));
             }
         } else {
-            let given_up = || evidence.record.entries.iter().any(|entry| entry.given_up.is_some());
+            // That an end is final is a reason for those alone whose rules say so.
+            let is_final = GiveUpReason::Finished.to_string();
+            let gave_up = |entry: &FaultEntry| {
+                entry.given_up.as_ref().is_some_and(|(_, why)| *why != is_final)
+            };
+            let given_up = || evidence.record.entries.iter().any(gave_up);
             let stopped = evidence.was(part, Cause::Stop);
             let why = evidence.at_rest()
                 || given_up()
