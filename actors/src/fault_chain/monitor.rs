@@ -246,9 +246,10 @@ impl Handler<NodeEnding> for MonitorActor {
 impl Handler<IsolationReported> for MonitorActor {
     type Result = ();
 
-    fn handle(&mut self, message: IsolationReported, _: &mut Context<Self>) {
+    fn handle(&mut self, message: IsolationReported, context: &mut Context<Self>) {
         let IsolationReported { object, isolated } = message;
-        self.machine.handle_isolation(&object, isolated);
+        self.machine.handle_isolation(&object, isolated, platform::now());
+        self.drive(context);
     }
 }
 

@@ -38,7 +38,8 @@ pub enum NodeState {
     Stopped,
 }
 
-/// From the node: start the root. Answered once, when all children are at work or that has failed.
+/// From the node: start the root. Answered once, when all children are at work, or when that has
+/// failed, the safe outputs are applied and all children have ended.
 #[derive(Message)]
 #[rtype(result = "Result<(), String>")]
 pub(super) struct StartRoot(pub(super) Box<dyn Child>);
@@ -97,6 +98,9 @@ pub(super) struct NodeController {
     closed: bool,
     /// Who waits for the start; as many as have asked for it.
     started: Vec<oneshot::Sender<Result<(), String>>>,
+    /// Who asked for a start that has failed, and why it has; they are answered when all children
+    /// have ended.
+    failed: Vec<(oneshot::Sender<Result<(), String>>, String)>,
     /// Who waits for the end; as many as have called `shutdown`.
     ended: Vec<oneshot::Sender<()>>,
     told: Vec<Recipient<SafeStateChanged>>,
@@ -124,6 +128,7 @@ impl NodeController {
             comes_to_rest: false,
             closed: false,
             started: Vec::new(),
+            failed: Vec::new(),
             ended: Vec::new(),
             told: Vec::new(),
         }
@@ -173,6 +178,7 @@ impl NodeController {
         for ended in self.ended.drain(..) {
             let _ = ended.send(());
         }
+        self.tell_failed();
         if self.again && !self.closed {
             self.begin_again(context);
         }
@@ -187,6 +193,12 @@ impl NodeController {
     fn tell_started(&mut self, outcome: &Result<(), String>) {
         for started in self.started.drain(..) {
             let _ = started.send(outcome.clone());
+        }
+    }
+
+    fn tell_failed(&mut self) {
+        for (started, reason) in self.failed.drain(..) {
+            let _ = started.send(Err(reason));
         }
     }
 
@@ -235,7 +247,10 @@ impl NodeController {
             self.setup.state.send_replace(NodeState::InSafeState { reason: reason.clone() });
             self.end();
         }
-        self.tell_started(&Err(reason));
+        self.failed.extend(self.started.drain(..).map(|started| (started, reason.clone())));
+        if self.phase == Phase::Down {
+            self.tell_failed();
+        }
     }
 }
 

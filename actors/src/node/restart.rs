@@ -101,7 +101,8 @@ impl Node {
     ///
     /// # Errors
     /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where
-    /// that would not help; [`RestartError::GaveUp`] where it came to rest again.
+    /// that would not help; [`RestartError::GaveUp`] where it came to rest again, when all
+    /// components have ended.
     pub async fn restart(&self) -> Result<(), RestartError> {
         let lost = self.0.environment.arbiters.lost();
         if lost.len() >= CULPRITS_LIMIT {

@@ -39,8 +39,9 @@ pub trait Child: Send {
     /// more. No answer.
     fn expect_end(&mut self) {}
 
-    /// The child has no incarnation, and none is to follow: what waits for it is given back. No
-    /// answer. The next [`start`](Child::start) takes it up again.
+    /// The child has no incarnation that works, and none is to follow: what waits for it is given
+    /// back, and one whose start has failed is given up with its last hooks. No answer. The next
+    /// [`start`](Child::start) takes it up again.
     fn retire(&mut self) {}
 
     /// Gives the present incarnation up without asking it: its queue is taken away, what it still

@@ -338,9 +338,11 @@ impl Monitor {
     }
 
     /// An object's sending and receiving was forbidden, or allowed again.
-    pub fn handle_isolation(&mut self, object: &ObjectName, isolated: bool) {
+    pub fn handle_isolation(&mut self, object: &ObjectName, isolated: bool, now: Instant) {
         if let Some(entry) = self.objects.get_mut(object) {
             entry.isolated = isolated;
+            let incarnation = entry.incarnation;
+            self.observe_object(object, incarnation, Finding::Isolated { isolated }, now);
         }
     }
 

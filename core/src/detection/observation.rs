@@ -103,6 +103,11 @@ pub enum Finding {
     },
     /// It was stuck or overloaded and has caught up.
     Flows,
+    /// Its sending and receiving was forbidden, or allowed again, for all its incarnations.
+    Isolated {
+        /// Whether it is forbidden now.
+        isolated: bool,
+    },
     /// A link changed.
     Link(LinkCondition),
     /// A node changed.

@@ -87,7 +87,8 @@ pub(crate) struct Asked {
     pub(crate) by: Option<(usize, u64)>,
     pub(crate) asked_at: Instant,
     pub(crate) deadline_ms: u64,
-    pub(crate) answers: Vec<(Instant, Answer)>,
+    /// None where the incarnation that asked has ended before.
+    pub(crate) answer: Option<(Instant, Answer)>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -281,8 +282,8 @@ impl Ledger {
     /// Notes a request; answers its number.
     pub(crate) fn ask(&self, part: usize, by: Option<(usize, u64)>, deadline_ms: u64) -> u64 {
         let number = self.number();
-        let (asked_at, answers) = (now(), Vec::new());
-        self.inner().asked.push(Asked { number, part, by, asked_at, deadline_ms, answers });
+        let (asked_at, answer) = (now(), None);
+        self.inner().asked.push(Asked { number, part, by, asked_at, deadline_ms, answer });
         number
     }
 
@@ -290,7 +291,7 @@ impl Ledger {
         let at = now();
         let mut inner = self.inner();
         if let Some(asked) = inner.asked.iter_mut().find(|asked| asked.number == number) {
-            asked.answers.push((at, answer));
+            asked.answer = Some((at, answer));
         }
     }
 

@@ -1,11 +1,42 @@
 //! Robots by chance: trees, rates, panics, hangs, floods and conditions, in virtual time and on
 //! real threads, judged by a small model of what must hold.
+//!
+//! Each rule fails in virtual time where the product is broken on purpose:
+//!
+//! | rule | how the product was broken |
+//! | --- | --- |
+//! | start: an error names its cause | its reason is left out |
+//! | start: ports that panic are refused | the panic is ignored |
+//! | shutdown: nothing acts afterwards | it, or a failed start, does not wait for components |
+//! | shutdown: it ends | it is not answered |
+//! | commands: each has an outcome | a supervisor does not say that it gave up |
+//! | commands: a refusal has a reason | the root refuses late children |
+//! | requests: served once | a request is sent again when its receiver dies |
+//! | requests: in time | deadlines are swept 100 ms late, or never |
+//! | requests: the outcome is true | death is told of another incarnation, as *restarting*, or not |
+//! | incarnations: one number each | a guard begins the next one under the same number |
+//! | incarnations: an ended one is idle | an abandoned one is not fenced |
+//! | events: once, in order, as wanted | given twice, in reverse, or against the condition |
+//! | events: the lost are counted | one for a busy listener is dropped |
+//! | deaths: each panic is told once | a guard does not tell that it restarted, or counts twice |
+//! | deaths: panics in `Drop` are told | they are only logged |
+//! | notices: each end once | told twice, or not where an incarnation is abandoned |
+//! | roots: a fault has a cause | each third start declares one |
+//! | ends: no fault stays open | that the second incarnation works is not reported |
+//! | pictures: all views agree | the same; the table is not told who is added, or removed |
+//! | pictures: who rests has a reason | a child that dies in its third incarnation is not restarted |
+//! | pictures: isolation is shown | a restart closes the fault, or the queue stays open |
+//! | isolation: nothing is taken | the queue is not held |
+//! | rounds: as many as the rate says | a period is 5 % too long, or 10 % too short |
+//! | bystanders: they are left alone | `one_for_one` restarts all |
 
+mod answers;
 mod commands;
 mod ledger;
 mod model;
 mod part;
 mod plan;
+mod requests;
 mod run;
 mod story;
 
@@ -28,12 +59,17 @@ fn breaches(robot: &Arc<Robot>) -> Vec<String> {
     }
 }
 
+/// Which rule it is that does not hold.
+fn kind(breach: &str) -> &str {
+    breach.split(':').next().unwrap_or_default()
+}
+
 /// So many smaller plans are tried before the smallest that was found is shown: seconds.
 const RUNS: usize = 100;
 
-/// Leaves out components and steps for as long as the first breach stays the same kind.
+/// Leaves out components, steps and answers of the plan for as long as the first breach stays the
+/// same kind.
 fn shrunk(robot: Arc<Robot>, breach: &str) -> Arc<Robot> {
-    let kind = |breach: &str| breach.split(':').next().unwrap_or_default().to_owned();
     let wanted = kind(breach);
     let fails = |robot: &Arc<Robot>| breaches(robot).iter().any(|breach| kind(breach) == wanted);
     let (mut least, mut runs) = (robot, 0);
@@ -44,7 +80,13 @@ fn shrunk(robot: Arc<Robot>, breach: &str) -> Arc<Robot> {
             less.steps.remove(index);
             less
         });
-        let mut candidates = fewer_parts.chain(fewer_steps).map(Arc::new).take(RUNS - runs);
+        let fewer_answers = (0..least.answers.len()).map(|index| {
+            let mut less = (*least).clone();
+            less.answers.remove(index);
+            less
+        });
+        let fewer = fewer_parts.chain(fewer_steps).chain(fewer_answers);
+        let mut candidates = fewer.map(Arc::new).take(RUNS - runs);
         let smaller = candidates.find(|less| {
             runs += 1;
             fails(less)
@@ -88,7 +130,10 @@ fn run_seeds(test: &str, count: &str, default: u64, workers: usize, clock: fn(u6
     let mut failed = failed.into_inner().unwrap();
     failed.sort_by_key(|(seed, ..)| *seed);
     let Some((seed, robot, breaches)) = failed.first() else { return };
-    let numbers: Vec<String> = failed.iter().map(|(seed, ..)| seed.to_string()).collect();
+    let failure = |(seed, _, breaches): &(u64, Arc<Robot>, Vec<String>)| {
+        format!("{seed} ({})", kind(&breaches[0]))
+    };
+    let failures: Vec<String> = failed.iter().map(failure).collect();
     let least = match robot.clock {
         Clock::Virtual => shrunk(robot.clone(), &breaches[0]),
         Clock::Real { .. } => robot.clone(),
@@ -99,7 +144,7 @@ fn run_seeds(test: &str, count: &str, default: u64, workers: usize, clock: fn(u6
          again with: BLASTEMA_SEED={seed} cargo test -p blastema-tests --test robots {test}\n\n\
          {}\n\nthe smallest plan that fails likewise:\n{least}\n{}",
         failed.len(),
-        numbers.join(" "),
+        failures.join(", "),
         breaches.join("\n"),
         again.join("\n"),
     );

@@ -3,20 +3,19 @@
 //! It knows what really happened, from the ledger, and compares it with what the node shows. It
 //! does not predict what the middleware does; it says which answers cannot be right.
 
+use crate::answers::{is_isolated, isolation};
 use crate::commands::{activity, commands};
 use crate::ledger::{Answer, Cause, Entry, What};
 use crate::plan::{Branch, Clock, Group};
+use crate::requests::requests;
 use crate::run::{Evidence, is_open, leaves};
 use crate::story::{line, story};
-use blastema::core::recovery::ChildState;
+use blastema::core::recovery::{ChildState, GiveUpReason};
 use blastema::detection::FaultEntry;
 use blastema::recovery::{Restart, Strategy};
 use blastema::{FaultKind, Lifecycle, NodeState, Opinion};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
-
-/// A beat, by which the end of a deadline may be late, and the millisecond of a timer.
-const BEAT: Duration = Duration::from_millis(12);
 
 /// Everything that does not hold, each line with its kind in front of a colon.
 pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
@@ -32,6 +31,7 @@ pub(crate) fn breaches(evidence: &Evidence) -> Vec<String> {
     pictures(evidence, out);
     rounds(evidence, out);
     bystanders(evidence, out);
+    isolation(evidence, out);
     commands(evidence, out);
     if !evidence.ended {
         out.push("shutdown: it does not end".into());
@@ -86,77 +86,16 @@ impl Evidence {
     }
 
     /// Where this component stands with its supervisor.
-    fn standing(&self, part: usize) -> Option<(ChildState, u64)> {
+    pub(crate) fn standing(&self, part: usize) -> Option<(ChildState, u64)> {
         let leaves = leaves(self.tree.as_ref()?);
         let own = leaves.into_iter().find(|(name, ..)| name == self.name(part))?;
         Some((own.1, own.2))
     }
 
-    fn is_running(&self, part: usize) -> bool {
+    pub(crate) fn is_running(&self, part: usize) -> bool {
         !self.at_rest()
             && self.standing(part).is_some_and(|(state, _)| state == ChildState::Running)
     }
-}
-
-/// Each request has one outcome, in time, and it is true.
-fn requests(evidence: &Evidence, out: &mut Vec<String>) {
-    let mut served: BTreeMap<u64, Vec<&Entry>> = BTreeMap::new();
-    for entry in &evidence.entries {
-        if let What::Serving(number) = entry.what {
-            served.entry(number).or_default().push(entry);
-        }
-    }
-    for (number, serving) in &served {
-        if serving.len() > 1 {
-            out.push(format!("requests: number {number} was served twice: {serving:?}"));
-        }
-    }
-    for asked in &evidence.asked {
-        let serving = served.get(&asked.number).and_then(|serving| serving.first());
-        let told = format!("{asked:?}, served: {serving:?}");
-        let (at, answer) = match &asked.answers[..] {
-            [one] => one,
-            [] => {
-                let over = asked
-                    .by
-                    .is_some_and(|(part, incarnation)| is_over(evidence, part, incarnation));
-                if !over {
-                    out.push(format!("requests: without an outcome: {told}"));
-                }
-                continue;
-            }
-            _ => {
-                out.push(format!("requests: several outcomes: {told}"));
-                continue;
-            }
-        };
-        let took = *at - asked.asked_at;
-        let deadline = Duration::from_millis(asked.deadline_ms);
-        if evidence.robot.clock == Clock::Virtual && took > deadline + BEAT {
-            out.push(format!("requests: late, after {took:?}: {told}"));
-        }
-        let right = match answer {
-            Answer::Reply(incarnation) => {
-                serving.is_some_and(|entry| entry.incarnation == *incarnation)
-            }
-            Answer::NotTaken(_) => serving.is_none(),
-            Answer::PeerDied(incarnation) => {
-                serving.is_none_or(|entry| entry.incarnation == *incarnation)
-                    && is_over(evidence, asked.part, *incarnation)
-            }
-            Answer::DeadlinePassed => took >= deadline,
-            Answer::Other(_) => false,
-        };
-        if !right {
-            out.push(format!("requests: an outcome that is not true: {told}"));
-        }
-    }
-}
-
-/// Whether this incarnation has ended, as far as the pictures at the end tell.
-fn is_over(evidence: &Evidence, part: usize, incarnation: u64) -> bool {
-    let now = evidence.standing(part);
-    !evidence.is_running(part) || now.is_some_and(|(_, now)| now > incarnation)
 }
 
 /// No two incarnations have one number, and none acts when a later one has begun.
@@ -500,7 +439,11 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
         let began = evidence.of_part(part).filter(|entry| began(entry)).last();
         let began = began.map_or(0, |entry| entry.incarnation);
         let told = format!("{name}: in the tree {standing:?}, began #{began}, {answer:?}, {row:?}");
-        if evidence.is_running(part) {
+        if is_isolated(evidence, row) {
+            if !matches!(answer, Answer::NotTaken(_)) {
+                out.push(format!("pictures: isolated: {told}"));
+            }
+        } else if evidence.is_running(part) {
             let agreed = row.state == Some(Lifecycle::Active)
                 && (row.opinion == Opinion::Trusted
                     || evidence.robot.clock != Clock::Virtual && row.opinion == Opinion::Suspect)
@@ -511,7 +454,12 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
                 out.push(format!("pictures: {told}"));
             }
         } else {
-            let given_up = || evidence.record.entries.iter().any(|entry| entry.given_up.is_some());
+            // That an end is final is a reason for those alone whose rules say so.
+            let is_final = GiveUpReason::Finished.to_string();
+            let gave_up = |entry: &FaultEntry| {
+                entry.given_up.as_ref().is_some_and(|(_, why)| *why != is_final)
+            };
+            let given_up = || evidence.record.entries.iter().any(gave_up);
             let stopped = evidence.was(part, Cause::Stop);
             let why = evidence.at_rest()
                 || given_up()
@@ -532,7 +480,12 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
 fn rounds(evidence: &Evidence, out: &mut Vec<String>) {
     for (part, plan) in evidence.robot.parts.iter().enumerate() {
         let Some(hz) = plan.rate_hz.filter(|_| evidence.is_running(part)) else { continue };
-        if evidence.robot.clock != Clock::Virtual {
+        // One that hangs may be left alone in its isolation.
+        let place = format!("robot:{}", plan.name);
+        let row = evidence.table.iter().find(|row| row.place.to_string() == place);
+        if evidence.robot.clock != Clock::Virtual
+            || row.is_some_and(|row| is_isolated(evidence, row))
+        {
             continue;
         }
         // The last twenty seconds of the quiet.

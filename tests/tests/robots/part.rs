@@ -50,7 +50,8 @@ impl Robot {
     /// The node of this plan.
     pub(crate) fn builder(&self, ledger: &Ledger) -> NodeBuilder {
         let Group { strategy, escalates, intensity, children, .. } = &self.root;
-        let mut builder = Node::builder("robot").strategy(*strategy).intensity(*intensity, PERIOD);
+        let builder = Node::builder("robot").plan(self.recovery());
+        let mut builder = builder.strategy(*strategy).intensity(*intensity, PERIOD);
         if *escalates {
             builder = builder.when_exceeded(WhenExceeded::Escalate);
         }

@@ -5,6 +5,7 @@
 
 use blastema::core::random::Random;
 use blastema::prelude::*;
+use blastema::recovery::{Ladder, Plan, RecoveryAction};
 use std::fmt;
 
 /// Where a plan is carried out; it decides how long things take.
@@ -27,6 +28,8 @@ pub(crate) struct Robot {
     pub(crate) parts: Vec<PartPlan>,
     /// In the order of their times.
     pub(crate) steps: Vec<Step>,
+    /// Which kinds of fault are answered by another action than usual.
+    pub(crate) answers: Vec<(FaultKind, RecoveryAction)>,
 }
 
 #[derive(Clone, Debug)]
@@ -202,7 +205,17 @@ impl Robot {
             let early = 1 + below(random, 4);
             steps.splice(0..0, (0..early).map(|_| early_step(random, count, clock)));
         }
-        Robot { seed, clock, root, parts, steps }
+        let answers = if random.chance(0.3) { answers(random) } else { Vec::new() };
+        Robot { seed, clock, root, parts, steps, answers }
+    }
+
+    /// The recovery plan of the node.
+    pub(crate) fn recovery(&self) -> Plan {
+        let ladder = |action: &RecoveryAction| {
+            Ladder::first(action.clone()).then(RecoveryAction::Restart).times(2)
+        };
+        let answers = self.answers.iter();
+        answers.fold(Plan::default(), |plan, (kind, action)| plan.on(kind.clone(), ladder(action)))
     }
 
     /// The plan without this component, or nothing where it is the last one.
@@ -344,6 +357,23 @@ fn steps(random: &mut Random, parts: &[PartPlan], clock: Clock) -> Vec<Step> {
     steps
 }
 
+/// A component is isolated, or moved to a thread of its own, where it is restarted as a rule, or
+/// nothing is done.
+fn answers(random: &mut Random) -> Vec<(FaultKind, RecoveryAction)> {
+    let kinds = [
+        FaultKind::Panic,
+        FaultKind::UnexpectedExit,
+        FaultKind::Hang,
+        FaultKind::Silence,
+        FaultKind::ErrorState,
+        FaultKind::InitializationFailed,
+        FaultKind::CheckFailed,
+        FaultKind::Overload,
+    ];
+    let actions = [RecoveryAction::Isolate, RecoveryAction::MoveToOwnThread];
+    (0..1 + below(random, 3)).map(|_| (one_of(random, &kinds), one_of(random, &actions))).collect()
+}
+
 /// What goes wrong before the start is complete.
 fn early_step(random: &mut Random, count: usize, clock: Clock) -> Step {
     let action = match random.below(8) {
@@ -423,6 +453,9 @@ fn pull(random: &mut Random, real: bool) -> Pull {
 impl fmt::Display for Robot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "seed {} on {:?}", self.seed, self.clock)?;
+        for (kind, action) in &self.answers {
+            writeln!(f, "  answers {kind} by {action}")?;
+        }
         self.branch(f, &self.root, 1)?;
         for late in self.parts.iter().filter(|part| part.late) {
             writeln!(f, "  later {late}")?;

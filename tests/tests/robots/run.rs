@@ -64,8 +64,10 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const PATIENT_LOOKS: usize = 500;
 /// How often pictures are taken again.
 const PICTURES: usize = 20;
-/// In which an ended node might do something.
-const REST: Duration = Duration::from_millis(50);
+/// In which an ended node might do something: longer than most waits of a plan.
+const REST: Duration = Duration::from_secs(1);
+/// The same on real threads.
+const REAL_REST: Duration = Duration::from_millis(50);
 
 pub(crate) fn carry_out(robot: &Arc<Robot>) -> Result<Evidence, Box<Refusal>> {
     let ledger = Ledger::new(robot.clone());
@@ -90,7 +92,7 @@ async fn live(ledger: &Ledger) -> Result<Evidence, Box<Refusal>> {
         Ok(node) => node,
         Err(error) => {
             let entries = ledger.entries();
-            pass(&robot, REST).await;
+            rest(&robot).await;
             let late_entries = ledger.entries().split_off(entries.len());
             return Err(Box::new(Refusal { robot, entries, error, late_entries }));
         }
@@ -143,7 +145,7 @@ async fn live(ledger: &Ledger) -> Result<Evidence, Box<Refusal>> {
     let dead = node.dead_letters().counts();
     let ended = tokio::time::timeout(PATIENCE, node.shutdown()).await.is_ok();
     let until = ledger.entries().len();
-    pass(&robot, REST).await;
+    rest(&robot).await;
     let (events, missed_events) = told(&mut events).await;
     let entries = ledger.entries();
     let late_entries = entries[until..].to_vec();
@@ -207,6 +209,12 @@ async fn pass(robot: &Robot, span: Duration) {
         Clock::Virtual => blastema_testkit::advance(span).await,
         Clock::Real { .. } => tokio::time::sleep(span).await,
     }
+}
+
+/// Lets an ended node do what it might do.
+async fn rest(robot: &Robot) {
+    let span = if robot.clock == Clock::Virtual { REST } else { REAL_REST };
+    pass(robot, span).await;
 }
 
 /// Waits until all that was sent is served, and nothing is being recovered from.

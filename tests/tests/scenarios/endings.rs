@@ -57,6 +57,26 @@ async fn one_that_does_not_come_to_work_ends_in_order_also_where_none_follows() 
 }
 
 #[blastema_testkit::test]
+async fn the_end_of_a_temporary_one_that_did_not_come_to_work_is_told_once() {
+    let strings = Strings::default();
+    strings.pull("arm", "on_initialize", Pull::Unavailable("no device"));
+    strings.pull("arm", "on_initialize", Pull::Unavailable("no device"));
+    strings.pull("arm", "on_initialize", Pull::Fail("a broken device"));
+    strings.pull("arm", "on_finalize", Pull::Wait(300 * MS));
+    let builder = Node::builder("module1")
+        .child(strings.spec("ear"))
+        .child_with(strings.spec("arm"), Restart::Temporary);
+    let mut node = TestNode::start(builder).await;
+    ask(&node, "ear", Deed::Watch("arm".into())).await.unwrap();
+
+    node.await_given_up(FaultKind::InitializationFailed, "arm").await;
+    node.advance(1000 * MS).await;
+
+    let told = strings.lines("mourns");
+    assert!(matches!(&told[..], [one] if one.starts_with("ear#1 mourns arm#1")), "{told:?}");
+}
+
+#[blastema_testkit::test]
 async fn a_condition_that_panics_between_two_incarnations_is_a_failed_check() {
     let strings = Strings::default();
     let group = SupervisorSpec::new("group", Strategy::OneForAll)

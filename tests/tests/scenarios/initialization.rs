@@ -118,6 +118,29 @@ async fn a_node_that_may_not_try_again_does_not_start_and_comes_to_safe_rest() {
 }
 
 #[blastema_testkit::test]
+async fn a_start_that_fails_returns_when_nothing_runs_any_more() {
+    // The second wait is longer than a stop may take.
+    for wait in [Duration::from_millis(300), Duration::from_secs(60)] {
+        let strings = Strings::default();
+        strings.pull("wheels", "on_deactivated", Pull::Wait(wait));
+        let (builder, rested) = hopeless(&strings);
+
+        let builder = builder.intensity(0, Duration::from_secs(10));
+        let builder = builder.when_exceeded(WhenExceeded::Escalate);
+        let started = TestNode::try_start(builder).await;
+
+        assert!(matches!(started, Err(StartError::GaveUp { .. })), "{wait:?}");
+        assert_eq!(rested.lock().unwrap().len(), 1, "{wait:?}: the safe outputs were applied");
+        let diary = strings.lines("wheels");
+        let last =
+            if wait.as_secs() < 1 { "wheels#1 on_finalize" } else { "wheels#1 on_deactivated" };
+        assert_eq!(diary.last().map(String::as_str), Some(last), "{diary:?}");
+        blastema_testkit::advance(2 * wait).await;
+        assert_eq!(strings.diary(), Vec::<String>::new(), "{wait:?}");
+    }
+}
+
+#[blastema_testkit::test]
 async fn a_new_incarnation_that_fails_to_come_up_is_tried_again_as_one_and_the_same_fault() {
     let strings = Strings::default();
     let mut node = TestNode::start(Node::builder("module1").child(strings.spec("camera"))).await;

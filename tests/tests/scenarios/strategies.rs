@@ -3,7 +3,7 @@
 use crate::puppet::{Deed, News, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Backoff, ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema::prelude::*;
-use blastema::{NodeBuilder, RecoveryStrategy, StrategyContext};
+use blastema::{FaultStatus, NodeBuilder, RecoveryStrategy, StrategyContext};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -200,4 +200,26 @@ async fn what_is_sent_while_an_object_is_replaced_waits_for_its_next_incarnation
         entry.expect("it was found").recovered_at.is_some()
     };
     assert!(cured(&oil()), "{record:?}");
+}
+
+#[blastema_testkit::test]
+async fn what_isolation_contains_stands_until_the_component_may_be_reached_again() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(robot(&strings, Ladder::first(RecoveryAction::Isolate))).await;
+    declare(&node).await;
+    node.await_given_up(oil(), "joint").await;
+
+    node.kill("joint");
+    node.await_recovered(FaultKind::Panic, "joint").await;
+
+    // Its second incarnation works, and is isolated as the first was.
+    let refused = ask(&node, "joint", Deed::Nothing).await.unwrap_err().kind;
+    assert_eq!(refused, DeliveryError::Isolated);
+    let record = node.faults().await;
+    let contained = record.entries.iter().find(|entry| entry.fault.kind == oil());
+    assert_eq!(contained.map(|entry| entry.status()), Some(FaultStatus::GivenUp), "{record:?}");
+
+    node.restart_child("joint").await.unwrap();
+    node.await_recovered(oil(), "joint").await;
+    assert_eq!(incarnation(&node, "joint").await, 3);
 }

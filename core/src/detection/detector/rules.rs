@@ -15,8 +15,16 @@ impl Detector {
             self.objects.remove(object);
             self.needs.forget(object);
             self.may_end.remove(object);
+            self.isolated.remove(object);
             self.behind.remove(object);
             return self.end_all_at(&scene, |_| true, false);
+        }
+        if let Finding::Isolated { isolated } = finding {
+            match isolated {
+                true => self.isolated.insert(object.clone()),
+                false => self.isolated.remove(object),
+            };
+            return;
         }
         let fresh = Seen::new(scene.incarnation);
         let seen = self.objects.entry(object.clone()).or_insert(fresh);
@@ -88,7 +96,8 @@ impl Detector {
                 let detail = format!("it stands still behind {culprit}, which does not return");
                 self.find(&scene, FaultKind::Hang, detail, cause);
             }
-            Finding::Dismissed | Finding::Link(_) | Finding::Node(_) => {}
+            Finding::Dismissed | Finding::Isolated { .. } | Finding::Link(_) | Finding::Node(_) => {
+            }
         }
     }
 
@@ -247,7 +256,18 @@ impl Detector {
                 let incarnation = scene.incarnation;
                 // Also what a reset of this incarnation was to end that came to wait.
                 let waits: Vec<FaultId> = self.unhanded_at(&scene.place).map(|f| f.id).collect();
+                let is_isolated = self.isolated.contains(object);
+                let entry = |fault: &Fault| self.chronicle.entry(fault.id);
+                let contained: Vec<FaultId> = (self.chronicle.standing_at(&scene.place))
+                    .filter(|fault| {
+                        is_isolated && entry(fault).is_some_and(|entry| entry.given_up.is_some())
+                    })
+                    .map(|fault| fault.id)
+                    .collect();
                 let is_over = |fault: &Fault| {
+                    if contained.contains(&fault.id) {
+                        return false;
+                    }
                     let ended =
                         matches!(fault.kind, FaultKind::ErrorState | FaultKind::Unavailable);
                     fault.incarnation < incarnation || ended || waits.contains(&fault.id)
@@ -437,7 +457,8 @@ fn describe(figures: &OverloadFigures, victims: usize) -> String {
         parts.push(format!("{} came too late for those who waited", messages(figures.expired)));
     }
     if !figures.silent_for.is_zero() {
-        parts.push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
+        parts
+            .push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
     }
     match victims {
         0 => {}

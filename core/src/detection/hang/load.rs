@@ -128,7 +128,9 @@ impl ComponentRecord {
         }
         let delayed = self.lateness.handle_delay(delayed, around.config.dwell, now);
         let root = if delayed { root } else { counts.and_then(|counts| counts.root) };
-        if delayed || counts.is_some() {
+        // That it takes nothing explains the rounds that it misses meanwhile.
+        let explained = self.stuck && !delayed && root.is_none();
+        if delayed || (counts.is_some() && !explained) {
             let Counts { missed, expired, .. } = counts.unwrap_or_default();
             let (root, silent_for) = (root.unwrap_or(slot), Duration::ZERO);
             late.push(Late { slot, root, queue, missed, expired, silent_for });

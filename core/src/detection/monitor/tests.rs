@@ -491,7 +491,7 @@ fn whoever_is_dismissed_is_forgotten() {
 fn isolation_is_shown_and_outlives_a_restart() {
     let mut monitor = watched(Liveness::Guard);
 
-    monitor.handle_isolation(&object("laser"), true);
+    monitor.handle_isolation(&object("laser"), true, at(0));
     monitor.handle_state(&object("laser"), THREE, Lifecycle::Created, None, at(0));
 
     assert!(row(&monitor, "m:laser", 0).isolated);

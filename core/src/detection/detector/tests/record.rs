@@ -47,6 +47,28 @@ fn what_was_given_up_stays_latched_for_that_incarnation_and_is_new_in_the_next()
 }
 
 #[test]
+fn what_isolation_contains_is_not_over_with_the_next_incarnation_while_that_is_isolated() {
+    let mut bench = Bench::new();
+    let works = |bench: &mut Bench, incarnation| {
+        bench.see("arm", incarnation, state(Lifecycle::Initialized));
+        bench.see("arm", incarnation, state(Lifecycle::Active));
+        bench.said()
+    };
+    bench.see("arm", ONE, silent());
+    bench.see("arm", ONE, Finding::Isolated { isolated: true });
+    let contained = RecoveryOutcome::GaveUp { reason: "contained".into() };
+    bench.detector.handle_outcome(FaultId(1), at(3), contained);
+    bench.see("arm", ONE, exited(panicked()));
+    bench.said();
+
+    assert_eq!(works(&mut bench, TWO), ["Recovered 2", "-2"]);
+    assert_eq!(bench.entries()[0].status(), FaultStatus::GivenUp);
+
+    bench.see("arm", TWO, Finding::Isolated { isolated: false });
+    assert_eq!(works(&mut bench, Incarnation(3)), ["Recovered 1", "-1"]);
+}
+
+#[test]
 fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_routed() {
     let mut bench = Bench::new();
     bench.see("-eth-n", Incarnation(0), down());

@@ -242,6 +242,25 @@ fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not
 }
 
 #[test]
+fn a_stuck_component_misses_its_rounds_by_that_and_is_not_overloaded_as_well() {
+    let mut world = World::new();
+    let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
+    let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
+    world.scanner.handle_enter(2, asked);
+    (world.eyes.stamps[2].speaks, world.eyes.stamps[2].interval) = (true, ms(20));
+    world.look();
+    world.eyes.stamps[2].turn = 1;
+    world.pass(500, true);
+    world.eyes.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
+
+    let mut seen = Vec::new();
+    seen.extend(world.pass(2000, true).into_iter().map(|seen| (0, seen)));
+    seen.extend(world.pass(20_000, true).into_iter().map(|seen| (0, seen)));
+
+    assert_eq!(names(&seen), ["victim is stuck"]);
+}
+
+#[test]
 fn a_component_that_gives_signs_by_its_rounds_and_is_flooded_is_overloaded_and_not_silent() {
     let mut road = Road::new(10, 0);
     road.world.scanner.handle_leave(2);
