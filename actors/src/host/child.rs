@@ -1,24 +1,19 @@
 //! What a supervisor does with a hosted component.
 
-use super::Host;
 use super::executor::{ComponentExecutor, SharedExecutor};
 use super::lifecycle::is_message;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
-use crate::component::control::HostCommand;
+use crate::component::control::{CommandQueue, HostCommand};
 use crate::liveness::label;
 use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
-use actix::dev::channel;
-use actix::{Addr, Recipient};
+use actix::Recipient;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
-
-/// Control messages that may wait before a sender notices; there is one outstanding of each kind.
-const CONTROL: usize = 16;
 
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
@@ -46,9 +41,9 @@ impl<C: Component> ComponentChild<C> {
         self.anchor.lane.owner().is_some()
     }
 
-    fn order(&self, control: HostCommand) {
-        if let Some(host) = self.anchor.control() {
-            host.do_send(control);
+    fn order(&self, command: HostCommand) {
+        if let Some(control) = self.anchor.control() {
+            control.send(command);
         }
     }
 
@@ -93,14 +88,14 @@ impl<C: Component> Child for ComponentChild<C> {
         record.set_incarnation(incarnation);
         // Until this incarnation is in its place it has none: that of the one before is another's.
         drop(record.take_seat());
-        let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
-        self.anchor.set_control(Some(Addr::new(sender).recipient()));
-        let boarding = PendingStart { anchor: Some(self.anchor.clone()), incarnation, report };
+        let control = Arc::<CommandQueue>::default();
+        self.anchor.set_control(Some(control.clone()));
+        let anchor = Some(self.anchor.clone());
+        let boarding = PendingStart { anchor, incarnation, report, control };
         self.seat = Some(seat.clone());
         let begin = move |seat| {
             if let Some(pump) = boarding.enter(seat) {
-                let context = actix::Context::with_receiver(receiver);
-                actix_rt::spawn(context.into_future(Host::new(pump)));
+                actix_rt::spawn(pump);
             }
         };
         arbiters.board(seat, Box::new(begin));
@@ -151,7 +146,9 @@ impl<C: Component> Child for ComponentChild<C> {
             }
         }
         // A handler that awaits is dropped by its own pump, which sees that it has been given up.
-        self.order(HostCommand::Wake);
+        if let Some(control) = self.anchor.control() {
+            control.wake();
+        }
         self.anchor.set_control(None);
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
@@ -229,9 +226,9 @@ impl<C: Component> Watchable for ComponentCell<C> {
     fn inject(&self, injection: Injection) {
         self.record.injected.put_in(injection);
         if injection == Injection::Panic
-            && let Some(host) = self.control()
+            && let Some(control) = self.control()
         {
-            host.do_send(HostCommand::Panic);
+            control.send(HostCommand::Panic);
         }
     }
 
@@ -254,6 +251,7 @@ struct PendingStart<C: Component> {
     anchor: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
     report: Arc<Recipient<ChildReport>>,
+    control: Arc<CommandQueue>,
 }
 
 impl<C: Component> PendingStart<C> {
@@ -268,11 +266,13 @@ impl<C: Component> PendingStart<C> {
             subscription.attach(&anchor);
         }
         let incarnation = self.incarnation;
+        let (report, control) = (self.report.clone(), self.control.clone());
         Some(SharedExecutor::new(ComponentExecutor::new(
             anchor,
             incarnation,
             seat,
-            self.report.clone(),
+            report,
+            control,
         )))
     }
 }

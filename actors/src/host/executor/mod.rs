@@ -23,6 +23,7 @@ use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
 use crate::component::context::Context;
+use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
 use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
@@ -104,6 +105,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     deaths: VecDeque<Instant>,
     outbox: Vec<DeferredReport>,
     supervisor: Arc<Recipient<ChildReport>>,
+    commands: Arc<CommandQueue>,
 }
 
 impl<C: Component> ComponentExecutor<C> {
@@ -113,6 +115,7 @@ impl<C: Component> ComponentExecutor<C> {
         incarnation: Incarnation,
         seat: ArbiterSlot,
         supervisor: Arc<Recipient<ChildReport>>,
+        commands: Arc<CommandQueue>,
     ) -> Self {
         let slot = ActivitySlot::claim();
         let state = Rc::new(IncarnationState::new(incarnation, slot.stamp));
@@ -138,6 +141,7 @@ impl<C: Component> ComponentExecutor<C> {
             deaths: VecDeque::new(),
             outbox: Vec::new(),
             supervisor,
+            commands,
         };
         pump.begin_incarnation();
         let record = &pump.anchor.record;
@@ -176,33 +180,29 @@ impl<C: Component> ComponentExecutor<C> {
         ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
     }
 
-    /// The place where it lived is free.
-    pub(crate) fn vacate(&self) {
-        self.seat.vacate();
-    }
-
-    /// The supervisor asks for a recovery within this incarnation.
-    pub(crate) fn reset(&mut self) {
-        self.course.handle_reset();
-        self.tell_news();
-    }
-
-    /// Activates or deactivates the component on request.
-    pub(crate) fn activate(&mut self, active: bool) {
-        self.course.handle_activate(active);
-    }
-
-    /// The supervisor asks for an end in order.
-    pub(crate) fn stop(&mut self, end: EndReason) {
-        self.course.handle_stop(end);
-        self.tell_news();
+    /// Does what it was told to.
+    fn obey(&mut self) {
+        for command in self.commands.take() {
+            match command {
+                HostCommand::Stop => self.course.handle_stop(EndReason::Stopped),
+                HostCommand::MakeWay => self.course.handle_stop(EndReason::Replaced),
+                HostCommand::Reset => self.course.handle_reset(),
+                HostCommand::Activate(active) => self.course.handle_activate(active),
+                HostCommand::Panic => {
+                    drop(self.die_of(Box::new("it was told to panic"), "an injected fault"));
+                }
+            }
+            self.tell_news();
+        }
     }
 
     /// One poll of everything. Ready when the last incarnation here is over.
-    pub(crate) fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
+    fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
         if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
             self.waker = Some(cx.waker().clone());
+            self.commands.set_waker(self.waker.clone());
         }
+        self.obey();
         if self.is_abandoned() {
             self.leave();
             return Poll::Ready(());

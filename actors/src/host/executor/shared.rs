@@ -13,7 +13,8 @@ use std::sync::Arc;
 use std::task::{self, Poll};
 
 thread_local! {
-    /// The pumps of this arbiter, by the anchor that they serve, for its hubs.
+    /// The pumps of this arbiter that have subscriptions, by the anchor that they serve, for its
+    /// hubs.
     static PUMPS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
 }
 
@@ -33,9 +34,12 @@ pub(crate) struct SharedExecutor<C: Component>(pub(crate) Rc<RefCell<ComponentEx
 impl<C: Component> SharedExecutor<C> {
     pub(crate) fn new(pump: ComponentExecutor<C>) -> Self {
         let key = Arc::as_ptr(&pump.anchor).addr();
+        let hears = !pump.anchor.subscriptions().is_empty();
         let pump = Rc::new(RefCell::new(pump));
         let erased: Rc<dyn Any> = pump.clone();
-        PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
+        if hears {
+            PUMPS.with_borrow_mut(|pumps| pumps.insert(key, Rc::downgrade(&erased)));
+        }
         SharedExecutor(pump)
     }
 }
@@ -44,7 +48,12 @@ impl<C: Component> Future for SharedExecutor<C> {
     type Output = ();
 
     fn poll(self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
-        self.0.borrow_mut().run(cx)
+        let mut pump = self.0.borrow_mut();
+        let polled = pump.run(cx);
+        if polled.is_ready() {
+            pump.seat.vacate();
+        }
+        polled
     }
 }
 
@@ -63,6 +72,7 @@ impl<C: Component> Drop for SharedExecutor<C> {
             }
         });
         pump.anchor.record.environment.watch_list.leave(pump.slot.index);
+        pump.commands.set_waker(None);
         pump.drop_before_the_end();
     }
 }
