@@ -26,7 +26,7 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
-use crate::platform::panics::{self, UnwindingPanic};
+use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
@@ -221,7 +221,7 @@ impl CellCore {
         if pulse.running() != Some(seated.slot.index) || pulse.is_here() {
             return;
         }
-        if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
+        if let Some(PanicRecord { text, at }) = pulse.unwinding() {
             let during = label::name(seated.slot.stamp.read().during);
             self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
