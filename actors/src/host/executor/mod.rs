@@ -98,6 +98,8 @@ pub(crate) struct ComponentExecutor<C: Component> {
     followed: bool,
     /// The message in service in the log: its id and contract, and whether a reply is wanted.
     logged: Option<(LogId, &'static str, bool)>,
+    /// When the incarnation began, until it first awaits something.
+    began: Option<Instant>,
     /// The supervisor knows that the incarnation did not come to work.
     start_failed: bool,
     /// This incarnation is over, and none comes after it here.
@@ -136,6 +138,7 @@ impl<C: Component> ComponentExecutor<C> {
             waker: None,
             followed: false,
             logged: None,
+            began: None,
             start_failed: false,
             over: false,
             deaths: VecDeque::new(),
@@ -166,9 +169,7 @@ impl<C: Component> ComponentExecutor<C> {
         let is_newest = record.enter(self.state.incarnation, seated);
         self.chores.begin(record.limits.interval, self.state.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
-        if self.course.is_starting() {
-            self.chores.limit(DueWork::ReadyLimit, record.limits.ready_within);
-        }
+        self.began = self.course.is_starting().then(platform::now);
         // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.anchor.lane.owner() != Some(self.state.incarnation) {
             self.state.token.end();
@@ -371,7 +372,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Fills the contract's nest, or builds it.
     #[inline]
-    fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
+    fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
         let Some(home) = &self.home else { return };
         self.state.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
@@ -436,6 +437,13 @@ impl<C: Component> ComponentExecutor<C> {
     fn wait(&mut self) -> Progress {
         if self.state.has_wishes() {
             self.grant();
+        }
+        // A limit is set only for an incarnation that is not ready at once.
+        if let Some(began) = self.began.take()
+            && self.course.is_starting()
+        {
+            let within = self.anchor.record.limits.ready_within;
+            self.chores.limit(DueWork::ReadyLimit, within.saturating_sub(platform::now() - began));
         }
         Progress::Wait
     }
