@@ -5,7 +5,7 @@
 
 use super::deadline;
 use crate::platform;
-use crate::platform::panics::{Unwinding, UnwindingPanic};
+use crate::platform::panics::{PanicRecord, Unwinding};
 use crate::platform::processor_time::ThreadNumber;
 use blastema_core::{DeliveryError, Instant};
 use std::cell::{Cell, OnceCell};
@@ -110,20 +110,28 @@ impl ArbiterHeartbeat {
     pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
         let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
         Unwinding::note_here(&pulse.unwinding);
-        pulse.clone().start_beating();
+        if let Some(beat) = pulse.clone().start_beating() {
+            actix_rt::spawn(beat);
+        }
         pulse
     }
 
-    /// Gives this fresh thread a heartbeat that another one reads already.
+    /// Gives this fresh thread, whose runtime is its own, a heartbeat that another one reads
+    /// already.
     pub(crate) fn adopt(self: &Arc<Self>) {
         HERE.with(|here| {
             let _ = here.set(self.clone());
         });
         Unwinding::note_here(&self.unwinding);
-        self.clone().start_beating();
+        if let Some(beat) = self.clone().start_beating() {
+            // A task of the runtime: one of the arbiter's `LocalSet` costs each beat two more
+            // system calls, since its timer wakes the set through the driver.
+            tokio::spawn(beat);
+        }
     }
 
-    fn start_beating(self: Arc<Self>) {
+    /// What beats from now on, unless something beats here already.
+    fn start_beating(self: Arc<Self>) -> Option<impl Future<Output = ()> + Send> {
         /// A thread may hold one event loop after another, as tests do.
         struct Beating(Arc<ArbiterHeartbeat>);
         impl Drop for Beating {
@@ -133,14 +141,14 @@ impl ArbiterHeartbeat {
             }
         }
         if BEATS.replace(true) {
-            return;
+            return None;
         }
         let beating = Beating(self.clone());
         if let Some(here) = ThreadNumber::here() {
             let _ = self.thread.set(here);
         }
         self.time.store(platform::now().as_nanos(), Relaxed);
-        actix_rt::spawn(async move {
+        Some(async move {
             let _beating = beating;
             let mut ticks = tokio::time::interval(HEARTBEAT_INTERVAL);
             ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -148,7 +156,7 @@ impl ArbiterHeartbeat {
                 ticks.tick().await;
                 self.beat(platform::now());
             }
-        });
+        })
     }
 
     fn beat(&self, now: Instant) {
@@ -184,7 +192,7 @@ impl ArbiterHeartbeat {
     }
 
     /// The panic that unwinds on its thread now: of the component that it is running.
-    pub(crate) fn unwinding(&self) -> Option<UnwindingPanic> {
+    pub(crate) fn unwinding(&self) -> Option<PanicRecord> {
         self.unwinding.read()
     }
 

@@ -13,6 +13,7 @@ use crate::platform;
 use actix_rt::{Arbiter, ArbiterHandle, System};
 use blastema_core::{Instant, ObjectName};
 use std::collections::BTreeMap;
+use std::ops::Deref;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use std::{fmt, io};
@@ -53,15 +54,30 @@ const SPARE: usize = 4;
 /// each of two neighbours takes.
 const ANSWERS_WITHIN: Duration = Duration::from_millis(100);
 
-/// An arbiter that a component was given.
+/// An arbiter that a component was given. Clones share it.
 #[derive(Clone)]
-pub(crate) struct ArbiterSlot {
+pub(crate) struct ArbiterSlot(Arc<ArbiterEntry>);
+
+/// One arbiter.
+pub(crate) struct ArbiterEntry {
     pub(crate) handle: ArbiterHandle,
     pub(crate) pulse: Arc<ArbiterHeartbeat>,
     own_thread: bool,
 }
 
+impl Deref for ArbiterSlot {
+    type Target = ArbiterEntry;
+
+    fn deref(&self) -> &ArbiterEntry {
+        &self.0
+    }
+}
+
 impl ArbiterSlot {
+    fn new(handle: ArbiterHandle, pulse: Arc<ArbiterHeartbeat>, own_thread: bool) -> Self {
+        ArbiterSlot(Arc::new(ArbiterEntry { handle, pulse, own_thread }))
+    }
+
     /// Another incarnation of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
         !self.own_thread && !self.pulse.is_fenced() && self.answers(platform::now())
@@ -208,7 +224,7 @@ impl ArbiterPool {
     pub(crate) fn place(&self, object: &ObjectName, own_thread: bool) -> io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
             let pulse = ArbiterHeartbeat::enrol_here();
-            return Ok(ArbiterSlot { handle: Arbiter::current(), pulse, own_thread: false });
+            return Ok(ArbiterSlot::new(Arbiter::current(), pulse, false));
         }
         self.check_share(object)?;
         self.place_in(&mut self.pool_of(), own_thread)
@@ -306,7 +322,7 @@ impl ArbiterPool {
         let pulse = Arc::new(ArbiterHeartbeat::default());
         let adopted = pulse.clone();
         handle.spawn_fn(move || adopted.adopt());
-        Ok(ArbiterSlot { handle, pulse, own_thread })
+        Ok(ArbiterSlot::new(handle, pulse, own_thread))
     }
 
     /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.

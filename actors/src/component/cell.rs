@@ -7,7 +7,7 @@ use super::environment::ComponentEnvironment;
 use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
-use crate::component::control::HostCommand;
+use crate::component::control::CommandQueue;
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
 use crate::component::exits::{DueExits, UntoldExits};
@@ -26,8 +26,7 @@ use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
-use crate::platform::panics::{self, UnwindingPanic};
-use actix::Recipient;
+use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
 use blastema_core::delivery::quarantine::Quarantine;
@@ -52,7 +51,8 @@ pub(crate) struct ComponentCell<C: Component> {
     pub(crate) queue: BoundedQueue<BoxedEnvelope<C>>,
     pub(crate) record: CellCore,
     pub(crate) factory: Box<dyn Fn() -> C + Send + Sync>,
-    control: Mutex<Option<Recipient<HostCommand>>>,
+    /// Of its present placement.
+    control: Mutex<Option<Arc<CommandQueue>>>,
     subscriptions: Mutex<Subscriptions<C>>,
 }
 
@@ -221,7 +221,7 @@ impl CellCore {
         if pulse.running() != Some(placement.slot.index) || pulse.is_here() {
             return;
         }
-        if let Some(UnwindingPanic { text, at }) = pulse.unwinding() {
+        if let Some(PanicRecord { text, at }) = pulse.unwinding() {
             let during = label::name(placement.slot.stamp.read().during);
             self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
@@ -350,12 +350,12 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    pub(crate) fn control(&self) -> Option<Recipient<HostCommand>> {
+    pub(crate) fn control(&self) -> Option<Arc<CommandQueue>> {
         lock(&self.control).clone()
     }
 
-    pub(crate) fn set_control(&self, host: Option<Recipient<HostCommand>>) {
-        *lock(&self.control) = host;
+    pub(crate) fn set_control(&self, control: Option<Arc<CommandQueue>>) {
+        *lock(&self.control) = control;
     }
 
     pub(crate) fn subscriptions(&self) -> Subscriptions<C> {

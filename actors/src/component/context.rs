@@ -196,7 +196,7 @@ impl<C: Component> Context<C> {
     /// dropped, it is taken neither for hanging nor for silent before that. Of operations that lie
     /// within one another the one that is to end last counts.
     pub fn long_operation(&self, span: Duration) -> LongOperation {
-        self.state.operations.begin(span)
+        self.state.operations().begin(span)
     }
 
     /// Changes how often `on_execute` is called; `None` for never.

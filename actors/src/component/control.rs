@@ -1,10 +1,13 @@
 //! What the framework tells the host of a component.
 
-use actix::Message;
+use std::mem::discriminant;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::{Acquire, Release};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::task::Waker;
 
 /// What the framework tells a host, on the control queue.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
-#[rtype(result = "()")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HostCommand {
     /// End in order.
     Stop,
@@ -14,8 +17,85 @@ pub(crate) enum HostCommand {
     Reset,
     /// Return to work, or leave it.
     Activate(bool),
-    /// Look again: something was decided elsewhere.
-    Wake,
     /// A test has it panic.
     Panic,
+}
+
+/// The control queue of one placement of a component: the executor obeys it before it goes on with
+/// anything else, also while a handler awaits or a flood of messages waits.
+///
+/// It holds one command of each kind at most: a later one replaces an earlier one.
+#[derive(Debug, Default)]
+pub(crate) struct CommandQueue {
+    inner: Mutex<Inner>,
+    /// Written under the lock, so that the executor does not take it where nothing waits.
+    any: AtomicBool,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    commands: Vec<HostCommand>,
+    /// The executor's, from its first poll to its end.
+    waker: Option<Waker>,
+}
+
+impl CommandQueue {
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Gives the executor a command.
+    pub(crate) fn send(&self, command: HostCommand) {
+        let mut inner = self.lock();
+        inner.commands.retain(|known| discriminant(known) != discriminant(&command));
+        inner.commands.push(command);
+        self.any.store(true, Release);
+        drop(inner);
+        self.wake();
+    }
+
+    /// Has the executor look again: something was decided elsewhere.
+    pub(crate) fn wake(&self) {
+        let waker = self.lock().waker.clone();
+        if let Some(waker) = waker {
+            waker.wake();
+        }
+    }
+
+    /// Whom to wake from now on. Set before [`take`](Self::take), so that no command is missed.
+    pub(crate) fn set_waker(&self, waker: Option<Waker>) {
+        let before = std::mem::replace(&mut self.lock().waker, waker);
+        drop(before);
+    }
+
+    /// The commands that have not been obeyed yet, in order.
+    #[inline]
+    pub(crate) fn take(&self) -> Vec<HostCommand> {
+        if self.any.load(Acquire) { self.take_some() } else { Vec::new() }
+    }
+
+    #[cold]
+    fn take_some(&self) -> Vec<HostCommand> {
+        let mut inner = self.lock();
+        self.any.store(false, Release);
+        std::mem::take(&mut inner.commands)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_come_in_order_and_the_last_of_each_kind_counts() {
+        let queue = CommandQueue::default();
+        assert_eq!(queue.take(), []);
+
+        queue.send(HostCommand::Activate(true));
+        queue.send(HostCommand::Reset);
+        queue.send(HostCommand::Activate(false));
+
+        assert_eq!(queue.take(), [HostCommand::Reset, HostCommand::Activate(false)]);
+        assert_eq!(queue.take(), []);
+    }
 }

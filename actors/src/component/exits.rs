@@ -18,7 +18,7 @@ pub(crate) struct UntoldExits(Mutex<Vec<UntoldExit>>);
 /// An end that was not told yet.
 struct UntoldExit {
     incarnation: Incarnation,
-    exit: ExitReason,
+    exit: Arc<ExitReason>,
     restarted_as: Option<Incarnation>,
     /// The supervisor, where it is to be told as well.
     supervisor: Option<Arc<Recipient<ChildReport>>>,
@@ -50,7 +50,8 @@ impl UntoldExits {
     }
 
     /// An incarnation has ended. The first report of it counts.
-    pub(crate) fn keep(&self, incarnation: Incarnation, exit: ExitReason) {
+    pub(crate) fn keep(&self, incarnation: Incarnation, exit: impl Into<Arc<ExitReason>>) {
+        let exit = exit.into();
         let (restarted_as, supervisor, is_settled) = (None, None, false);
         let exited = UntoldExit { incarnation, exit, restarted_as, supervisor, is_settled };
         let mut untold = self.lock();
@@ -90,6 +91,7 @@ impl UntoldExits {
         };
         let told: Vec<UntoldExit> = self.lock().extract_if(.., is_told).collect();
         for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in told {
+            let exit = Arc::unwrap_or_clone(exit);
             if let Some(exits) = &reports.exits {
                 let (object, exit) = (object.clone(), exit.clone());
                 exits.do_send(Exited { object, incarnation, exit, restarted_as });

@@ -6,7 +6,7 @@ use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
 use blastema_core::{Incarnation, Instant};
-use std::cell::{Cell, RefCell};
+use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
@@ -83,7 +83,8 @@ pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
     pub(crate) stamp: &'static ActivityRecord,
-    pub(crate) operations: Arc<LongOperations>,
+    /// There only where one was announced.
+    operations: OnceCell<Arc<LongOperations>>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     /// There only where something was asked for.
@@ -94,17 +95,21 @@ pub(crate) struct IncarnationState<C: Component> {
 
 impl<C: Component> IncarnationState<C> {
     pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
-        let token: Arc<IncarnationToken> = Arc::default();
         IncarnationState {
             incarnation,
-            operations: Arc::new(LongOperations::new(stamp, token.clone())),
-            token,
+            operations: OnceCell::new(),
+            token: Arc::default(),
             stamp,
             captured_at: Cell::new(None),
             wishes: RefCell::default(),
             wished: Cell::new(false),
             timers: Rc::default(),
         }
+    }
+
+    pub(crate) fn operations(&self) -> &Arc<LongOperations> {
+        let fresh = || Arc::new(LongOperations::new(self.stamp, self.token.clone()));
+        self.operations.get_or_init(fresh)
     }
 
     pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands)) {

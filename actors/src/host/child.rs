@@ -1,24 +1,19 @@
 //! What a supervisor does with a hosted component.
 
-use super::Host;
 use super::executor::{ComponentExecutor, SharedExecutor};
 use super::lifecycle::is_message;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
-use crate::component::control::HostCommand;
+use crate::component::control::{CommandQueue, HostCommand};
 use crate::liveness::label;
 use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
-use actix::dev::channel;
-use actix::{Addr, Recipient};
+use actix::Recipient;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_core::{DeliveryError, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
-
-/// Control messages that may wait before a sender notices; there is one outstanding of each kind.
-const CONTROL: usize = 16;
 
 /// A hosted component in the hands of its supervisor.
 pub(crate) struct ComponentChild<C: Component> {
@@ -46,9 +41,9 @@ impl<C: Component> ComponentChild<C> {
         self.cell.queue.owner().is_some()
     }
 
-    fn order(&self, control: HostCommand) {
-        if let Some(host) = self.cell.control() {
-            host.do_send(control);
+    fn order(&self, command: HostCommand) {
+        if let Some(control) = self.cell.control() {
+            control.send(command);
         }
     }
 
@@ -93,14 +88,14 @@ impl<C: Component> Child for ComponentChild<C> {
         record.set_incarnation(incarnation);
         // Until this incarnation is in its place it has none: that of the one before is another's.
         drop(record.take_placement());
-        let (sender, receiver) = channel::channel::<Host<C>>(CONTROL);
-        self.cell.set_control(Some(Addr::new(sender).recipient()));
-        let boarding = PendingStart { cell: Some(self.cell.clone()), incarnation, report };
+        let control = Arc::<CommandQueue>::default();
+        self.cell.set_control(Some(control.clone()));
+        let cell = Some(self.cell.clone());
+        let boarding = PendingStart { cell, incarnation, report, control };
         self.arbiter = Some(arbiter.clone());
         let begin = move |arbiter| {
             if let Some(executor) = boarding.enter(arbiter) {
-                let context = actix::Context::with_receiver(receiver);
-                actix_rt::spawn(context.into_future(Host::new(executor)));
+                actix_rt::spawn(executor);
             }
         };
         arbiters.board(arbiter, Box::new(begin));
@@ -152,9 +147,10 @@ impl<C: Component> Child for ComponentChild<C> {
                 self.kept_thread = true;
             }
         }
-        // A handler that awaits is dropped by its own executor, which sees that it has been given
-        // up.
-        self.order(HostCommand::Wake);
+        // A handler that awaits is dropped by its own executor, which sees that it has been given up.
+        if let Some(control) = self.cell.control() {
+            control.wake();
+        }
         self.cell.set_control(None);
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
@@ -233,9 +229,9 @@ impl<C: Component> Watchable for ComponentCell<C> {
     fn inject(&self, injection: Injection) {
         self.record.injected.put_in(injection);
         if injection == Injection::Panic
-            && let Some(host) = self.control()
+            && let Some(control) = self.control()
         {
-            host.do_send(HostCommand::Panic);
+            control.send(HostCommand::Panic);
         }
     }
 
@@ -258,6 +254,7 @@ struct PendingStart<C: Component> {
     cell: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,
     report: Arc<Recipient<ChildReport>>,
+    control: Arc<CommandQueue>,
 }
 
 impl<C: Component> PendingStart<C> {
@@ -272,11 +269,13 @@ impl<C: Component> PendingStart<C> {
             subscription.attach(&cell);
         }
         let incarnation = self.incarnation;
+        let (report, control) = (self.report.clone(), self.control.clone());
         Some(SharedExecutor::new(ComponentExecutor::new(
             cell,
             incarnation,
             arbiter,
-            self.report.clone(),
+            report,
+            control,
         )))
     }
 }

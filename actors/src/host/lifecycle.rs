@@ -188,7 +188,12 @@ impl IncarnationLifecycle {
         if self.retried.is_some_and(|retried| retried.waits) {
             return LifecycleStep::Rest;
         }
-        match (self.hooks.pop_front(), self.end) {
+        let next = self.hooks.pop_front();
+        if self.hooks.is_empty() {
+            // Most lives have their hooks behind them.
+            self.hooks = VecDeque::new();
+        }
+        match (next, self.end) {
             (Some(hook), _) => LifecycleStep::Run(hook),
             (None, Some(end)) => LifecycleStep::End(end),
             (None, None) if self.state == Lifecycle::Active => LifecycleStep::Serve,

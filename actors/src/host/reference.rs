@@ -109,9 +109,9 @@ impl<C: Component> ActorRef<C> {
         self.order(HostCommand::Activate(true));
     }
 
-    fn order(&self, control: HostCommand) {
-        if let Some(host) = self.0.control() {
-            host.do_send(control);
+    fn order(&self, command: HostCommand) {
+        if let Some(control) = self.0.control() {
+            control.send(command);
         }
     }
 

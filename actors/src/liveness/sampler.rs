@@ -330,23 +330,29 @@ struct Eyes {
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
 #[derive(Default)]
-struct Stamps(Vec<Option<Arc<SampledComponent>>>);
+struct Stamps(Vec<Option<Known>>);
+
+/// A component, and its record beside it: most looks are at records alone.
+struct Known {
+    stamp: &'static ActivityRecord,
+    component: Arc<SampledComponent>,
+}
 
 impl Stamps {
     fn get(&self, slot: u32) -> Option<&Arc<SampledComponent>> {
-        self.0.get(slot as usize)?.as_ref()
+        self.0.get(slot as usize)?.as_ref().map(|known| &known.component)
     }
 
-    fn enter(&mut self, slot: u32, known: Arc<SampledComponent>) {
+    fn enter(&mut self, slot: u32, component: Arc<SampledComponent>) {
         let at = slot as usize;
         if self.0.len() <= at {
             self.0.resize_with(at + 1, || None);
         }
-        self.0[at] = Some(known);
+        self.0[at] = Some(Known { stamp: component.stamp, component });
     }
 
     fn leave(&mut self, slot: u32) -> Option<Arc<SampledComponent>> {
-        self.0.get_mut(slot as usize)?.take()
+        self.0.get_mut(slot as usize)?.take().map(|known| known.component)
     }
 }
 
@@ -356,7 +362,8 @@ impl Looked for Stamps {
     }
 
     fn mark(&self, slot: SlotId) -> ActivityMark {
-        self.get(slot).map(|known| known.stamp.mark()).unwrap_or_default()
+        let known = self.0.get(slot as usize).and_then(Option::as_ref);
+        known.map(|known| known.stamp.mark()).unwrap_or_default()
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {

@@ -9,39 +9,45 @@
 //! panic is caught.
 
 use std::any::Any;
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::panic;
 use std::sync::{Arc, Mutex, MutexGuard, Once, OnceLock, PoisonError};
 use std::thread;
 
 thread_local! {
     static GUARDED: Cell<u32> = const { Cell::new(0) };
-    static PLACE: RefCell<String> = const { RefCell::new(String::new()) };
     static UNWINDING: OnceLock<Arc<Unwinding>> = const { OnceLock::new() };
-    /// Something is noted there.
+    /// What is noted there has not been caught.
     static UNWINDS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// The guarded panic that unwinds on one thread, for other threads to read.
+/// The last guarded panic of one thread, which other threads can read while it unwinds.
 #[derive(Debug, Default)]
-pub(crate) struct Unwinding(Mutex<Option<UnwindingPanic>>);
+pub(crate) struct Unwinding(Mutex<Option<NotedPanic>>);
 
-/// A panic that has not been caught yet.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct UnwindingPanic {
+#[derive(Debug)]
+struct NotedPanic {
+    panic: PanicRecord,
+    is_caught: bool,
+}
+
+/// What is known of a panic.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct PanicRecord {
     pub(crate) text: String,
-    /// The file and line.
+    /// The file and line; empty for one that was not guarded.
     pub(crate) at: String,
 }
 
 impl Unwinding {
-    fn lock(&self) -> MutexGuard<'_, Option<UnwindingPanic>> {
+    fn lock(&self) -> MutexGuard<'_, Option<NotedPanic>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The panic that unwinds now.
-    pub(crate) fn read(&self) -> Option<UnwindingPanic> {
-        self.lock().clone()
+    pub(crate) fn read(&self) -> Option<PanicRecord> {
+        let noted = self.lock();
+        noted.as_ref().filter(|noted| !noted.is_caught).map(|noted| noted.panic.clone())
     }
 
     /// Guarded panics of this thread are noted in `unwinding` from now on.
@@ -51,16 +57,33 @@ impl Unwinding {
         });
     }
 
-    fn note(panic: UnwindingPanic) {
-        let noted = UNWINDING.try_with(|here| here.get().map(|here| here.lock().replace(panic)));
-        UNWINDS.set(matches!(noted, Ok(Some(_))));
+    fn note(panic: PanicRecord) {
+        let noted = NotedPanic { panic, is_caught: false };
+        let note = |here: &OnceLock<Arc<_>>| {
+            let here: &Unwinding = here.get_or_init(Arc::default);
+            here.lock().replace(noted)
+        };
+        UNWINDS.set(UNWINDING.try_with(note).is_ok());
     }
 
     /// The last panic of this thread was caught.
     #[cold]
     fn end() {
         UNWINDS.set(false);
-        let _ = UNWINDING.try_with(|here| here.get().map(|here| here.lock().take()));
+        let _ = UNWINDING.try_with(|here| {
+            if let Some(here) = here.get()
+                && let Some(noted) = &mut *here.lock()
+            {
+                noted.is_caught = true;
+            }
+        });
+    }
+
+    /// The last panic of this thread, which was caught.
+    fn take() -> Option<PanicRecord> {
+        UNWINDS.set(UNWINDS.get() && thread::panicking());
+        let taken = UNWINDING.try_with(|here| here.get().and_then(|here| here.lock().take()));
+        taken.ok().flatten().map(|noted| noted.panic)
     }
 }
 
@@ -102,8 +125,8 @@ pub(crate) fn install_hook() {
             }
             let Some(at) = info.location() else { return };
             let at = format!("{}:{}", at.file(), at.line());
-            PLACE.with_borrow_mut(|place| place.clone_from(&at));
-            Unwinding::note(UnwindingPanic { text: text_in(info.payload()), at });
+            let text = text_in(info.payload()).to_owned();
+            Unwinding::note(PanicRecord { text, at });
         }));
     });
 }
@@ -131,31 +154,25 @@ pub(crate) fn end_of_program(payload: Box<dyn Any + Send>) -> ! {
 pub(crate) fn caught<T>(run: impl FnOnce() -> T) -> Result<T, String> {
     let _guarded = PanicGuard::enter();
     panic::catch_unwind(panic::AssertUnwindSafe(run)).map_err(|payload| {
-        let at = take_place();
-        format!("panicked at {at}: {}", text_of(payload))
+        let PanicRecord { text, at } = read(payload);
+        format!("panicked at {at}: {text}")
     })
 }
 
-/// The file and line of this thread's last guarded panic, which was caught.
-pub(crate) fn take_place() -> String {
-    if UNWINDS.get() && !thread::panicking() {
-        Unwinding::end();
-    }
-    PLACE.take()
-}
-
-/// The text of a panic.
-pub(crate) fn text_of(payload: Box<dyn Any + Send>) -> String {
-    let text = text_in(&*payload);
+/// The text and place of this thread's last panic, which was caught under a guard.
+pub(crate) fn read(payload: Box<dyn Any + Send>) -> PanicRecord {
+    let PanicRecord { text, at } = Unwinding::take().unwrap_or_default();
+    let known = text_in(&*payload);
+    let text = if text == known { text } else { known.to_owned() };
     // The payload may be the user's; its Drop may panic in turn.
     let _ = panic::catch_unwind(panic::AssertUnwindSafe(|| drop(payload)));
-    text
+    PanicRecord { text, at }
 }
 
-fn text_in(payload: &(dyn Any + Send)) -> String {
+fn text_in(payload: &(dyn Any + Send)) -> &str {
     let text = payload.downcast_ref::<String>().map(String::as_str);
     let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
-    text.unwrap_or("a panic whose payload is no text").to_owned()
+    text.unwrap_or("a panic whose payload is no text")
 }
 
 #[cfg(test)]
@@ -190,9 +207,12 @@ mod tests {
         assert_eq!(unwinding.read(), None);
 
         let guarded = PanicGuard::enter();
-        assert!(panic::catch_unwind(|| panic!("not asked for its place")).is_err());
+        let payload = panic::catch_unwind(|| panic!("asked for later")).expect_err("it panics");
         assert!(unwinding.read().is_some());
         drop(guarded);
         assert_eq!(unwinding.read(), None, "the guard is left");
+        let PanicRecord { text, at } = super::read(payload);
+        assert_eq!(text, "asked for later");
+        assert!(at.contains("panics.rs:"), "{at}");
     }
 }

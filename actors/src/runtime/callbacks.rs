@@ -274,7 +274,7 @@ fn guarded(run: impl FnOnce()) -> CallOutcome {
     let _guarded = panics::PanicGuard::enter();
     match catch_unwind(AssertUnwindSafe(run)) {
         Ok(()) => CallOutcome::Done,
-        Err(payload) => CallOutcome::Panicked(panics::text_of(payload)),
+        Err(payload) => CallOutcome::Panicked(panics::read(payload).text),
     }
 }
 

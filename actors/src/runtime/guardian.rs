@@ -7,7 +7,7 @@
 
 use crate::messaging::death_watch::{Deaths, DownReason};
 use crate::platform;
-use crate::platform::panics;
+use crate::platform::panics::{self, PanicRecord};
 use actix::dev::{ContextFut, channel};
 use actix::prelude::*;
 use blastema_contract::reports::{Alive, ExitReason, Exited};
@@ -137,7 +137,7 @@ struct Ward<A: Actor<Context = Context<A>> + Supervised> {
 
 impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
     /// Says whether the actor lives again.
-    fn revive(&mut self, text: String) -> bool {
+    fn revive(&mut self, panic: PanicRecord) -> bool {
         let now = platform::now();
         while self.past.front().is_some_and(|&death| now - death > PERIOD) {
             self.past.pop_front();
@@ -145,8 +145,8 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
         self.past.push_back(now);
         let alive = self.past.len() <= TIMES
             && catch_unwind(AssertUnwindSafe(|| self.future.restart())).unwrap_or(false);
-        let exit =
-            ExitReason::Panicked { text, at: panics::take_place(), during: "the middleware" };
+        let PanicRecord { text, at } = panic;
+        let exit = ExitReason::Panicked { text, at, during: "the middleware" };
         let restarted_as = alive.then(|| self.incarnation.next());
         let (object, incarnation) = (self.name.clone(), self.incarnation);
         self.watched.end(&object, DownReason::from(&exit));
@@ -178,7 +178,7 @@ impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
             }
             Ok(Poll::Pending) => Poll::Pending,
             Err(payload) => {
-                if !self.revive(panics::text_of(payload)) {
+                if !self.revive(panics::read(payload)) {
                     return Poll::Ready(());
                 }
                 // Its neighbours have their turn before it tries again.

@@ -233,7 +233,7 @@ fn first_state<C: Stateful>(factory: &dyn Fn() -> C) -> Result<Bytes, String> {
     panics::install_hook();
     let _guarded = panics::PanicGuard::enter();
     catch_unwind(AssertUnwindSafe(|| factory().save().into())).map_err(|payload| {
-        let (text, at) = (panics::text_of(payload), panics::take_place());
+        let panics::PanicRecord { text, at } = panics::read(payload);
         format!(
             "its component panicked at {at} while it was built, or saved its first state: {text}; let the factory \
              and `save` do without what may be missing, and report that from `on_initialize`"

@@ -129,7 +129,7 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         });
         // After one incarnation and before the next there is none that dies of it.
         if let Some(payload) = payload {
-            let (at, text) = (panics::take_place(), panics::text_of(payload));
+            let panics::PanicRecord { text, at } = panics::read(payload);
             let detail = format!("{CONDITION} panicked at {at}: {text}");
             self.cell.record.declare(FaultKind::CheckFailed, detail);
         }

@@ -254,7 +254,7 @@ impl<E: Event> Topic<E> {
     /// An event of this topic panicked where it was copied or dropped. Said once.
     #[cold]
     fn complain(&self, payload: Box<dyn Any + Send>) {
-        let (text, at) = (panics::text_of(payload), panics::take_place());
+        let panics::PanicRecord { text, at } = panics::read(payload);
         if !self.complained.swap(true, Relaxed) {
             let contract = E::NAME;
             let detail = format!("an event {contract} panics in its Clone or Drop at {at}: {text}");

@@ -55,7 +55,7 @@ impl DeclaredVariable {
             let reason = match checked {
                 Ok(Ok(())) => return Ok(()),
                 Ok(Err(reason)) => reason,
-                Err(payload) => format!("it panicked: {}", panics::text_of(payload)),
+                Err(payload) => format!("it panicked: {}", panics::read(payload).text),
             };
             Err(DeliveryError::CheckFailed { reason })
         };

@@ -73,7 +73,7 @@ fn shown(way: &[ObjectName]) -> String {
 pub struct Dependencies {
     node: NodeName,
     /// As many as the node has objects. What incarnations on other nodes is left out.
-    needs: BTreeMap<ObjectName, Vec<String>>,
+    needs: BTreeMap<ObjectName, Box<[String]>>,
 }
 
 impl Dependencies {

@@ -1,13 +1,14 @@
 //! What the monitor remembers of one object.
 
-use super::{CurrentHandler, ExitReason, Liveness, MonitorRow, ObjectKind, Opinion};
+use super::{CurrentHandler, ExitReason, MonitorRow, ObjectKind, Opinion, Pull};
 use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle};
 
 /// One line of the monitor's table, as it is kept.
 #[derive(Clone, Debug)]
 pub(super) struct MonitoredObject {
     pub(super) kind: ObjectKind,
-    pub(super) watch: Liveness,
+    /// How it is asked, where it is.
+    pub(super) pull: Option<Box<Pull>>,
     pub(super) incarnation: Incarnation,
     pub(super) state: Option<Lifecycle>,
     /// A guard reports its states.
@@ -21,10 +22,17 @@ pub(super) struct MonitoredObject {
     pub(super) suspect: bool,
     /// Silence was observed and not yet broken.
     pub(super) silent: bool,
-    /// What it has been doing for too long, and since when.
-    pub(super) current: Option<(&'static str, Instant)>,
     pub(super) end: Option<LastExit>,
     pub(super) isolated: bool,
+    /// There only while it holds something: most objects are well.
+    remarks: Option<Box<Remarks>>,
+}
+
+/// What is to be said of an object that is not well.
+#[derive(Clone, Debug, Default)]
+struct Remarks {
+    /// What it has been doing for too long, and since when.
+    current: Option<(&'static str, Instant)>,
     /// What stands beside it and why, the newest last: one for each cause.
     notes: Vec<(NoteCause, String)>,
 }
@@ -54,7 +62,7 @@ impl MonitoredObject {
     pub(super) fn new(kind: ObjectKind, incarnation: Incarnation) -> Self {
         MonitoredObject {
             kind,
-            watch: Liveness::Guard,
+            pull: None,
             incarnation,
             state: None,
             guarded: false,
@@ -64,45 +72,63 @@ impl MonitoredObject {
             suspicions: 0,
             suspect: false,
             silent: false,
-            current: None,
             end: None,
             isolated: false,
-            notes: Vec::new(),
+            remarks: None,
         }
     }
 
     /// Puts a note beside it, in place of an older one of the same cause.
     pub(super) fn note(&mut self, cause: NoteCause, text: String) {
         self.erase(&cause);
-        self.notes.push((cause, text));
+        self.remarks.get_or_insert_default().notes.push((cause, text));
     }
 
     /// The note of this cause.
     fn noted(&self, cause: &NoteCause) -> Option<String> {
-        let note = self.notes.iter().find(|(known, _)| known == cause);
+        let remarks = self.remarks.as_ref()?;
+        let note = remarks.notes.iter().find(|(known, _)| known == cause);
         note.map(|(_, text)| text.clone())
     }
 
     /// The cause of a note is away.
     pub(super) fn erase(&mut self, cause: &NoteCause) {
-        self.notes.retain(|(known, _)| known != cause);
+        if let Some(remarks) = &mut self.remarks {
+            remarks.notes.retain(|(known, _)| known != cause);
+        }
+        self.tidy();
+    }
+
+    /// What it has been doing for too long, and since when.
+    pub(super) fn current(&self) -> Option<(&'static str, Instant)> {
+        self.remarks.as_ref()?.current
+    }
+
+    pub(super) fn set_current(&mut self, current: Option<(&'static str, Instant)>) {
+        self.remarks.get_or_insert_default().current = current;
+        self.tidy();
+    }
+
+    fn tidy(&mut self) {
+        self.remarks.take_if(|remarks| remarks.current.is_none() && remarks.notes.is_empty());
     }
 
     /// Empties the history: what was known was known of another incarnation. Isolation outlives a
     /// restart.
     pub(super) fn begin(&mut self, incarnation: Incarnation) {
-        let MonitoredObject { kind, watch, guarded, may_end, isolated, restarts, .. } = *self;
+        let MonitoredObject { kind, guarded, may_end, isolated, restarts, .. } = *self;
+        let pull = self.pull.take();
         let first = self.incarnation == Incarnation::default();
         let restarts = restarts.saturating_add(u32::from(!first));
         let fresh = MonitoredObject::new(kind, incarnation);
-        *self = MonitoredObject { watch, guarded, may_end, isolated, restarts, ..fresh };
+        *self = MonitoredObject { pull, guarded, may_end, isolated, restarts, ..fresh };
     }
 
     fn opinion(&self) -> Opinion {
         match self.end {
             Some(LastExit::Died) => Opinion::Failed,
             Some(LastExit::Stopped | LastExit::Finalized) => Opinion::AtRest,
-            None if self.silent || self.current.is_some() => Opinion::Failed,
+            None if self.silent || self.current().is_some() => Opinion::Failed,
             None if self.suspect => Opinion::Suspect,
             None if self.last_sign.is_none() => Opinion::Unheard,
             None => Opinion::Trusted,
@@ -120,10 +146,10 @@ impl MonitoredObject {
             restarts: self.restarts,
             suspicions: self.suspicions,
             current: self
-                .current
+                .current()
                 .map(|(during, since)| CurrentHandler { during, age: now - since }),
             isolated: self.isolated,
-            note: self.notes.last().map(|(_, text)| text.clone()),
+            note: self.remarks.as_ref().and_then(|remarks| Some(remarks.notes.last()?.1.clone())),
             ..MonitorRow::blank(place, self.kind)
         }
     }

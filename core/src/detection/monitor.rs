@@ -124,9 +124,13 @@ impl Monitor {
         if entry.incarnation < incarnation {
             entry.begin(incarnation);
         }
-        (entry.kind, entry.watch, entry.may_end) = (kind, watch, may_end);
+        entry.pull = match watch {
+            Liveness::Pull(pull) => Some(Box::new(pull)),
+            _ => None,
+        };
+        (entry.kind, entry.may_end) = (kind, may_end);
         let incarnation = entry.incarnation;
-        if !matches!(watch, Liveness::Pull(_)) {
+        if entry.pull.is_none() {
             self.pings.dismiss(&object);
         }
         self.observe_object(&object, incarnation, Finding::Enrolled { may_end, depends_on }, now);
@@ -399,8 +403,8 @@ impl Monitor {
     /// Sets the pings on an object of the table, if its entry says so.
     fn watch_over(&mut self, object: &ObjectName, now: Instant) {
         let Some(entry) = self.objects.get(object) else { return };
-        if let Liveness::Pull(pull) = entry.watch {
-            self.pings.enrol(object, pull, entry.incarnation, now);
+        if let Some(pull) = &entry.pull {
+            self.pings.enrol(object, **pull, entry.incarnation, now);
         }
         // An object that has not begun yet may have to wait for others that are started before it.
         if entry.end.is_some() || entry.incarnation == Incarnation::default() {

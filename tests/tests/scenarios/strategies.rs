@@ -214,7 +214,7 @@ async fn what_isolation_contains_stands_until_the_component_may_be_reached_again
 
     // Its second incarnation works, and is isolated as the first was.
     let refused = ask(&node, "joint", Deed::Nothing).await.unwrap_err().kind;
-    assert_eq!(refused, DeliveryError::Isolated);
+    assert_eq!(refused, DeliveryError::Isolated { object: "joint".into() });
     let record = node.faults().await;
     let contained = record.entries.iter().find(|entry| entry.fault.kind == oil());
     assert_eq!(contained.map(|entry| entry.status()), Some(FaultStatus::GivenUp), "{record:?}");

@@ -1,7 +1,7 @@
 //! The actor around a strategy.
 
 use super::{RecoveryStrategy, StrategyContext};
-use crate::platform::panics;
+use crate::platform::panics::{self, PanicRecord};
 use crate::runtime::callbacks::{Callbacks, RunningCall};
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
@@ -76,8 +76,8 @@ impl<S: RecoveryStrategy> StrategyHost<S> {
             thread.end_late();
         }
         let strategy = made.map(Rc::new).map_err(|payload| {
-            let (text, place) = (panics::text_of(payload), panics::take_place());
-            RecoveryFailed::from(format!("making the strategy panicked at {place}: {text}"))
+            let PanicRecord { text, at } = panics::read(payload);
+            RecoveryFailed::from(format!("making the strategy panicked at {at}: {text}"))
         })?;
         Ok(self.strategy.insert(strategy).clone())
     }
@@ -129,8 +129,8 @@ async fn guarded(
             return Poll::Pending;
         }
         polled.unwrap_or_else(|payload| {
-            let (text, place) = (panics::text_of(payload), panics::take_place());
-            Err(format!("the strategy panicked at {place}: {text}").into()).into()
+            let PanicRecord { text, at } = panics::read(payload);
+            Err(format!("the strategy panicked at {at}: {text}").into()).into()
         })
     })
     .await

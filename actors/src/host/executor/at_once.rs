@@ -33,7 +33,7 @@ impl<C: Component> ComponentExecutor<C> {
     /// runs on the arbiter's hub, which has named the component to the pulse, under its guard and
     /// stamp.
     #[inline]
-    pub(crate) fn serve_at_once(&mut self, mail: &mut dyn Envelope<C>) {
+    pub(crate) fn serve_at_once(&mut self, mail: &mut impl Envelope<C>) {
         let Some(waker) = self.waker.take() else { return };
         let mut cx = task::Context::from_waker(&waker);
         let served = catch_unwind(AssertUnwindSafe(|| {

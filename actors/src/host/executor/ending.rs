@@ -16,6 +16,7 @@ use blastema_contract::reports::ExitReason;
 use blastema_core::{DeliveryError, Incarnation, Lifecycle};
 use std::any::Any;
 use std::rc::Rc;
+use std::sync::Arc;
 
 impl<C: Component> ComponentExecutor<C> {
     /// A condition that the component gave has panicked. Gives the panic back where the incarnation
@@ -44,9 +45,8 @@ impl<C: Component> ComponentExecutor<C> {
     /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
     #[cold]
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
-        let at = panics::take_place();
-        let text = panics::text_of(payload);
-        let exit = ExitReason::Panicked { text, at, during };
+        let panics::PanicRecord { text, at } = panics::read(payload);
+        let exit = Arc::new(ExitReason::Panicked { text, at, during });
         if self.slot.stamp.is_busy() {
             self.slot.stamp.step();
         }

@@ -23,6 +23,7 @@ use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
 use crate::component::context::Context;
+use crate::component::control::{CommandQueue, HostCommand};
 use crate::component::envelope::{BoxedEnvelope, Envelope, EnvelopeHeader, FutureSlot};
 use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
@@ -97,6 +98,8 @@ pub(crate) struct ComponentExecutor<C: Component> {
     followed: bool,
     /// The message in service in the log: its id and contract, and whether a reply is wanted.
     logged: Option<(LogId, &'static str, bool)>,
+    /// When the incarnation began, until it first awaits something.
+    began: Option<Instant>,
     /// The supervisor knows that the incarnation did not come to work.
     start_failed: bool,
     /// This incarnation is over, and none comes after it here.
@@ -104,6 +107,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     deaths: VecDeque<Instant>,
     outbox: Vec<DeferredReport>,
     supervisor: Arc<Recipient<ChildReport>>,
+    commands: Arc<CommandQueue>,
 }
 
 impl<C: Component> ComponentExecutor<C> {
@@ -113,6 +117,7 @@ impl<C: Component> ComponentExecutor<C> {
         incarnation: Incarnation,
         arbiter: ArbiterSlot,
         supervisor: Arc<Recipient<ChildReport>>,
+        commands: Arc<CommandQueue>,
     ) -> Self {
         let slot = ActivitySlot::claim();
         let state = Rc::new(IncarnationState::new(incarnation, slot.stamp));
@@ -133,11 +138,13 @@ impl<C: Component> ComponentExecutor<C> {
             waker: None,
             followed: false,
             logged: None,
+            began: None,
             start_failed: false,
             over: false,
             deaths: VecDeque::new(),
             outbox: Vec::new(),
             supervisor,
+            commands,
         };
         executor.begin_incarnation();
         let record = &executor.cell.record;
@@ -162,9 +169,7 @@ impl<C: Component> ComponentExecutor<C> {
         let is_newest = record.enter(self.state.incarnation, placement);
         self.schedule.begin(record.limits.interval, self.state.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
-        if self.lifecycle.is_starting() {
-            self.schedule.limit(DueWork::ReadyLimit, record.limits.ready_within);
-        }
+        self.began = self.lifecycle.is_starting().then(platform::now);
         // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();
@@ -176,33 +181,29 @@ impl<C: Component> ComponentExecutor<C> {
         ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
     }
 
-    /// The place where it lived is free.
-    pub(crate) fn vacate(&self) {
-        self.arbiter.vacate();
-    }
-
-    /// The supervisor asks for a recovery within this incarnation.
-    pub(crate) fn reset(&mut self) {
-        self.lifecycle.handle_reset();
-        self.pass_reports();
-    }
-
-    /// Activates or deactivates the component on request.
-    pub(crate) fn activate(&mut self, active: bool) {
-        self.lifecycle.handle_activate(active);
-    }
-
-    /// The supervisor asks for an end in order.
-    pub(crate) fn stop(&mut self, end: EndReason) {
-        self.lifecycle.handle_stop(end);
-        self.pass_reports();
+    /// Does what it was told to.
+    fn obey(&mut self) {
+        for command in self.commands.take() {
+            match command {
+                HostCommand::Stop => self.lifecycle.handle_stop(EndReason::Stopped),
+                HostCommand::MakeWay => self.lifecycle.handle_stop(EndReason::Replaced),
+                HostCommand::Reset => self.lifecycle.handle_reset(),
+                HostCommand::Activate(active) => self.lifecycle.handle_activate(active),
+                HostCommand::Panic => {
+                    drop(self.die_of(Box::new("it was told to panic"), "an injected fault"));
+                }
+            }
+            self.pass_reports();
+        }
     }
 
     /// One poll of everything. Ready when the last incarnation here is over.
-    pub(crate) fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
+    fn run(&mut self, cx: &mut task::Context<'_>) -> Poll<()> {
         if self.waker.as_ref().is_none_or(|waker| !waker.will_wake(cx.waker())) {
             self.waker = Some(cx.waker().clone());
+            self.commands.set_waker(self.waker.clone());
         }
+        self.obey();
         if self.is_abandoned() {
             self.leave();
             return Poll::Ready(());
@@ -371,7 +372,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Fills the contract's future_slot, or builds it.
     #[inline]
-    fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
+    fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
         let Some(component) = &self.component else { return };
         self.state.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
@@ -436,6 +437,14 @@ impl<C: Component> ComponentExecutor<C> {
     fn wait(&mut self) -> Progress {
         if self.state.has_wishes() {
             self.grant();
+        }
+        // A limit is set only for an incarnation that is not ready at once.
+        if let Some(began) = self.began.take()
+            && self.lifecycle.is_starting()
+        {
+            let within = self.cell.record.limits.ready_within;
+            self.schedule
+                .limit(DueWork::ReadyLimit, within.saturating_sub(platform::now() - began));
         }
         Progress::Wait
     }

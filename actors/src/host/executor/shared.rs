@@ -13,9 +13,9 @@ use std::sync::Arc;
 use std::task::{self, Poll};
 
 thread_local! {
-    /// The executors of this arbiter, by the cell that they serve, for its hubs.
-    static EXECUTORS: RefCell<BTreeMap<usize, Weak<dyn Any>>> =
-        const { RefCell::new(BTreeMap::new()) };
+    /// The executors of this arbiter that have subscriptions, by the cell that they serve, for its
+    /// hubs.
+    static EXECUTORS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
 }
 
 /// The executor of a component that lives on this arbiter.
@@ -34,9 +34,12 @@ pub(crate) struct SharedExecutor<C: Component>(pub(crate) Rc<RefCell<ComponentEx
 impl<C: Component> SharedExecutor<C> {
     pub(crate) fn new(executor: ComponentExecutor<C>) -> Self {
         let key = Arc::as_ptr(&executor.cell).addr();
+        let hears = !executor.cell.subscriptions().is_empty();
         let executor = Rc::new(RefCell::new(executor));
         let erased: Rc<dyn Any> = executor.clone();
-        EXECUTORS.with_borrow_mut(|executors| executors.insert(key, Rc::downgrade(&erased)));
+        if hears {
+            EXECUTORS.with_borrow_mut(|executors| executors.insert(key, Rc::downgrade(&erased)));
+        }
         SharedExecutor(executor)
     }
 }
@@ -45,7 +48,12 @@ impl<C: Component> Future for SharedExecutor<C> {
     type Output = ();
 
     fn poll(self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
-        self.0.borrow_mut().run(cx)
+        let mut executor = self.0.borrow_mut();
+        let polled = executor.run(cx);
+        if polled.is_ready() {
+            executor.arbiter.vacate();
+        }
+        polled
     }
 }
 
@@ -64,6 +72,7 @@ impl<C: Component> Drop for SharedExecutor<C> {
             }
         });
         executor.cell.record.environment.watch_list.leave(executor.slot.index);
+        executor.commands.set_waker(None);
         executor.drop_before_the_end();
     }
 }

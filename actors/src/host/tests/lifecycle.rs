@@ -1,6 +1,8 @@
 //! The hooks, their order, and what is told of them.
 
 use super::{Stage, order};
+use crate::messaging::death_watch::Watchable;
+use crate::messaging::injection::Injection;
 use crate::{ChildSpec, Component, Context, DeliveryError, Event, Failure, Handle, Incarnation};
 use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::ExitReason;
@@ -361,10 +363,11 @@ fn control_is_served_while_a_hook_awaits() {
         child.start(Incarnation(1), stage.reports.recipient().into());
         settle().await;
 
-        let host = reference.0.control().unwrap();
-        host.send(crate::component::control::HostCommand::Wake).await.unwrap();
+        reference.0.inject(Injection::Panic);
+        settle().await;
 
-        assert_eq!(reference.state(), Lifecycle::Created);
+        let ended = stage.exits.drain().pop().expect("its end is told");
+        assert!(matches!(ended.exit, ExitReason::Panicked { .. }), "{ended:?}");
     });
 }
 

@@ -1,7 +1,6 @@
 //! Messages, replies, deadlines.
 
 use super::{Add, Note, Slow, Stage, acc, boom, logged, order};
-use crate::component::control::HostCommand;
 use crate::liveness::sampler::AliveSource;
 use crate::{DeliveryError, Sender, WhenFull};
 use blastema_core::Lifecycle;
@@ -133,7 +132,6 @@ fn a_component_that_floods_itself_starves_nobody() {
         let (_other, acc) = stage.start(acc("acc").0).await;
 
         assert_eq!(acc.ask(Add(1)).await, Ok(1));
-        flood.0.control().unwrap().send(HostCommand::Wake).await.unwrap();
         child.stop();
         settle().await;
 

@@ -47,7 +47,7 @@ impl Monitor {
     pub fn handle_resumed(&mut self, objects: &[ObjectName], now: Instant) {
         for object in objects {
             let Some(entry) = self.objects.get_mut(object) else { continue };
-            entry.current = None;
+            entry.set_current(None);
             entry.suspect = false;
             entry.last_sign = Some(now);
             let incarnation = entry.incarnation;
@@ -60,7 +60,7 @@ impl Monitor {
     pub fn handle_lost(&mut self, culprit: &ObjectName, victims: &[ObjectName], now: Instant) {
         for victim in victims.iter().filter(|&victim| victim != culprit) {
             let Some(entry) = self.objects.get_mut(victim) else { continue };
-            entry.current = Some(("nothing: another object hangs", now));
+            entry.set_current(Some(("nothing: another object hangs", now)));
             let incarnation = entry.incarnation;
             let culprit = culprit.clone();
             self.observe_object(victim, incarnation, Finding::Lost { culprit }, now);
@@ -154,9 +154,9 @@ impl Monitor {
         let (Finding::Hangs { age, .. } | Finding::Waits { age, .. }) = finding else { return };
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         let since = Instant::ORIGIN + (now - (Instant::ORIGIN + age));
-        let known = entry.current.is_some_and(|(known, _)| known == during);
+        let known = entry.current().is_some_and(|(known, _)| known == during);
         if !known {
-            entry.current = Some((during, since));
+            entry.set_current(Some((during, since)));
             self.observe_object(object, incarnation, finding, now);
         }
         self.settle(now);
