@@ -437,7 +437,8 @@ fn describe(figures: &OverloadFigures, victims: usize) -> String {
         parts.push(format!("{} came too late for those who waited", messages(figures.expired)));
     }
     if !figures.silent_for.is_zero() {
-        parts.push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
+        parts
+            .push(format!("no sign of life came for {} ms", figures.silent_for.as_millis()));
     }
     match victims {
         0 => {}
