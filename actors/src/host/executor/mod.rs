@@ -476,7 +476,9 @@ impl<C: Component> ComponentExecutor<C> {
                 self.advance(cx)
             }
             DueWork::Timer(id) => {
-                if let (Some(home), Some(mut action)) = (&self.home, self.chores.lift(id)) {
+                if let (Some(home), Some((mut action, missed))) = (&self.home, self.chores.lift(id))
+                {
+                    self.slot.stamp.tick(missed);
                     self.slot.stamp.begin(label(TIMER));
                     {
                         let mut chair = home.seat.borrow_mut();
