@@ -1,7 +1,9 @@
 //! Whole systems under test.
 
+use blastema::{Component, Context, Handle, Ports, Request};
 use std::net::{SocketAddr, UdpSocket};
 use std::process::{Child, Command, Stdio};
+use tokio::sync::watch;
 
 /// The role of a process that was started by a test.
 const ROLE: &str = "BLASTEMA_TEST_ROLE";
@@ -46,6 +48,30 @@ impl Drop for Process {
         // It may have been killed already.
         let _ = self.0.kill();
         let _ = self.0.wait();
+    }
+}
+
+/// Answers `R` with what a channel holds.
+pub struct Answers<R: Request>(
+    /// What is answered.
+    pub watch::Receiver<R::Reply>,
+);
+
+impl<R: Request> Component for Answers<R>
+where
+    R::Reply: Clone + Sync,
+{
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<R>();
+    }
+}
+
+impl<R: Request> Handle<R> for Answers<R>
+where
+    R::Reply: Clone + Sync,
+{
+    async fn handle(&mut self, _: R, _: &mut Context<Self>) -> R::Reply {
+        self.0.borrow().clone()
     }
 }
 

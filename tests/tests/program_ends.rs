@@ -74,7 +74,19 @@ struct Process {
 impl Process {
     fn start(role: &str, environment: &[(&str, String)]) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
-        let mut child = Command::new(program)
+        Process::spawn(Command::new(program), role, environment)
+    }
+
+    /// As `nohup` starts it.
+    fn start_without_hangups(role: &str) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "trap '' HUP; exec \"$0\" \"$@\""]).arg(program);
+        Process::spawn(shell, role, &[])
+    }
+
+    fn spawn(mut command: Command, role: &str, environment: &[(&str, String)]) -> Self {
+        let mut child = command
             .args(["--exact", "a_process_plays_its_role", "--nocapture"])
             .env(ROLE, role)
             .envs(environment.iter().map(|(name, value)| (name, value)))
@@ -174,6 +186,7 @@ fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
         ("panic", None, Some(101), "was dropped by a panic while it ran"),
         ("signal", Some("-TERM"), Some(143), "SIGTERM"),
         ("signal", Some("-INT"), Some(130), "SIGINT"),
+        ("signal", Some("-HUP"), Some(129), "SIGHUP"),
         ("blocked", Some("-TERM"), Some(143), "SIGTERM"),
     ];
     for (role, signal, status, cause) in cases {
@@ -193,6 +206,21 @@ fn a_program_that_ends_in_whichever_way_leaves_safe_outputs_and_says_so_once() {
         let faults: Vec<_> = errors.lines().filter(|line| line.contains("on node")).collect();
         assert!(faults.is_empty(), "{role}: what ends with its node is no fault: {faults:?}");
     }
+}
+
+#[test]
+fn a_program_that_is_to_outlive_its_terminal_does() {
+    let mut process = Process::start_without_hangups("signal");
+    process.await_line("drive 1");
+
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.child.id())).unwrap();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+    assert_eq!(u64::from_str_radix(caught.trim(), 16).unwrap() & 1, 0, "SIGHUP is not caught");
+    process.signal("-HUP");
+    process.signal("-TERM");
+    let (code, _, errors) = process.end();
+
+    assert!(code == Some(143) && errors.contains("SIGTERM"), "{code:?}: {errors}");
 }
 
 /// Has nothing that could be made safe.

@@ -3,7 +3,7 @@
 
 use blastema::prelude::*;
 use blastema::{Link, LinkState, Network, NodeBuilder};
-use blastema_tests::{Process, free_addresses};
+use blastema_tests::{Answers, Process, free_addresses};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::SeqCst;
@@ -54,20 +54,6 @@ struct ReadFaults;
 
 type Found = Vec<(String, String, String)>;
 
-struct Faults(tokio::sync::watch::Receiver<Found>);
-
-impl Component for Faults {
-    fn ports(ports: &mut Ports<Self>) {
-        ports.serve::<ReadFaults>();
-    }
-}
-
-impl Handle<ReadFaults> for Faults {
-    async fn handle(&mut self, _: ReadFaults, _: &mut Context<Self>) -> Found {
-        self.0.borrow().clone()
-    }
-}
-
 /// Works at 50 Hz, and is asked whether it is alive: it would be late by its rounds, and silent.
 struct Pulse;
 
@@ -81,7 +67,7 @@ async fn tell_faults() {
     let (found, told) = tokio::sync::watch::channel(Vec::new());
     let watch = Liveness::pull(100 * MS, 100 * MS);
     let mut builder = module(1, &blastema_tests::addresses())
-        .child(ChildSpec::new("faults", move || Faults(told.clone())))
+        .child(ChildSpec::new("faults", move || Answers::<ReadFaults>(told.clone())))
         .child(ChildSpec::new("pulse", || Pulse).rate_hz(50.0).liveness(watch));
     let mut faults = builder.fault_events();
     let node = builder.start().await.unwrap();

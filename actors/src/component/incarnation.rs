@@ -39,8 +39,11 @@ const TIMERS: usize = 1024;
 /// A timer that stands.
 pub(crate) struct Timer<C: Component> {
     pub(crate) mode: TimerMode,
-    /// Its entry in the schedule, from when it was taken over until it is due for the last time.
+    /// Its entry in the schedule, from when it was taken over until it is due, and again from when
+    /// it is run.
     pub(crate) entry: Option<ScheduleEntry>,
+    /// Since when it waits for its turn.
+    pub(crate) due: Option<Instant>,
     /// Lifted out while it runs.
     pub(crate) action: Option<TimerAction<C>>,
 }
@@ -123,7 +126,7 @@ impl<C: Component> IncarnationState<C> {
         let held = table.standing.borrow().len();
         assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
         table.last.set(table.last.get() + 1);
-        let timer = Timer { mode, entry: None, action: Some(action) };
+        let timer = Timer { mode, entry: None, due: None, action: Some(action) };
         table.standing.borrow_mut().insert(table.last.get(), timer);
         self.wished.set(true);
         TimerId(table.last.get())

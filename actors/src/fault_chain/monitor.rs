@@ -193,6 +193,10 @@ impl Handler<LivenessReported> for MonitorActor {
             LivenessReported::Overloaded { object, incarnation, figures, victims } => {
                 machine.handle_overloaded(&object, incarnation, figures, victims, now);
             }
+            LivenessReported::ComputerOverloaded { waited_percent, figures, victims } => {
+                machine.handle_computer_overloaded(waited_percent, figures, victims, now);
+            }
+            LivenessReported::ComputerRelieved => machine.handle_computer_relieved(now),
             LivenessReported::Stuck { object, incarnation, queue } => {
                 machine.handle_stuck(&object, incarnation, queue, now);
             }

@@ -121,6 +121,12 @@ fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
     now + (every - Duration::from_nanos(past))
 }
 
+/// How many ticks were to be between these two.
+fn missed_between(due: Instant, every: Duration, next: Instant) -> u32 {
+    let ticks = (next - due).as_nanos() / every.as_nanos().max(1);
+    u32::try_from(ticks).unwrap_or(u32::MAX).saturating_sub(1)
+}
+
 impl<C: Component> ScheduledWork<C> {
     /// For an incarnation that begins, with rounds at this interval and these timers.
     pub(crate) fn begin(&mut self, interval: Option<Duration>, timers: Rc<TimerTable<C>>) {
@@ -261,9 +267,21 @@ impl<C: Component> ScheduledWork<C> {
         self.work.as_mut()?.due.pop_front()
     }
 
-    /// The timer's action, to be run.
-    pub(crate) fn lift(&mut self, id: TimerId) -> Option<TimerAction<C>> {
-        self.timers.standing.borrow_mut().get_mut(&id.0)?.action.take()
+    /// The timer's action, to be run now, and how many of its ticks have been missed since the last
+    /// one. One that is repeated is entered again here, and not when it falls due: what cannot be
+    /// kept costs nothing but the calls that are made.
+    pub(crate) fn lift(&mut self, id: TimerId) -> Option<(TimerAction<C>, u32)> {
+        let mut standing = self.timers.standing.borrow_mut();
+        let timer = standing.get_mut(&id.0)?;
+        let mut missed = 0;
+        if let (TimerMode::Every(every), Some(at)) = (timer.mode, timer.due.take()) {
+            let next = next_tick(at, every, platform::now());
+            missed = missed_between(at, every, next);
+            let entry = self.work.as_mut()?.enter(next, DueWork::Timer(id));
+            timer.entry = Some(entry);
+            self.fresh = true;
+        }
+        Some((timer.action.take()?, missed))
     }
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
@@ -369,26 +387,20 @@ impl Work {
                 self.last_round = Some(at);
                 let next = interval.map(|interval| next_tick(at, interval, now));
                 self.round = next.map(|next| self.enter(next, DueWork::Execute));
+                if self.due.contains(&work) {
+                    return;
+                }
             }
             DueWork::Timer(id) => {
-                let mode = timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
-                let entry = match mode {
-                    Some(TimerMode::Every(every)) => {
-                        Some(self.enter(next_tick(at, every, now), work))
-                    }
-                    Some(TimerMode::Once(_)) | None => None,
-                };
-                if let Some(timer) = timers.standing.borrow_mut().get_mut(&id.0) {
-                    timer.entry = entry;
-                }
+                let mut standing = timers.standing.borrow_mut();
+                let Some(timer) = standing.get_mut(&id.0) else { return };
+                (timer.entry, timer.due) = (None, Some(at));
             }
             DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {
                 return self.reached.push(work);
             }
         }
-        if !self.due.contains(&work) {
-            self.due.push_back(work);
-        }
+        self.due.push_back(work);
     }
 }
 

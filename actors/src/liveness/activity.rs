@@ -10,14 +10,15 @@ use blastema_core::detection::hang::ActivityMark;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What a component's executor says. A cache line each, so that two arbiters do not share one.
+/// What a component's executor says. A cache line each, so that two arbiters do not share one, and no
+/// more: there are as many as components. Counts of 32 bits begin again at zero.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct ActivityRecord {
     /// Odd while something is in service; two per message or hook.
     turn: AtomicU64,
     /// Signs of life that the component gave.
-    alive: AtomicU64,
+    alive: AtomicU32,
     /// Which incarnation it is, 0 between two.
     incarnation: AtomicU64,
     /// The label of what is in service.
@@ -27,11 +28,14 @@ pub(crate) struct ActivityRecord {
     /// A condition of the component runs, beside what is in service.
     condition: AtomicBool,
     /// What the component announced to take longer than usual, in milliseconds.
-    allowance: AtomicU64,
+    allowance: AtomicU32,
     /// Rounds that it has finished.
     rounds: AtomicU64,
     /// How often a round is due, in nanoseconds; 0 for never.
     interval: AtomicU64,
+    /// Ticks of its timers that were run, and that were missed.
+    ticks: AtomicU32,
+    missed_ticks: AtomicU32,
     /// Requests whose callers had stopped waiting when their turn came.
     expired: AtomicU64,
 }
@@ -40,7 +44,7 @@ pub(crate) struct ActivityRecord {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ActivitySample {
     pub(crate) turn: u64,
-    pub(crate) alive: u64,
+    pub(crate) alive: u32,
     pub(crate) incarnation: u64,
     pub(crate) during: u32,
     pub(crate) speaks: bool,
@@ -48,6 +52,8 @@ pub(crate) struct ActivitySample {
     pub(crate) allowance: Duration,
     pub(crate) rounds: u64,
     pub(crate) interval: Duration,
+    pub(crate) ticks: u32,
+    pub(crate) missed_ticks: u32,
     pub(crate) expired: u64,
 }
 
@@ -79,13 +85,22 @@ impl ActivityRecord {
 
     #[inline]
     pub(crate) fn give_sign(&self) {
-        self.alive.store(self.alive.load(Relaxed) + 1, Relaxed);
+        self.alive.store(self.alive.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
     /// A round was finished.
     #[inline]
     pub(crate) fn end_round(&self) {
         self.rounds.store(self.rounds.load(Relaxed) + 1, Relaxed);
+    }
+
+    /// A repeated timer is run, after so many of its ticks were missed.
+    pub(crate) fn tick(&self, missed: u32) {
+        self.ticks.store(self.ticks.load(Relaxed).wrapping_add(1), Relaxed);
+        if missed > 0 {
+            let all = self.missed_ticks.load(Relaxed).wrapping_add(missed);
+            self.missed_ticks.store(all, Relaxed);
+        }
     }
 
     /// Counts a request whose caller had stopped waiting.
@@ -108,7 +123,7 @@ impl ActivityRecord {
     }
 
     pub(crate) fn allow(&self, span: Duration) {
-        self.allowance.store(u64::try_from(span.as_millis()).unwrap_or(u64::MAX), Relaxed);
+        self.allowance.store(u32::try_from(span.as_millis()).unwrap_or(u32::MAX), Relaxed);
     }
 
     /// What changes whenever a component that rests takes something up.
@@ -130,9 +145,11 @@ impl ActivityRecord {
             during: self.during.load(Relaxed),
             speaks: self.speaks.load(Relaxed),
             condition: self.condition.load(Relaxed),
-            allowance: Duration::from_millis(self.allowance.load(Relaxed)),
+            allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
             rounds: self.rounds.load(Relaxed),
             interval: Duration::from_nanos(self.interval.load(Relaxed)),
+            ticks: self.ticks.load(Relaxed),
+            missed_ticks: self.missed_ticks.load(Relaxed),
             expired: self.expired.load(Relaxed),
         }
     }

@@ -75,12 +75,14 @@ impl SampledComponent {
         let reading = self.stamp.read();
         ComponentSample {
             turn: reading.turn,
-            alive: reading.alive,
+            alive: reading.alive.into(),
             incarnation: Incarnation(reading.incarnation),
             speaks: reading.speaks,
             allowance: reading.allowance,
             rounds: reading.rounds,
             interval: reading.interval,
+            ticks: reading.ticks,
+            missed_ticks: reading.missed_ticks,
             expired: reading.expired,
         }
     }
@@ -285,7 +287,7 @@ pub(crate) fn start_thread(
     monitor: Recipient<LivenessReported>,
 ) -> io::Result<SamplerGuard> {
     let ended = Arc::new(AtomicBool::new(false));
-    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let mut eyes = Eyes::new(list, arbiters, config, monitor, true);
     let told = ended.clone();
     let thread = platform::start_thread("watch", move || {
         while !told.load(Relaxed) {
@@ -305,7 +307,7 @@ pub(crate) fn start_task(
     monitor: Recipient<LivenessReported>,
 ) -> SamplerGuard {
     let ended = Arc::new(AtomicBool::new(false));
-    let mut eyes = Eyes::new(list, arbiters, config, monitor);
+    let mut eyes = Eyes::new(list, arbiters, config, monitor, false);
     let told = ended.clone();
     actix_rt::spawn(async move {
         while !told.load(Relaxed) {
@@ -326,6 +328,8 @@ struct Eyes {
     pulses: BTreeMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
     arbiters: ArbiterPool,
     monitor: Recipient<LivenessReported>,
+    /// It goes by the system's clock, as the processors do.
+    is_real: bool,
 }
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
@@ -378,6 +382,7 @@ impl Eyes {
         arbiters: ArbiterPool,
         config: HangDetectorConfig,
         monitor: Recipient<LivenessReported>,
+        is_real: bool,
     ) -> Self {
         Eyes {
             list,
@@ -387,6 +392,7 @@ impl Eyes {
             pulses: BTreeMap::new(),
             arbiters,
             monitor,
+            is_real,
         }
     }
 
@@ -413,6 +419,11 @@ impl Eyes {
             self.scanner.handle_pulse(*id, reading);
         }
         if self.looks.is_multiple_of(STAMPS) {
+            let times = self.pulses.iter().filter_map(|(id, (pulse, _))| {
+                let time = pulse.thread().filter(|_| self.is_real)?.processor_time()?;
+                Some((*id, time))
+            });
+            times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
             self.scanner.handle_stamps(&self.stamps);
             let missed = self.scanner.missed_rounds().collect();
             *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
@@ -503,6 +514,11 @@ impl Eyes {
                     victims: victims.into(),
                 }
             }
+            LivenessEvent::ComputerOverloaded { waited_percent, figures, victims } => {
+                let victims = victims.into();
+                LivenessReported::ComputerOverloaded { waited_percent, figures, victims }
+            }
+            LivenessEvent::ComputerRelieved => LivenessReported::ComputerRelieved,
             LivenessEvent::Stuck { object, incarnation, queue } => {
                 LivenessReported::Stuck { object, incarnation, queue }
             }

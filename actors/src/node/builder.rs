@@ -252,8 +252,8 @@ impl NodeBuilder {
     /// [`callback_limit`](NodeBuilder::callback_limit) is a fault of `safe-outputs`; the fault
     /// chain then goes on without it.
     ///
-    /// It is called too when the node is dropped while it runs, and for SIGTERM and SIGINT unless
-    /// [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
+    /// It is called too when the node is dropped while it runs, and for SIGTERM, SIGINT and SIGHUP
+    /// unless [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
     pub fn safe_outputs(mut self, apply: impl Fn(&Fault) + Send + Sync + 'static) -> Self {
         self.safe_outputs = Some(Arc::new(apply));
         self
@@ -299,9 +299,10 @@ impl NodeBuilder {
         self
     }
 
-    /// Leaves SIGTERM and SIGINT to the program. Otherwise a node with safe outputs, actuators or a
-    /// journal handles them: the safe outputs are applied, the journal is told, and the process
-    /// ends with the status 128 and the signal's number. Where
+    /// Leaves SIGTERM, SIGINT and SIGHUP to the program. Otherwise a node with safe outputs,
+    /// actuators or a journal handles them: the safe outputs are applied, the journal is told, and
+    /// the process ends with the status 128 and the signal's number. SIGHUP stays ignored in a
+    /// process that was started so, as by `nohup`. Where
     /// [`Node::run_until_signal`](crate::Node::run_until_signal) waits, it shuts the node down
     /// instead.
     pub fn without_signal_handling(mut self) -> Self {

@@ -119,7 +119,8 @@ fn handle_signals() -> io::Result<()> {
 }
 
 impl Node {
-    /// Has SIGTERM and SIGINT apply the safe outputs and close the journal, if this node has any.
+    /// Has SIGTERM, SIGINT and SIGHUP apply the safe outputs and close the journal, if this node
+    /// has any.
     pub(super) fn apply_safe_outputs_on_signals(&self) -> io::Result<()> {
         if !self.0.has_outputs() && !self.0.chain.keeps_journal() {
             return Ok(());
@@ -131,11 +132,10 @@ impl Node {
         handle_signals()
     }
 
-    /// Waits for SIGTERM or SIGINT (Ctrl-C), and [shuts down](Node::shutdown) in order. A second
-    /// signal during that
-    /// applies the safe outputs and ends the process at once. Returns too when the node was shut
-    /// down otherwise; a
-    /// node in the safe state waits on, so that a person can look at it.
+    /// Waits for SIGTERM, SIGINT (Ctrl-C) or SIGHUP (the terminal is closed), and
+    /// [shuts down](Node::shutdown) in order. A second signal during that applies the safe outputs
+    /// and ends the process at once. Returns too when the node was shut down otherwise; a node in
+    /// the safe state waits on, so that a person can look at it.
     ///
     /// ```no_run
     /// use blastema::prelude::*;

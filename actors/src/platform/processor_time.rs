@@ -1,5 +1,6 @@
 //! How much of the processor a thread was given.
 
+use blastema_core::detection::hang::ProcessorTime;
 use std::fs;
 use std::time::Duration;
 
@@ -19,14 +20,26 @@ impl ThreadNumber {
     /// The processor time that the thread has used so far, if it runs or is ready to run; `None`
     /// where it waits for something, has ended, or the system does not tell.
     ///
-    /// The state is the third field of proc_pid_stat(5), and the time, which the kernel brings up
-    /// to date with each tick, the first of `schedstat` (sched-stats.rst).
+    /// The state is the third field of proc_pid_stat(5).
     pub(crate) fn used_while_ready(self) -> Option<Duration> {
-        let read = |file| fs::read_to_string(format!("/proc/self/task/{}/{file}", self.0)).ok();
         // The thread's name before it, in parentheses, may hold any character.
-        let is_ready = read("stat")?.rsplit_once(") ")?.1.starts_with('R');
-        let nanos = read("schedstat").filter(|_| is_ready)?.split(' ').next()?.parse().ok()?;
-        Some(Duration::from_nanos(nanos))
+        let is_ready = self.read("stat")?.rsplit_once(") ")?.1.starts_with('R');
+        Some(self.processor_time().filter(|_| is_ready)?.used)
+    }
+
+    /// What the thread has had of the processors so far; `None` where it has ended, or the system
+    /// does not tell.
+    ///
+    /// The first two fields of `schedstat` (sched-stats.rst). The kernel brings the first up to
+    /// date with each tick, and the second whenever the thread gets a processor.
+    pub(crate) fn processor_time(self) -> Option<ProcessorTime> {
+        let text = self.read("schedstat")?;
+        let mut nanos = text.split(' ').map(|field| field.parse().map(Duration::from_nanos));
+        Some(ProcessorTime { used: nanos.next()?.ok()?, waited: nanos.next()?.ok()? })
+    }
+
+    fn read(self, file: &str) -> Option<String> {
+        fs::read_to_string(format!("/proc/self/task/{}/{file}", self.0)).ok()
     }
 }
 

@@ -1,7 +1,7 @@
 //! The signals by which a person or a service manager asks a process to end.
 
 use super::start_thread;
-use std::io;
+use std::{fs, io};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// One of them.
@@ -11,6 +11,8 @@ pub(crate) enum Termination {
     Terminate,
     /// SIGINT: Ctrl-C at a terminal.
     Interrupt,
+    /// SIGHUP: the terminal was closed, or the connection to it was lost.
+    HangUp,
 }
 
 impl Termination {
@@ -19,6 +21,7 @@ impl Termination {
         match self {
             Termination::Terminate => "SIGTERM",
             Termination::Interrupt => "SIGINT",
+            Termination::HangUp => "SIGHUP",
         }
     }
 
@@ -27,15 +30,18 @@ impl Termination {
         128 + match self {
             Termination::Terminate => SignalKind::terminate(),
             Termination::Interrupt => SignalKind::interrupt(),
+            Termination::HangUp => SignalKind::hangup(),
         }
         .as_raw_value()
     }
 }
 
-/// Both of them, from now on: the process does not end by itself any more.
+/// All of them, from now on: the process does not end by itself any more.
 pub(crate) struct Terminations {
     terminate: Signal,
     interrupt: Signal,
+    /// `None` where the process was started to outlive its terminal.
+    hang_up: Option<Signal>,
 }
 
 impl Terminations {
@@ -44,8 +50,11 @@ impl Terminations {
     /// # Errors
     /// The system refuses it.
     pub(crate) fn listen() -> io::Result<Self> {
-        let terminate = signal(SignalKind::terminate())?;
-        Ok(Terminations { terminate, interrupt: signal(SignalKind::interrupt())? })
+        Ok(Terminations {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+            hang_up: ends_with_terminal().then(|| signal(SignalKind::hangup())).transpose()?,
+        })
     }
 
     /// The next one.
@@ -53,8 +62,24 @@ impl Terminations {
         tokio::select! {
             _ = self.terminate.recv() => Termination::Terminate,
             _ = self.interrupt.recv() => Termination::Interrupt,
+            Some(_) = next_of(&mut self.hang_up) => Termination::HangUp,
         }
     }
+}
+
+async fn next_of(signal: &mut Option<Signal>) -> Option<()> {
+    signal.as_mut()?.recv().await
+}
+
+/// Whether the process is to end with its terminal. One that was started by `nohup` is not: it has
+/// inherited that SIGHUP is ignored, and keeps it so.
+///
+/// The first of the signals in the mask `SigIgn` of proc_pid_status(5).
+fn ends_with_terminal() -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_none_or(|mask| mask & 1 == 0)
 }
 
 /// Calls `handle` for each of them, on a thread of its own: whatever the others do.

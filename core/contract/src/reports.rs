@@ -133,6 +133,17 @@ pub enum LivenessReported {
         /// Who is late behind it, on the same thread.
         victims: Arc<[ObjectName]>,
     },
+    /// Objects of this node are late because their threads waited for a processor.
+    ComputerOverloaded {
+        /// For which share of the time the worst of these threads waited.
+        waited_percent: u8,
+        /// How late they are.
+        figures: OverloadFigures,
+        /// Who is late.
+        victims: Arc<[ObjectName]>,
+    },
+    /// No object is late any more because of that.
+    ComputerRelieved,
     /// This object takes no messages although some wait and its thread is free.
     Stuck {
         /// Who.

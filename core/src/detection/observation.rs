@@ -212,6 +212,18 @@ pub enum NodeCondition {
         /// For how long.
         span: Duration,
     },
+    /// This node itself: its computer is overloaded, and these components are late because their
+    /// threads waited for a processor.
+    Overloaded {
+        /// For which share of the time the worst of these threads waited.
+        waited_percent: u8,
+        /// How late they are.
+        figures: OverloadFigures,
+        /// Who is late.
+        victims: Arc<[ObjectName]>,
+    },
+    /// No component of this node is late any more because of that.
+    Relieved,
     /// It said that it ends in order: that it is silent from now on is no fault, and its return is
     /// an ordinary one.
     Left,

@@ -200,6 +200,8 @@ impl Plan {
                 self.answer_for(kind, Some(&address.object))
             }
             FaultLocation::Link { node: here, .. } if here == node => self.answer_for(kind, None),
+            // What the plan does about components that do too much helps no computer.
+            FaultLocation::Node(_) if *kind == FaultKind::Overload => &self.observe,
             FaultLocation::Node(_) => self.answer_for(kind, None),
             FaultLocation::Object(_) | FaultLocation::Link { .. } => {
                 self.abroad.get(kind).unwrap_or(&self.observe)
@@ -422,6 +424,17 @@ mod tests {
 
         let place = FaultLocation::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
+
+        assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
+    }
+
+    #[test]
+    fn an_overload_of_the_computer_is_observed_whatever_is_done_about_components() {
+        let node: NodeName = "module1".parse().expect("a good name");
+        let plan = Plan::default().on(FaultKind::Overload, Ladder::first(RecoveryAction::SafeStop));
+
+        let place = FaultLocation::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Overload, &place);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }

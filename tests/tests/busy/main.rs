@@ -1,3 +1,4 @@
 //! Nodes on real threads whose handlers burn time, judged by counts and order, never by speed.
 
 mod fairness;
+mod shutdown;

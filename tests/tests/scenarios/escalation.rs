@@ -1,6 +1,6 @@
 //! Restarts that are not worth it any more.
 
-use crate::puppet::{Deed, Do, Strings, ask, incarnation, strike};
+use crate::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::detection::Opinion;
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
@@ -42,6 +42,41 @@ async fn a_supervisor_that_gives_up_is_begun_anew_by_its_parent() {
         record.entries.iter().all(|entry| entry.status() != blastema::FaultStatus::Open),
         "{record:?}"
     );
+}
+
+/// Everything as it is unless told otherwise, but for who decides in the end.
+#[blastema_testkit::test]
+async fn a_child_that_fails_again_and_again_is_escalated_from_each_supervisor_to_the_next() {
+    for pull in [Pull::Fail("no encoder"), Pull::Fatal("no encoder"), Pull::Panic("no encoder")] {
+        let strings = Strings::default();
+        let escalating = |name| {
+            let spec = SupervisorSpec::new(name, Strategy::OneForOne);
+            spec.when_exceeded(WhenExceeded::Escalate)
+        };
+        let drive = escalating("drive").child(strings.spec("laser")).child(strings.spec("motors"));
+        let base = escalating("base").child(strings.spec("lamp")).supervisor(drive);
+        let builder = Node::builder("module1").child(strings.spec("horn")).supervisor(base);
+        let node = TestNode::start(builder.when_exceeded(WhenExceeded::Escalate)).await;
+        for _ in 0..1000 {
+            strings.pull("motors", "on_initialize", pull.clone());
+        }
+
+        strike(&node, "motors").await;
+        node.advance(Duration::from_secs(60)).await;
+
+        let NodeState::InSafeState { reason } = node.state() else { panic!("{:?}", node.state()) };
+        assert!(reason.contains("base"), "{reason}");
+        let diary = strings.diary();
+        let begun = |name: &str| {
+            let is_one = |line: &&String| line.starts_with(name) && line.ends_with("on_initialize");
+            diary.iter().filter(is_one).count()
+        };
+        // Each supervisor is restarted three times within each incarnation of the one above it.
+        assert_eq!((begun("horn"), begun("lamp"), begun("laser")), (1, 4, 16), "{pull:?}");
+        // And so is the child, but where the plan's last attempt at it was under way meanwhile.
+        let begun = begun("motors");
+        assert!((32..=64).contains(&begun), "{pull:?}: {begun}");
+    }
 }
 
 #[blastema_testkit::test]

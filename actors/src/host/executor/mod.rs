@@ -485,9 +485,10 @@ impl<C: Component> ComponentExecutor<C> {
                 self.advance(cx)
             }
             DueWork::Timer(id) => {
-                if let (Some(component), Some(mut action)) =
+                if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
+                    self.slot.stamp.tick(missed);
                     self.slot.stamp.begin(label(TIMER));
                     {
                         let mut contents = component.contents.borrow_mut();

@@ -333,14 +333,16 @@ impl Handle<Timers> for Keeper {
     }
 }
 
+fn keeper(held: &Arc<()>) -> ChildSpec<Keeper> {
+    let held = held.clone();
+    ChildSpec::new("keeper", move || Keeper(held.clone()))
+}
+
 #[test]
 fn timers_are_bounded_and_those_that_were_cancelled_hold_nothing() {
     paused(async {
-        let stage = Stage::new();
-        let held = Arc::new(());
-        let kept = held.clone();
-        let spec = ChildSpec::new("keeper", move || Keeper(kept.clone()));
-        let (_child, keeper) = stage.start(spec).await;
+        let (stage, held) = (Stage::new(), Arc::new(()));
+        let (_child, keeper) = stage.start(keeper(&held)).await;
         let idle = Arc::strong_count(&held);
 
         for _ in 0..3 {
@@ -388,11 +390,8 @@ impl Handle<Churn> for Keeper {
 #[test]
 fn a_timer_that_is_cancelled_in_the_handler_that_set_it_holds_nothing_from_then_on() {
     paused(async {
-        let stage = Stage::new();
-        let held = Arc::new(());
-        let kept = held.clone();
-        let spec = ChildSpec::new("keeper", move || Keeper(kept.clone()));
-        let (_child, keeper) = stage.start(spec).await;
+        let (stage, held) = (Stage::new(), Arc::new(()));
+        let (_child, keeper) = stage.start(keeper(&held)).await;
 
         for _ in 0..2 {
             assert_eq!(keeper.ask(Churn(100_000)).await.unwrap(), 1);

@@ -81,11 +81,8 @@ impl Detector {
                 self.judge_overload(object, &scene, &figures, &victims);
             }
             Finding::Flows => {
-                if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Overload) {
-                    self.behind.retain(|_, root| *root != id);
-                }
                 self.end_kind(&scene, &FaultKind::Hang);
-                self.end_kind(&scene, &FaultKind::Overload);
+                self.end_overload(&scene);
             }
             Finding::Resumed => {
                 self.behind.remove(object);
@@ -154,12 +151,42 @@ impl Detector {
     ) {
         let detail = describe(figures, victims.len());
         let id = self.find(scene, FaultKind::Overload, detail, Cause::Above);
+        self.put_behind(id, victims.iter().filter(|&victim| victim != object));
+    }
+
+    /// The same, where the computer has no time for these objects.
+    fn judge_overloaded_computer(
+        &mut self,
+        scene: &Scene,
+        waited_percent: u8,
+        figures: &OverloadFigures,
+        victims: &[ObjectName],
+    ) {
+        let detail = format!(
+            "the computer is overloaded: a thread of this node waited for a processor for \
+             {waited_percent} % of the time; {}",
+            describe(figures, victims.len())
+        );
+        let id = self.find(scene, FaultKind::Overload, detail, Cause::Itself);
+        self.put_behind(id, victims.iter());
+    }
+
+    /// These wait behind an overload, unless they stand still behind a hang.
+    fn put_behind<'a>(&mut self, id: FaultId, victims: impl Iterator<Item = &'a ObjectName>) {
         for victim in victims {
             let hangs = self.behind.get(victim).is_some_and(|&root| self.is_hang(root));
-            if victim != object && self.objects.contains_key(victim) && !hangs {
+            if self.objects.contains_key(victim) && !hangs {
                 self.behind.insert(victim.clone(), id);
             }
         }
+    }
+
+    /// None waits behind the overload of this place any more.
+    fn end_overload(&mut self, scene: &Scene) {
+        if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Overload) {
+            self.behind.retain(|_, root| *root != id);
+        }
+        self.end_kind(scene, &FaultKind::Overload);
     }
 
     fn is_hang(&self, id: FaultId) -> bool {
@@ -337,6 +364,10 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeLost, reason, cause);
             }
             NodeCondition::Paused { span } => self.judge_pause(&scene, span),
+            NodeCondition::Overloaded { waited_percent, figures, victims } => {
+                self.judge_overloaded_computer(&scene, waited_percent, &figures, &victims);
+            }
+            NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
                 if let Some(detail) = self.conduct.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);

@@ -44,7 +44,7 @@ impl ComponentEntry {
             let ActivityMark { turn, incarnation, expired } = *mark;
             let before = ComponentSample { turn, incarnation, expired, ..reading };
             let fresh = ComponentRecord::new(judged.clone(), now);
-            let lateness = Lateness::new(now, expired);
+            let lateness = Lateness::new(now, &before);
             let component = ComponentRecord { reading: Some(before), lateness, ..fresh };
             *self = ComponentEntry::Awake(Box::new(component));
         }

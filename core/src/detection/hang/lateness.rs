@@ -17,6 +17,8 @@ const WINDOWS: u32 = 2;
 #[derive(Debug)]
 pub(super) struct Lateness {
     rounds: Option<Rounds>,
+    /// Ticks of its timers that it has missed.
+    missed_ticks: u64,
     window: Window,
     /// Bad windows in a row, and what the last of them held.
     bad: u32,
@@ -29,8 +31,10 @@ pub(super) struct Lateness {
 pub(super) struct Counts {
     pub(super) missed: u64,
     pub(super) expired: u64,
-    /// Who kept the component from its thread meanwhile.
-    pub(super) root: Option<SlotId>,
+    /// What kept the component from its thread meanwhile.
+    pub(super) root: Option<Root>,
+    /// The share of its rounds, or of the ticks of its timers, that were missed.
+    share: f32,
 }
 
 /// The rounds of a component since it has had this interval.
@@ -53,7 +57,21 @@ struct Window {
     blind: Duration,
     due: u64,
     missed: u64,
+    /// As in [`ComponentSample`], and so are those that follow.
+    ticks: u32,
+    missed_ticks: u32,
     expired: u64,
+}
+
+impl Window {
+    fn new(
+        (since, blind): (Instant, Duration),
+        (due, missed): (u64, u64),
+        reading: &ComponentSample,
+    ) -> Self {
+        let ComponentSample { ticks, missed_ticks, expired, .. } = *reading;
+        Window { since, blind, due, missed, ticks, missed_ticks, expired }
+    }
 }
 
 impl Rounds {
@@ -68,16 +86,26 @@ impl Rounds {
 }
 
 impl Lateness {
-    /// Nothing is late, and so many messages have been noted as expired.
-    pub(super) fn new(now: Instant, expired: u64) -> Self {
-        let blind = Duration::ZERO;
-        let window = Window { since: now, blind, due: 0, missed: 0, expired };
-        Lateness { rounds: None, window, bad: 0, counts: Counts::default(), delayed_since: None }
+    /// Nothing is late, and what has been counted is known.
+    pub(super) fn new(now: Instant, reading: &ComponentSample) -> Self {
+        Lateness {
+            rounds: None,
+            missed_ticks: 0,
+            window: Window::new((now, Duration::ZERO), (0, 0), reading),
+            bad: 0,
+            counts: Counts::default(),
+            delayed_since: None,
+        }
     }
 
-    /// Rounds that this incarnation has missed.
+    /// Rounds, and ticks of timers, that this incarnation has missed.
     pub(super) fn missed_rounds(&self) -> u64 {
-        self.rounds.map_or(0, |rounds| rounds.total())
+        self.rounds.map_or(0, |rounds| rounds.total()) + self.missed_ticks
+    }
+
+    /// The share of its rounds that the latest window has missed.
+    pub(super) fn missed_share(&self) -> f32 {
+        self.counts.share
     }
 
     /// Nothing is late, and the window has taken note of all that was counted.
@@ -99,17 +127,18 @@ impl Lateness {
     }
 
     /// Counts rounds. Answers what the latest window held if that and the one before it were bad.
+    #[expect(clippy::cast_precision_loss, reason = "a share need not be exact")]
     pub(super) fn handle_counts(
         &mut self,
         limits: &HangLimits,
         reading: &ComponentSample,
-        (window, root): (Duration, Option<SlotId>),
+        (window, root): (Duration, Option<Root>),
         (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
         let due = self.count_rounds(reading, now);
-        let missed = self.missed_rounds();
+        let missed = self.rounds.map_or(0, |rounds| rounds.total());
         let Window { since, due: due_before, missed: missed_before, expired, .. } = self.window;
-        let next = Window { since: now, blind, due, missed, expired: reading.expired };
+        let next = Window::new((now, blind), (due, missed), reading);
         let due_here = due.saturating_sub(due_before);
         let is_full = due_here >= ROUNDS_LEAST || reading.interval.is_zero();
         if due < due_before {
@@ -117,8 +146,17 @@ impl Lateness {
             self.window = next;
         } else if now - since >= window && is_full {
             let missed_here = missed.saturating_sub(missed_before);
-            let limit = u64::from(limits.max_missed_percent);
-            let rounds = missed_here * 100 > due_here * limit;
+            let missed_ticks = u64::from(next.missed_ticks.wrapping_sub(self.window.missed_ticks));
+            let ticks = missed_ticks + u64::from(next.ticks.wrapping_sub(self.window.ticks));
+            self.missed_ticks += missed_ticks;
+            // Half of the limit where it was exceeded: a load near the limit is one overload.
+            let limit = match u64::from(limits.max_missed_percent) {
+                limit if limit < 100 && self.bad >= WINDOWS => limit / 2,
+                limit => limit,
+            };
+            let is_bad = |missed: u64, due: u64| missed * 100 > due * limit;
+            let rounds = is_bad(missed_here, due_here)
+                || (ticks >= ROUNDS_LEAST && is_bad(missed_ticks, ticks));
             let expired_here = reading.expired.saturating_sub(expired);
             // What expires while the scanner is not scheduled is no fault of the component.
             let seen = blind.saturating_sub(self.window.blind) < now - since;
@@ -127,7 +165,13 @@ impl Lateness {
             // A component that was late because of another is so until a window is good: the end of
             // a load is no fault of those who were behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
-            self.counts = Counts { missed: missed_here, expired: expired_here, root };
+            let share = |missed: u64, due: u64| match due {
+                ROUNDS_LEAST.. => missed as f32 / due as f32,
+                _ => 0.0,
+            };
+            let share = share(missed_here, due_here).max(share(missed_ticks, ticks));
+            let missed = missed_here + missed_ticks;
+            self.counts = Counts { missed, expired: expired_here, root, share };
             self.window = next;
         }
         (self.bad >= WINDOWS).then_some(self.counts)
@@ -138,7 +182,7 @@ impl Lateness {
         let runs = reading.speaks && !reading.interval.is_zero();
         let same = self.rounds.is_some_and(|rounds| rounds.interval == reading.interval);
         if !runs || !same {
-            let earlier = self.missed_rounds();
+            let earlier = self.rounds.map_or(0, |rounds| rounds.total());
             let interval = if runs { reading.interval } else { Duration::ZERO };
             let before = reading.rounds;
             self.rounds = Some(Rounds { interval, since: now, before, missed: 0, earlier });
@@ -154,6 +198,11 @@ impl Lateness {
         due
     }
 
+    /// How long messages may wait: half of the limit where some have waited for longer.
+    pub(super) fn max_delay(&self, limits: &HangLimits) -> Duration {
+        if self.delayed_since.is_some() { limits.max_delay / 2 } else { limits.max_delay }
+    }
+
     /// The queue holds messages back, or does not. Says whether it has for long enough.
     pub(super) fn handle_delay(&mut self, delayed: bool, dwell: Duration, now: Instant) -> bool {
         if !delayed {
@@ -165,6 +214,15 @@ impl Lateness {
     }
 }
 
+/// What makes components late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Root {
+    /// Their threads get no processor.
+    Computer,
+    /// A component keeps their thread.
+    Component(SlotId),
+}
+
 /// An overload: who is late, and when one was so last.
 #[derive(Debug)]
 pub(super) struct Episode {
@@ -172,22 +230,41 @@ pub(super) struct Episode {
     pub(super) victims: BTreeSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
-    /// The worst of them when it was told last.
-    pub(super) told: OverloadFigures,
+    /// The worst of them when it was told last, if it was.
+    told: Option<OverloadFigures>,
 }
 
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
-        let (worst, told) = Default::default();
-        Episode { latest: now, victims: BTreeSet::new(), worst, told }
+        let worst = OverloadFigures::default();
+        Episode { latest: now, victims: BTreeSet::new(), worst, told: None }
+    }
+
+    /// These are late too, or still. Says whether the overload is to be told: it is new, has more
+    /// victims, or one of its figures has doubled.
+    pub(super) fn note(
+        &mut self,
+        victims: impl Iterator<Item = SlotId>,
+        figures: OverloadFigures,
+        now: Instant,
+    ) -> bool {
+        let known = self.victims.len();
+        self.latest = now;
+        self.victims.extend(victims);
+        self.worst = self.worst.worst(figures);
+        let is_news = self.victims.len() != known || self.has_doubled();
+        if is_news {
+            self.told = Some(self.worst);
+        }
+        is_news
     }
 
     /// One of its figures is twice as bad as it was told. Smaller changes are told with the next,
     /// and so is silence, which is a fault of its own: an overload that lasts is reported a few
     /// times, and not at every look.
-    pub(super) fn has_doubled(&self) -> bool {
+    fn has_doubled(&self) -> bool {
         let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
-        let told = &self.told;
+        let Some(told) = &self.told else { return true };
         (oldest > told.oldest && oldest >= 2 * told.oldest)
             || (queued > told.queued && queued >= 2 * told.queued)
             || (missed_rounds > told.missed_rounds && missed_rounds >= 2 * told.missed_rounds)
@@ -199,8 +276,8 @@ impl Episode {
 #[derive(Debug)]
 pub(super) struct Late {
     pub(super) slot: SlotId,
-    /// Who keeps it waiting, or itself.
-    pub(super) root: SlotId,
+    /// What keeps it waiting, or itself.
+    pub(super) root: Root,
     pub(super) queue: QueueReading,
     pub(super) missed: u64,
     pub(super) expired: u64,

@@ -1,18 +1,18 @@
 //! Who is late, and who keeps the thread meanwhile.
 
-use super::lateness::Counts;
+use super::lateness::{Counts, Root};
 use super::{
     Arbiter, Around, ComponentEntry, ComponentRecord, ComponentSample, Episode, HangDetector, Late,
     LivenessEvent, Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
-use crate::Instant;
 use crate::detection::hang::occupancy::Occupancy;
-use std::collections::{BTreeMap, VecDeque};
+use crate::{Instant, ObjectName};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 /// A thread that is free less often than in one of five looks makes its components wait for each
 /// other.
-const SATURATED: f32 = 0.8;
+pub(super) const SATURATED: f32 = 0.8;
 /// The interval of the usual looks, by which a span is turned into a number of them.
 pub(super) const LOOK: Duration = Duration::from_millis(10);
 
@@ -27,9 +27,13 @@ impl Arbiter {
         self.occupancy.busy(looks_in(span)) >= SATURATED
     }
 
-    /// Who has kept this component from the thread for so long: the one that was on it most often,
-    /// or the one that was so when an overload began and still is for half as often.
-    pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<SlotId> {
+    /// What has kept this component from the thread for so long: that the thread got no processor;
+    /// else the component that was on it most often, or the one that was so when an overload began
+    /// and still is for half as often.
+    pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<Root> {
+        if self.processor.was_scarce(span, self.overloaded.is_some()) {
+            return Some(Root::Computer);
+        }
         if !self.is_saturated(span) {
             return None;
         }
@@ -38,7 +42,7 @@ impl Arbiter {
         let known =
             self.overloaded.filter(|root| self.occupancy.share_of(*root, looks) >= share / 2.0);
         let root = known.unwrap_or(largest);
-        (root != slot).then_some(root)
+        (root != slot).then_some(Root::Component(root))
     }
 }
 
@@ -66,10 +70,10 @@ impl ComponentRecord {
             around.arbiter.filter(|arbiter| arbiter.fenced_since.is_none())?;
         } else if root.is_some() || self.is_flooded(around, looked, silent_for) {
             let slot = around.slot;
-            let root = root.unwrap_or(slot);
-            let queue = QueueReading::default();
+            let (itself, queue) = (Root::Component(slot), QueueReading::default());
+            let root = root.unwrap_or(itself);
             late.push(Late { slot, root, queue, missed: 0, expired: 0, silent_for });
-            if root == slot {
+            if root == itself {
                 return None;
             }
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
@@ -107,12 +111,14 @@ impl ComponentRecord {
     ) {
         let Some(reading) = self.reading else { return };
         let slot = around.slot;
-        let max_delay = self.judged.limits.max_delay;
+        let max_delay = self.lateness.max_delay(&self.judged.limits);
         let window = around.config.window;
-        let root = if around.is_saturated { around.kept_by(window) } else { None };
+        let root = if around.is_busy { around.kept_by(window) } else { None };
         let at = (now, around.missed);
         let counts = self.lateness.handle_counts(&self.judged.limits, &reading, (window, root), at);
-        let looks = turned || reading.turn % 2 == 1 || around.is_saturated;
+        // One that is silent does nothing, which is another fault.
+        let counts = counts.filter(|_| self.silence != Silence::Told);
+        let looks = turned || reading.turn % 2 == 1 || around.is_busy;
         let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
         // One that is not at work, because its device is away or its start fails, serves nothing:
         // that is another fault.
@@ -132,7 +138,8 @@ impl ComponentRecord {
         let explained = self.stuck && !delayed && root.is_none();
         if delayed || (counts.is_some() && !explained) {
             let Counts { missed, expired, .. } = counts.unwrap_or_default();
-            let (root, silent_for) = (root.unwrap_or(slot), Duration::ZERO);
+            let root = root.unwrap_or(Root::Component(slot));
+            let silent_for = Duration::ZERO;
             late.push(Late { slot, root, queue, missed, expired, silent_for });
         }
     }
@@ -167,57 +174,84 @@ impl ComponentRecord {
 }
 
 impl HangDetector {
-    /// Finds the root of each late component, and reports a root when it is new, when it has more
-    /// victims, or when one of its figures has doubled.
+    /// Finds the root of each late component, and reports a root where that is news.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
-        let mut roots: BTreeMap<SlotId, Vec<Late>> = BTreeMap::new();
+        let mut roots: BTreeMap<Root, Vec<Late>> = BTreeMap::new();
         let home = |slot| Some(self.judged(slot)?.arbiter);
         // Who kept the thread may have left it, and another may have its slot.
-        let late = late.into_iter().filter(|late| home(late.root) == home(late.slot));
+        let is_known = |late: &Late| match late.root {
+            Root::Computer => true,
+            Root::Component(root) => home(root) == home(late.slot),
+        };
+        let late = late.into_iter().filter(is_known);
         late.for_each(|late| roots.entry(late.root).or_default().push(late));
-        for (slot, late) in roots {
-            let Some(Some(root)) = self.components.get_mut(slot as usize) else { continue };
-            let root = root.wake(looked.stamp(slot), now);
-            let Some(reading) = root.reading else { continue };
-            if root.stuck {
-                root.flow(reading, &mut self.outputs);
+        for (root, late) in roots {
+            match root {
+                Root::Computer => self.blame_computer(&late, now),
+                Root::Component(slot) => self.blame_component(slot, &late, looked, now),
             }
-            let is_new = root.overload.is_none();
-            let episode = root.overload.get_or_insert_with(|| Episode::new(now));
-            episode.latest = now;
-            let known = episode.victims.len();
-            episode.victims.extend(late.iter().map(|late| late.slot).filter(|one| *one != slot));
-            episode.worst = episode.worst.worst(figures(&late, looked.queue(slot)));
-            if !is_new && episode.victims.len() == known && !episode.has_doubled() {
-                continue;
+        }
+    }
+
+    fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
+        let Some(Some(root)) = self.components.get_mut(slot as usize) else { return };
+        let root = root.wake(looked.stamp(slot), now);
+        let Some(reading) = root.reading else { return };
+        if root.stuck {
+            root.flow(reading, &mut self.outputs);
+        }
+        let episode = root.overload.get_or_insert_with(|| Episode::new(now));
+        let victims = late.iter().map(|late| late.slot).filter(|one| *one != slot);
+        if !episode.note(victims, figures(late, looked.queue(slot)), now) {
+            return;
+        }
+        let (mut figures, victims) = (episode.worst, episode.victims.clone());
+        let (object, home) = (root.judged.object.clone(), root.judged.arbiter);
+        let incarnation = reading.incarnation;
+        if let Some(arbiter) = self.arbiters.get_mut(&home) {
+            let share = arbiter.occupancy.share_of(slot, usize::MAX);
+            figures.utilisation_percent = percent(share);
+            if share > 0.0 {
+                arbiter.overloaded = Some(slot);
             }
-            episode.told = episode.worst;
-            let mut figures = episode.worst;
-            let victims = episode.victims.clone();
-            let (object, home) = (root.judged.object.clone(), root.judged.arbiter);
-            let incarnation = reading.incarnation;
-            if let Some(arbiter) = self.arbiters.get_mut(&home) {
-                let share = arbiter.occupancy.share_of(slot, usize::MAX);
-                figures.utilisation_percent = percent(share);
-                if share > 0.0 {
-                    arbiter.overloaded = Some(slot);
-                }
-            }
-            let name = |slot| Some(self.judged(slot)?.object.clone());
-            let victims = victims.into_iter().filter_map(name).collect();
-            let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
+        }
+        let victims = self.names(victims);
+        let seen = LivenessEvent::Overloaded { object, incarnation, figures, victims };
+        self.outputs.push_back(seen);
+    }
+
+    fn blame_computer(&mut self, late: &[Late], now: Instant) {
+        let window = self.config.window;
+        let homes =
+            late.iter().filter_map(|late| self.arbiters.get(&self.judged(late.slot)?.arbiter));
+        let waited = homes.map(|home| home.processor.shares(window).1).fold(0.0, f32::max);
+        let episode = self.computer.get_or_insert_with(|| Episode::new(now));
+        let victims = late.iter().map(|late| late.slot);
+        if episode.note(victims, figures(late, QueueReading::default()), now) {
+            let (figures, victims) = (episode.worst, episode.victims.clone());
+            let (waited_percent, victims) = (percent(waited), self.names(victims));
+            let seen = LivenessEvent::ComputerOverloaded { waited_percent, figures, victims };
             self.outputs.push_back(seen);
         }
+    }
+
+    fn names(&self, slots: BTreeSet<SlotId>) -> Vec<ObjectName> {
+        let name = |slot| Some(self.judged(slot)?.object.clone());
+        slots.into_iter().filter_map(name).collect()
     }
 
     /// Overloads are over when nothing has been late because of them for long enough.
     pub(super) fn relieve(&mut self, now: Instant) {
         let mut free = Vec::new();
+        let relief = self.config.relief;
+        let is_over = |episode: &mut Episode| now - episode.latest >= relief;
+        if let Some(episode) = self.computer.take_if(is_over) {
+            self.outputs.push_back(LivenessEvent::ComputerRelieved);
+            free.extend(episode.victims);
+        }
         for &slot in &self.awake {
             let place = self.components.get_mut(slot as usize).and_then(Option::as_mut);
             let Some(component) = place.and_then(ComponentEntry::awake_mut) else { continue };
-            let relief = self.config.relief;
-            let is_over = |episode: &mut Episode| now - episode.latest >= relief;
             let Some(episode) = component.overload.take_if(is_over) else { continue };
             let Some(reading) = component.reading else { continue };
             if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {

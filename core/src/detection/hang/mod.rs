@@ -8,7 +8,9 @@
 //!
 //! A component that works and is late, by its rounds, its signs of life or its messages, is
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
-//! victims. What a victim suffers is told after its root was.
+//! victims. What a victim suffers is told after its root was. Where the thread itself waits for a
+//! processor for longer than it runs, it is the computer that is overloaded. An overload stands
+//! until nothing was late because of it for a while, by half of the limits that it exceeded.
 //!
 //! Time in which the scanner itself was not scheduled is charged to no component: it keeps a clock
 //! that goes on only while it looks, and measures everything by that. A computer on which it is
@@ -18,10 +20,12 @@
 mod entry;
 mod lateness;
 mod load;
+mod processor;
 mod types;
 
 pub mod occupancy;
 
+pub use self::processor::ProcessorTime;
 pub use self::types::{
     ActivityMark, ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig,
     HangLimits, JudgedComponent, LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading,
@@ -29,7 +33,8 @@ pub use self::types::{
 };
 
 use self::entry::ComponentEntry;
-use self::lateness::{Episode, Late, Lateness};
+use self::lateness::{Episode, Late, Lateness, Root};
+use self::processor::ProcessorShare;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
 use std::collections::{BTreeMap, VecDeque};
@@ -54,6 +59,7 @@ struct Arbiter {
     starved: Duration,
     starved_in_turn: Duration,
     occupancy: Occupancy<SlotId>,
+    processor: ProcessorShare,
     hang: Option<Hang>,
     /// Who was given up while it was on the thread.
     left: Option<ObjectName>,
@@ -118,6 +124,8 @@ pub struct HangDetector {
     components: Vec<Option<ComponentEntry>>,
     /// Those that were judged at the last look, in order.
     awake: Vec<SlotId>,
+    /// An overload of the computer itself.
+    computer: Option<Episode>,
     outputs: VecDeque<LivenessEvent>,
 }
 
@@ -132,6 +140,7 @@ impl HangDetector {
             arbiters: BTreeMap::new(),
             components: Vec::new(),
             awake: Vec::new(),
+            computer: None,
             outputs: VecDeque::new(),
         }
     }
@@ -209,6 +218,7 @@ impl HangDetector {
             starved: Duration::ZERO,
             starved_in_turn: Duration::ZERO,
             occupancy: Occupancy::default(),
+            processor: ProcessorShare::default(),
             hang: None,
             left: None,
             overloaded: None,
@@ -364,23 +374,27 @@ impl HangDetector {
     /// Looks at all components. One that rests costs the comparison of its mark.
     pub fn handle_stamps(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
+        self.judge_processors();
         let HangDetector { config, arbiters, components, awake, outputs, .. } = self;
-        let kept = arbiters.iter().filter(|(_, arbiter)| arbiter.is_saturated(config.window));
-        let saturated: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
+        let is_busy = |arbiter: &Arbiter| {
+            arbiter.is_saturated(config.window) || arbiter.processor.is_scarce()
+        };
+        let kept = arbiters.iter().filter(|(_, arbiter)| is_busy(arbiter));
+        let busy: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         awake.clear();
         for (slot, place) in (0..).zip(components) {
             let Some(watched) = place else { continue };
             let id = watched.judged().arbiter;
-            let is_saturated = saturated.contains(&id);
+            let is_busy = busy.contains(&id);
             if let ComponentEntry::Resting { mark, .. } = watched
                 && *mark == looked.mark(slot)
-                && !is_saturated
+                && !is_busy
             {
                 continue;
             }
             let component = watched.wake(looked.stamp(slot), now);
-            let around = Around { slot, arbiter: arbiters.get(&id), is_saturated, config, missed };
+            let around = Around { slot, arbiter: arbiters.get(&id), is_busy, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
             watched.settle(now);
             awake.push(slot);
@@ -396,8 +410,8 @@ impl HangDetector {
 struct Around<'a> {
     slot: SlotId,
     arbiter: Option<&'a Arbiter>,
-    /// The arbiter has had no time to spare within the window.
-    is_saturated: bool,
+    /// The arbiter has had no time to spare within the window, or gets no processor.
+    is_busy: bool,
     config: &'a HangDetectorConfig,
     /// How long the scanner has not been scheduled, all in all.
     missed: Duration,
@@ -419,8 +433,8 @@ impl Around<'_> {
         self.arbiter.is_some_and(|arbiter| arbiter.hang.is_some() || arbiter.fenced_since.is_some())
     }
 
-    /// Who has kept the component from its thread for so long.
-    fn kept_by(&self, span: Duration) -> Option<SlotId> {
+    /// What has kept the component from its thread for so long.
+    fn kept_by(&self, span: Duration) -> Option<Root> {
         self.arbiter?.kept_by(self.slot, span)
     }
 }
@@ -440,7 +454,7 @@ impl ComponentRecord {
             heard: false,
             silence: Silence::No,
             stuck: false,
-            lateness: Lateness::new(now, 0),
+            lateness: Lateness::new(now, &ComponentSample::default()),
             overload: None,
         }
     }
@@ -487,7 +501,8 @@ impl ComponentRecord {
         let waited = starved.saturating_sub(std::mem::replace(&mut self.starved, starved));
         let Some(before) = before.filter(|before| before.incarnation == reading.incarnation) else {
             let fresh = ComponentRecord::new(self.judged.clone(), now);
-            *self = ComponentRecord { reading: Some(reading), beat, starved, ..fresh };
+            let lateness = Lateness::new(now, &reading);
+            *self = ComponentRecord { reading: Some(reading), beat, starved, lateness, ..fresh };
             return;
         };
         self.turn_since = (self.turn_since + waited).min(now);

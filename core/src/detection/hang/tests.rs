@@ -45,6 +45,8 @@ struct World {
     eyes: Eyes,
     /// Stamps are looked at with every so many pulses.
     every: u64,
+    /// What the arbiter's thread has had of the processors, where the system tells it.
+    processor: Option<ProcessorTime>,
 }
 
 struct Eyes {
@@ -75,12 +77,21 @@ impl World {
             allowance: Duration::ZERO,
             rounds: 0,
             interval: Duration::ZERO,
+            ticks: 0,
+            missed_ticks: 0,
             expired: 0,
         };
         let pulse =
             ArbiterSample { beat: 0, running: None, stamp: None, fenced: false, used: None };
         let queues = [QueueReading::default(); 3];
-        World { scanner, now: 0, pulse, eyes: Eyes { stamps: [stamp; 3], queues }, every: 1 }
+        World {
+            scanner,
+            now: 0,
+            pulse,
+            eyes: Eyes { stamps: [stamp; 3], queues },
+            every: 1,
+            processor: None,
+        }
     }
 
     /// Time passes; the arbiter stands, ready to run, and gets so many of ten milliseconds.
@@ -114,6 +125,9 @@ impl World {
         let pulse = ArbiterSample { stamp: stamp.and_then(read), ..self.pulse };
         self.scanner.handle_pulse(HOME, pulse);
         if (self.now / 10).is_multiple_of(self.every) {
+            if let Some(time) = self.processor {
+                self.scanner.handle_processor_time(HOME, time);
+            }
             self.scanner.handle_stamps(&self.eyes);
         }
         std::iter::from_fn(|| self.scanner.poll_output()).collect()

@@ -29,7 +29,7 @@ pub struct HangDetectorConfig {
     /// bursts.
     pub dwell: Duration,
     /// How long nothing may be late before an overload is over. Shorter reports one that comes and
-    /// goes as many.
+    /// goes as many: one good window among bad ones ends none.
     pub relief: Duration,
     /// Over how long, at least, rounds and expired requests are counted. Two such windows in a row
     /// must be bad. Shorter reports single delays; longer finds an overload later.
@@ -44,7 +44,7 @@ impl Default for HangDetectorConfig {
             stall: Duration::from_millis(100),
             standstill: Duration::from_millis(50),
             dwell: Duration::from_millis(500),
-            relief: Duration::from_secs(1),
+            relief: Duration::from_secs(3),
             window: Duration::from_secs(1),
         }
     }
@@ -123,6 +123,10 @@ pub struct ComponentSample {
     pub rounds: u64,
     /// How often a round is due; zero for never.
     pub interval: Duration,
+    /// Ticks of its timers that were run; begins again at zero.
+    pub ticks: u32,
+    /// Ticks of its timers that were missed, because the timer still waited for its turn; likewise.
+    pub missed_ticks: u32,
     /// Messages whose sender did not wait any more when their turn came.
     pub expired: u64,
 }
@@ -243,6 +247,17 @@ pub enum LivenessEvent {
         /// Who is late behind it, on the same thread.
         victims: Vec<ObjectName>,
     },
+    /// Components are late because their threads, ready to run, waited for a processor.
+    ComputerOverloaded {
+        /// The share of the time in which the worst of these threads waited.
+        waited_percent: u8,
+        /// How late the components are.
+        figures: OverloadFigures,
+        /// Who is late.
+        victims: Vec<ObjectName>,
+    },
+    /// No component is late any more because of that.
+    ComputerRelieved,
     /// A component has taken no message for longer than one may wait, although some wait and its
     /// thread is free.
     Stuck {

@@ -136,9 +136,28 @@ impl Monitor {
     /// void. Which fault that is, if any, the detector decides.
     pub fn handle_stall(&mut self, gap: Duration, now: Instant) {
         self.pings.handle_stall(gap, now);
-        let (place, incarnation) = (FaultLocation::Node(self.node.clone()), Incarnation::default());
-        let finding = Finding::Node(NodeCondition::Paused { span: gap });
-        self.observe(place, incarnation, finding, now);
+        self.observe_this_node(NodeCondition::Paused { span: gap }, now);
+    }
+
+    /// The watch thread found that the computer has no time for these objects.
+    pub fn handle_computer_overloaded(
+        &mut self,
+        waited_percent: u8,
+        figures: OverloadFigures,
+        victims: Arc<[ObjectName]>,
+        now: Instant,
+    ) {
+        self.observe_this_node(NodeCondition::Overloaded { waited_percent, figures, victims }, now);
+    }
+
+    /// The watch thread found that the computer has time for all objects again.
+    pub fn handle_computer_relieved(&mut self, now: Instant) {
+        self.observe_this_node(NodeCondition::Relieved, now);
+    }
+
+    fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
+        let place = FaultLocation::Node(self.node.clone());
+        self.observe(place, Incarnation::default(), Finding::Node(condition), now);
         self.settle(now);
     }
 

@@ -116,6 +116,8 @@ pub(super) struct SupervisedChild {
     pub(super) goal: ChildTarget,
     /// Its incarnation ended for this reason, and the recoverer has not decided yet.
     pub(super) failed: Option<String>,
+    /// Its present or last incarnation has come to work, or waits for what is not there yet.
+    pub(super) worked: bool,
     pub(super) restarts: u64,
     pub(super) isolated: bool,
     /// Its guard holds a standing order.
@@ -134,6 +136,7 @@ impl SupervisedChild {
             state: ChildPhase::Down,
             goal: ChildTarget::Run,
             failed: None,
+            worked: false,
             restarts: 0,
             isolated: false,
             ordered: false,

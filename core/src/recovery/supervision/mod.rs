@@ -9,7 +9,8 @@
 //! Restarts are counted per child, and a child that exceeds the intensity is refused its restart:
 //! its recoverer then takes the next measure, at last safe stop. Where the rules say so, the
 //! strategy makes children depend on each other, or the child is essential, the supervisor
-//! escalates instead.
+//! escalates instead; and it does so too if the recoverer gives a child up that cannot be started,
+//! so that it is the same whether the plan or the intensity allows fewer attempts.
 //!
 //! Two sets carry all order. `going` holds the children whose present incarnation must end: only
 //! the last of them in start order is stopped at a time. `coming` holds those that are to start:
@@ -344,14 +345,16 @@ impl Supervisor {
     ) {
         let Some(key) = self.admit(name, call, Wish::Rest) else { return };
         self.set_isolated(key, true);
+        let child = self.kept(key);
+        let (essential, worked) = (child.rules.essential, child.worked);
         self.dismiss(key, ChildTarget::Rest, cause, now);
-        let essential = self.children.get(&key).is_some_and(|child| child.rules.essential);
-        let group = self.rules.strategy != Strategy::OneForOne;
         if self.at_work() && cause != ReplacementCause::Asked {
+            // As many restarts as the plan allows, and one too many, are the same end.
+            let starts = self.phase == Phase::Starting || !worked;
             if essential {
                 self.end(Some(format!("{name} is essential, and was put into the safe state")));
-            } else if group && self.phase == Phase::Starting {
-                self.end(Some(format!("{name} could not be started, and others depend on it")));
+            } else if self.rules.counts_together() && starts {
+                self.end(Some(format!("{name} could not be started")));
             }
         }
         self.advance(now);

@@ -364,6 +364,7 @@ impl Supervisor {
             child.restarts += 1;
         }
         child.incarnation = child.incarnation.next();
+        child.worked = false;
         // A new guard begins to count.
         child.on_the_spot.clear();
         let (name, incarnation) = (child.name.clone(), child.incarnation);
@@ -402,6 +403,7 @@ impl Supervisor {
     pub(super) fn set_state(&mut self, key: ChildKey, state: ChildPhase) {
         let child = self.kept(key);
         let before = std::mem::replace(&mut child.state, state);
+        child.worked |= matches!(state, ChildPhase::Running | ChildPhase::Unavailable);
         let (timed, name) = (child.due().is_some(), child.name.clone());
         if let (ChildPhase::Resetting { call, .. }, false) = (before, state == ChildPhase::Running)
         {

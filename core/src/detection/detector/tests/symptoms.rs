@@ -174,6 +174,28 @@ fn who_is_silent_behind_an_overload_is_told_and_nothing_is_done_about_it_while_t
 }
 
 #[test]
+fn who_is_silent_because_the_computer_has_no_time_is_a_symptom_of_the_node() {
+    let mut bench = Bench::new();
+    bench.depend("safety", &[]);
+    let (figures, victims) = (OverloadFigures::default(), [object("safety")].into());
+    let overloaded = NodeCondition::Overloaded { waited_percent: 83, figures, victims };
+    bench.see("@m", ONE, Finding::Node(overloaded));
+    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    let fault = bench.fault(1);
+    assert_eq!((fault.kind, fault.place), (FaultKind::Overload, place("@m")));
+    assert!(fault.detail.contains("83 %"), "{}", fault.detail);
+
+    bench.see("safety", ONE, silent());
+    assert_eq!(bench.said(), ["Found 2"], "it is not handed over");
+    assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
+
+    bench.see("@m", ONE, Finding::Node(NodeCondition::Relieved));
+    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+    bench.see("safety", ONE, silent());
+    assert_eq!(bench.fault(2).symptom_of, None);
+}
+
+#[test]
 fn who_is_still_silent_when_the_overload_is_over_is_a_fault_of_its_own() {
     let mut bench = Bench::new();
     ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));

@@ -135,25 +135,41 @@ fn who_depend_on_each_other_escalate_together() {
 }
 
 #[test]
-fn a_group_of_which_a_member_cannot_be_started_escalates() {
+fn who_counts_restarts_together_escalates_when_a_child_that_cannot_be_started_is_given_up() {
     let children = ["a", "b"].map(|child| (child, permanent()));
-    let rules = SupervisorRules { strategy: Strategy::RestForOne, ..SupervisorRules::default() };
-    let mut rig = Rig::of(rules, &children);
-    rig.begin();
-    rig.start_failed("a", 1);
-    let escalates = ["isolate a", "escalate: a could not be started, and others depend on it"];
-    assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..2], escalates);
+    let group = SupervisorRules { strategy: Strategy::RestForOne, ..SupervisorRules::default() };
+    for rules in [group, together()] {
+        let mut rig = Rig::of(rules, &children);
+        rig.begin();
+        rig.start_failed("a", 1);
+        let escalates = ["isolate a", "escalate: a could not be started"];
+        assert_eq!(rig.rest("a", ReplacementCause::Faulty)[..2], escalates, "as it starts");
 
-    let mut rig = Rig::serving(Strategy::RestForOne);
-    assert_eq!(
-        rig.rest("a", ReplacementCause::Faulty),
-        ["isolate a", "stop a"],
-        "at work, as the plan says"
-    );
-    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
-    rig.begin();
-    rig.start_failed("a", 1);
-    let without = ["isolate a", "start b #1", "1 let a go"];
+        let mut rig = Rig::of(rules, &children);
+        rig.begin();
+        rig.started("a", 1);
+        rig.started("b", 1);
+        rig.died("b", 1);
+        rig.restart("b", ReplacementCause::Died, 1);
+        rig.start_failed("b", 2);
+        assert_eq!(rig.rest("b", ReplacementCause::Died)[..2], ["isolate b", "stop a"]);
+        assert!(rig.stopped("a", 1).contains(&"escalate: b could not be started".to_owned()));
+
+        let mut rig = Rig::of(rules, &children);
+        rig.begin();
+        rig.started("a", 1);
+        rig.started("b", 1);
+        assert_eq!(
+            rig.rest("a", ReplacementCause::Faulty),
+            ["isolate a", "stop a"],
+            "at work, as the plan says"
+        );
+    }
+    let mut rig = apart(3, &children);
+    rig.died("a", 1);
+    rig.restart("a", ReplacementCause::Died, 1);
+    rig.start_failed("a", 2);
+    let without = ["isolate a", "2 let a go"];
     assert_eq!(rig.rest("a", ReplacementCause::Faulty), without, "they do without each other");
 }
 

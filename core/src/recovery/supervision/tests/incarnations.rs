@@ -18,7 +18,7 @@ fn a_start_that_fails_answers_its_own_request_and_may_be_tried_again() {
 #[test]
 fn a_first_start_that_fails_holds_the_rest_back_until_it_is_decided() {
     let children = ["a", "b"].map(|child| (child, permanent()));
-    let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
+    let mut rig = Rig::of(SupervisorRules::default(), &children);
     rig.begin();
 
     assert_eq!(rig.start_failed("a", 1), [""; 0]);
