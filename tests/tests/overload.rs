@@ -289,7 +289,11 @@ impl Handle<Calibrate> for Camera {
     async fn handle(&mut self, _: Calibrate, cx: &mut Context<Self>) {
         let _long = cx.long_operation(LONG);
         drop(cx.long_operation(MS));
-        std::thread::sleep(250 * MS);
+        // It needs no processor, only the thread.
+        let end = Instant::now() + 250 * MS;
+        while Instant::now() < end {
+            std::hint::spin_loop();
+        }
     }
 }
 

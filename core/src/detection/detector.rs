@@ -22,8 +22,8 @@ use std::time::Duration;
 /// * **Lifecycle.** A machine per object takes the ways of [`Lifecycle::TRANSITIONS`]. A way that
 ///   does not exist is a fault of its own; the report is believed all the same.
 /// * **One fault, one report.** A fault is latched by place and kind; seen again, it is counted. A
-///   new incarnation that becomes active ends the faults of the incarnations before it; but for
-///   those that isolation contains, while the object is isolated.
+///   new incarnation that becomes active ends those of earlier incarnations that isolation does not
+///   contain.
 /// * **Roots and symptoms.** What an object suffers while something it depends on is down, or
 ///   behind a hang of another, is a symptom, also if its root is found only shortly afterwards.
 /// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in

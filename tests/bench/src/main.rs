@@ -34,6 +34,7 @@ const PARTS: [&str; 10] = [
 ];
 
 fn main() -> ExitCode {
+    restart::silence_panics();
     let mut arguments: Vec<String> = std::env::args().skip(1).collect();
     if let Some(at) = arguments.iter().position(|argument| argument == "--child") {
         arguments.remove(at);

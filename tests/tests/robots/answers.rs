@@ -19,6 +19,10 @@ pub(crate) fn isolation(evidence: &Evidence, out: &mut Vec<String>) {
         let part =
             evidence.robot.parts.iter().position(|part| place == format!("robot:{}", part.name));
         let (true, Some(part)) = (isolated, part) else { continue };
+        // What it has taken before is noted when it is no longer held up.
+        if evidence.was(part, Cause::Slow) {
+            continue;
+        }
         let restarts =
             |what: &What| matches!(what, What::Began | What::Struck(Cause::RestartChild));
         // What came first at one instant of virtual time is not known.
@@ -39,6 +43,16 @@ pub(crate) fn isolation(evidence: &Evidence, out: &mut Vec<String>) {
 
 fn is_isolation(reason: &str) -> bool {
     reason.contains(&format!("contained by {}", RecoveryAction::Isolate))
+}
+
+/// Whether the plan has had this component isolated.
+pub(crate) fn was_isolated(evidence: &Evidence, part: usize) -> bool {
+    let place = format!("robot:{}", evidence.name(part));
+    evidence.events.iter().any(|event| {
+        let gave_up =
+            matches!(&event.turn, FaultTransition::GaveUp { reason } if is_isolation(reason));
+        gave_up && event.fault.place.to_string() == place
+    })
 }
 
 /// Whether the plan has this component isolated, and it is.

@@ -25,8 +25,8 @@
 //! | ends: no fault stays open | that the second incarnation works is not reported |
 //! | pictures: all views agree | the same; the table is not told who is added, or removed |
 //! | pictures: who rests has a reason | a child that dies in its third incarnation is not restarted |
-//! | pictures: isolation is shown | a restart closes the fault, or the queue stays open |
-//! | isolation: nothing is taken | the queue is not held |
+//! | pictures: isolation is shown | a restart closes the fault, or it is not cut off |
+//! | isolation: nothing is taken | it is not cut off |
 //! | rounds: as many as the rate says | a period is 5 % too long, or 10 % too short |
 //! | bystanders: they are left alone | `one_for_one` restarts all |
 

@@ -297,6 +297,8 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
 fn roots(evidence: &Evidence, out: &mut Vec<String>) {
     let mut groups = Vec::new();
     below(&evidence.robot.root, &mut groups);
+    let late = (0..evidence.robot.parts.len()).filter(|part| evidence.robot.parts[*part].late);
+    groups.push((evidence.robot.root.name.clone(), late.collect()));
     for entry in &evidence.record.entries {
         let fault = &entry.fault;
         if fault.symptom_of.is_some() {
@@ -317,10 +319,11 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
         let part = (0..evidence.robot.parts.len()).find(|part| evidence.name(*part) == object);
         let explained = match part {
             Some(part) => at(part).any(|cause| explains(cause, &fault.kind)),
-            None => match groups.iter().find(|(name, _)| name == object) {
-                Some((_, parts)) => parts.iter().any(|part| at(*part).next().is_some()),
-                None => place == "robot",
-            },
+            None => {
+                let of_group = groups.iter().filter(|(name, _)| name == object);
+                let mut parts = of_group.flat_map(|(_, parts)| parts);
+                place == "robot" || parts.any(|part| at(*part).next().is_some())
+            }
         };
         if !explained {
             out.push(format!("roots: without a cause: {}", line(evidence, entry)));

@@ -1,5 +1,6 @@
 //! The model of requests.
 
+use crate::answers::was_isolated;
 use crate::ledger::{Answer, Cause, Entry, What};
 use crate::plan::Clock;
 use crate::run::Evidence;
@@ -53,7 +54,8 @@ pub(crate) fn requests(evidence: &Evidence, out: &mut Vec<String>) {
                 took >= deadline
                     && (evidence.robot.clock != Clock::Virtual || !killed_at.is_some_and(before))
             }
-            Answer::Other(_) => false,
+            // It was served, and its reply was not let out.
+            Answer::Other(_) => serving.is_some() && was_isolated(evidence, asked.part),
         };
         if !right {
             out.push(format!("requests: an outcome that is not true: {told}"));

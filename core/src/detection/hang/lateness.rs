@@ -32,7 +32,7 @@ pub(super) struct Counts {
     pub(super) missed: u64,
     pub(super) expired: u64,
     /// What kept the component from its thread meanwhile.
-    pub(super) root: Option<Root>,
+    pub(super) root: Option<OverloadRoot>,
     /// The share of its rounds, or of the ticks of its timers, that were missed.
     share: f32,
 }
@@ -132,7 +132,7 @@ impl Lateness {
         &mut self,
         limits: &HangLimits,
         reading: &ComponentSample,
-        (window, root): (Duration, Option<Root>),
+        (window, root): (Duration, Option<OverloadRoot>),
         (now, blind): (Instant, Duration),
     ) -> Option<Counts> {
         let due = self.count_rounds(reading, now);
@@ -216,7 +216,7 @@ impl Lateness {
 
 /// What makes components late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Root {
+pub(super) enum OverloadRoot {
     /// Their threads get no processor.
     Computer,
     /// A component keeps their thread.
@@ -277,7 +277,7 @@ impl Episode {
 pub(super) struct Late {
     pub(super) slot: SlotId,
     /// What keeps it waiting, or itself.
-    pub(super) root: Root,
+    pub(super) root: OverloadRoot,
     pub(super) queue: QueueReading,
     pub(super) missed: u64,
     pub(super) expired: u64,

@@ -1,6 +1,6 @@
 //! Who is late, and who keeps the thread meanwhile.
 
-use super::lateness::{Counts, Root};
+use super::lateness::{Counts, OverloadRoot};
 use super::{
     Arbiter, Around, ComponentEntry, ComponentRecord, ComponentSample, Episode, HangDetector, Late,
     LivenessEvent, Looked, OverloadFigures, QueueReading, Silence, SlotId,
@@ -30,9 +30,9 @@ impl Arbiter {
     /// What has kept this component from the thread for so long: that the thread got no processor;
     /// else the component that was on it most often, or the one that was so when an overload began
     /// and still is for half as often.
-    pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<Root> {
+    pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<OverloadRoot> {
         if self.processor.was_scarce(span, self.overloaded.is_some()) {
-            return Some(Root::Computer);
+            return Some(OverloadRoot::Computer);
         }
         if !self.is_saturated(span) {
             return None;
@@ -42,7 +42,7 @@ impl Arbiter {
         let known =
             self.overloaded.filter(|root| self.occupancy.share_of(*root, looks) >= share / 2.0);
         let root = known.unwrap_or(largest);
-        (root != slot).then_some(Root::Component(root))
+        (root != slot).then_some(OverloadRoot::Component(root))
     }
 }
 
@@ -70,7 +70,7 @@ impl ComponentRecord {
             around.arbiter.filter(|arbiter| arbiter.fenced_since.is_none())?;
         } else if root.is_some() || self.is_flooded(around, looked, silent_for) {
             let slot = around.slot;
-            let (itself, queue) = (Root::Component(slot), QueueReading::default());
+            let (itself, queue) = (OverloadRoot::Component(slot), QueueReading::default());
             let root = root.unwrap_or(itself);
             late.push(Late { slot, root, queue, missed: 0, expired: 0, silent_for });
             if root == itself {
@@ -138,7 +138,7 @@ impl ComponentRecord {
         let explained = self.stuck && !delayed && root.is_none();
         if delayed || (counts.is_some() && !explained) {
             let Counts { missed, expired, .. } = counts.unwrap_or_default();
-            let root = root.unwrap_or(Root::Component(slot));
+            let root = root.unwrap_or(OverloadRoot::Component(slot));
             let silent_for = Duration::ZERO;
             late.push(Late { slot, root, queue, missed, expired, silent_for });
         }
@@ -176,19 +176,19 @@ impl ComponentRecord {
 impl HangDetector {
     /// Finds the root of each late component, and reports a root where that is news.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
-        let mut roots: BTreeMap<Root, Vec<Late>> = BTreeMap::new();
+        let mut roots: BTreeMap<OverloadRoot, Vec<Late>> = BTreeMap::new();
         let home = |slot| Some(self.judged(slot)?.arbiter);
         // Who kept the thread may have left it, and another may have its slot.
         let is_known = |late: &Late| match late.root {
-            Root::Computer => true,
-            Root::Component(root) => home(root) == home(late.slot),
+            OverloadRoot::Computer => true,
+            OverloadRoot::Component(root) => home(root) == home(late.slot),
         };
         let late = late.into_iter().filter(is_known);
         late.for_each(|late| roots.entry(late.root).or_default().push(late));
         for (root, late) in roots {
             match root {
-                Root::Computer => self.blame_computer(&late, now),
-                Root::Component(slot) => self.blame_component(slot, &late, looked, now),
+                OverloadRoot::Computer => self.blame_computer(&late, now),
+                OverloadRoot::Component(slot) => self.blame_component(slot, &late, looked, now),
             }
         }
     }

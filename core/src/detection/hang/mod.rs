@@ -33,7 +33,7 @@ pub use self::types::{
 };
 
 use self::entry::ComponentEntry;
-use self::lateness::{Episode, Late, Lateness, Root};
+use self::lateness::{Episode, Late, Lateness, OverloadRoot};
 use self::processor::ProcessorShare;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
@@ -434,7 +434,7 @@ impl Around<'_> {
     }
 
     /// What has kept the component from its thread for so long.
-    fn kept_by(&self, span: Duration) -> Option<Root> {
+    fn kept_by(&self, span: Duration) -> Option<OverloadRoot> {
         self.arbiter?.kept_by(self.slot, span)
     }
 }
