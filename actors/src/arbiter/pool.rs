@@ -83,10 +83,11 @@ impl ArbiterSlot {
         !self.own_thread && !self.pulse.is_fenced() && self.answers(platform::now())
     }
 
-    /// Its event loop turns, or is about to for the first time.
+    /// Its event loop turns, or will: no component keeps it. One that runs no component and is late
+    /// was not given a processor; another thread would wait for one as well.
     fn answers(&self, now: Instant) -> bool {
         let beats = self.pulse.last_beat().is_none_or(|at| now - at <= ANSWERS_WITHIN);
-        beats && self.handle.alive()
+        (beats || self.pulse.running().is_none()) && self.handle.alive()
     }
 
     fn kind(&self) -> ThreadKind {
@@ -430,13 +431,16 @@ mod tests {
         arbiters.place(&name("arm"), false).expect("a thread")
     }
 
-    /// Keeps a thread until the sender is dropped.
+    /// Has a component keep a thread until the sender is dropped.
     fn keep(slot: &ArbiterSlot) -> Sender<()> {
         let (hold, held) = channel::<()>();
         let (begun, begins) = channel();
+        let pulse = slot.pulse.clone();
         slot.handle.spawn_fn(move || {
+            pulse.run(Some(0));
             begun.send(()).unwrap();
             let _ = held.recv();
+            pulse.run(None);
         });
         begins.recv_timeout(PATIENCE).expect("it begins");
         hold
@@ -487,6 +491,22 @@ mod tests {
             let last = place(&arbiters);
             assert!(ids.contains(&last.pulse.id()), "none is left that could be started");
             holds.pop();
+            arbiters.stop();
+        });
+    }
+
+    #[test]
+    fn a_thread_that_no_component_keeps_is_a_place_however_late_its_beat_is() {
+        System::new().block_on(async {
+            let arbiters = ArbiterPool::pool(1);
+            let slot = place(&arbiters);
+            let begun = board(&arbiters, &slot).recv_timeout(PATIENCE);
+            assert_eq!(begun, Ok(slot.pulse.id()), "it has begun to beat");
+            let late = platform::now() + Duration::from_secs(3600);
+
+            assert!(slot.answers(late), "it waits for a processor");
+            slot.pulse.run(Some(0));
+            assert!(!slot.answers(late), "a component keeps it");
             arbiters.stop();
         });
     }

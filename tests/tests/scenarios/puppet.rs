@@ -17,6 +17,8 @@ pub(crate) enum Pull {
     Panic(&'static str),
     /// It does not return for so long.
     Wait(Duration),
+    /// It does not return before this line is in the diary.
+    WaitFor(&'static str),
 }
 
 /// What a puppet is asked to do, while it serves the request or afterwards.
@@ -168,6 +170,12 @@ impl Puppet {
             Some(Pull::Panic(text)) => panic!("{text}"),
             Some(Pull::Wait(span)) => {
                 tokio::time::sleep(span).await;
+                Ok(())
+            }
+            Some(Pull::WaitFor(line)) => {
+                while !strings.inner().diary.iter().any(|written| written == line) {
+                    tokio::time::sleep(Duration::from_millis(5)).await;
+                }
                 Ok(())
             }
         }
