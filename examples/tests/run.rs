@@ -287,7 +287,9 @@ fn commander_leaves_the_wheels_at_rest_when_its_cable_is_cut() {
     );
     check(
         "commander",
-        &["the planner hears: the commander holds no lease of the actuator, or no more: claim it"],
+        &[
+            "the planner hears: the commander holds no lease of module2:wheels, or no more: claim it",
+        ],
     );
 }
 

@@ -251,15 +251,23 @@ async fn start_with_journal(path: &Path) -> (Node, String) {
 fn a_journal_that_cannot_be_written_is_a_fault_and_the_node_goes_on() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
-        let nowhere = folder.path().join("nowhere/faults");
-        let occupied = folder.path().join("occupied");
-        fs::create_dir(&occupied).expect("a folder");
-        for path in [nowhere, occupied] {
-            let (node, detail) = start_with_journal(&path).await;
-            assert!(detail.contains(text(&path)) && detail.contains("goes on without"), "{detail}");
-            assert_eq!(node.state(), NodeState::Running);
-            node.shutdown().await;
-        }
+        let path = folder.path().join("nowhere/faults");
+        let (node, detail) = start_with_journal(&path).await;
+        assert!(detail.contains(text(&path)) && detail.contains("goes on without"), "{detail}");
+        assert_eq!(node.state(), NodeState::Running);
+        node.shutdown().await;
+    });
+}
+
+#[test]
+fn a_folder_as_a_journal_is_refused_at_start() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+
+        let refused = robot("module1").journal(folder.path()).start().await;
+
+        let refused = refused.map(drop).expect_err("it is a folder").to_string();
+        assert!(refused.contains(text(folder.path())) && refused.contains("folder"), "{refused}");
     });
 }
 
