@@ -147,7 +147,8 @@ impl<C: Component> Child for ComponentChild<C> {
                 self.kept_thread = true;
             }
         }
-        // A handler that awaits is dropped by its own executor, which sees that it has been given up.
+        // A handler that awaits is dropped by its own executor, which sees that it has been given
+        // up.
         if let Some(control) = self.cell.control() {
             control.wake();
         }

@@ -10,8 +10,8 @@ use blastema_core::detection::hang::ActivityMark;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What a component's executor says. A cache line each, so that two arbiters do not share one, and no
-/// more: there are as many as components. Counts of 32 bits begin again at zero.
+/// What a component's executor says. A cache line each, so that two arbiters do not share one, and
+/// no more: there are as many as components. Counts of 32 bits begin again at zero.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 pub(crate) struct ActivityRecord {

@@ -61,8 +61,8 @@ impl ProcessorShare {
     ///
     /// What the thread ran for the rounds that were run, it would have run in proportion for those
     /// that were missed. If all that leaves a processor nothing to spare, there is too much to do
-    /// on the thread, whoever else uses the computer. What was found last stands until the contrary
-    /// is clear.
+    /// on the thread, whatever else the computer runs. What was found last stands until the
+    /// contrary is clear.
     pub(super) fn was_scarce(&self, span: Duration, is_kept: bool) -> bool {
         let (used, waited) = self.shares(span);
         let least = if self.missed > 0.0 { LEAST } else { LEAST_UNKNOWN };
