@@ -128,6 +128,12 @@ pub trait Component: Sized + 'static {
 }
 
 /// Takes one contract. Written as `async fn handle`; it may hold `&mut self` across an await.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` has no handler for `{M}`",
+    label = "`{Self}` does not handle `{M}`",
+    note = "write `impl Handle<{M}> for {Self}`, with `async fn handle(&mut self, message: {M}, cx: &mut Context<Self>)` \
+            that returns the contract's reply"
+)]
 pub trait Handle<M: Contract>: Component {
     /// Serves one message; for a request, the result is the reply.
     fn handle(&mut self, message: M, cx: &mut Context<Self>) -> impl Future<Output = M::Reply>;

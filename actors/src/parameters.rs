@@ -175,7 +175,7 @@ impl<C: Component> Context<C> {
     /// The component's own parameters as they are now.
     ///
     /// # Errors
-    /// [`DeliveryError::Unknown`] where its `ports` declare no such parameters.
+    /// [`DeliveryError::NoVariable`] where its `ports` declare no such parameters.
     pub fn parameters<P: Parameters>(&self) -> Result<P, DeliveryError> {
         self.cell.parameters()
     }

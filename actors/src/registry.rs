@@ -26,7 +26,7 @@ use bytes::Bytes;
 use encoding::encoding;
 use lookup::GlobalNameSender;
 use std::any::{Any, type_name};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
@@ -255,13 +255,12 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 
 /// A name that is taken already.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "the name {name} is taken by another object of this node, perhaps by a supervisor or an object of \
-     the middleware; names are given once"
-)]
+#[error("the name {name} is taken by {by} of this node: names are given once")]
 pub struct NameTaken {
     /// The name.
     pub name: ObjectName,
+    /// What has it: a component, a service, a supervisor, or an object of the middleware.
+    pub by: &'static str,
 }
 
 struct Entry {
@@ -270,6 +269,10 @@ struct Entry {
 }
 
 impl Entry {
+    fn kind(&self) -> &'static str {
+        if self.mortal.component_type().is_some() { "a component" } else { "a service" }
+    }
+
     fn not_served(&self, object: &ObjectName, contract: &str) -> DeliveryError {
         DeliveryError::NotServed {
             object: object.to_string(),
@@ -285,8 +288,9 @@ struct Inner {
     objects: BTreeMap<ObjectName, Entry>,
     /// What nodes say to each other, and no object does: one contract each.
     hidden: BTreeMap<ObjectName, ContractPort>,
-    /// Names of supervisors and of the middleware's own objects, at which nothing can be sent.
-    reserved: BTreeSet<ObjectName>,
+    /// Names of supervisors and of the middleware's own objects, at which nothing can be sent, and
+    /// which of these they are.
+    reserved: BTreeMap<ObjectName, &'static str>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
@@ -370,16 +374,22 @@ impl Registry {
         mortal: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
-        if inner.objects.contains_key(name) || inner.reserved.contains(name) {
-            return Err(NameTaken { name: name.clone() });
+        let known = inner.objects.get(name).map(Entry::kind);
+        if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
+            return Err(NameTaken { name: name.clone(), by });
         }
         inner.objects.insert(name.clone(), Entry { ports, mortal });
         inner.revision += 1;
         Ok(())
     }
 
-    /// Keeps these names from objects that come later.
-    pub(crate) fn reserve(&self, names: impl IntoIterator<Item = ObjectName>) {
+    /// What kind of object has this name, where something can be sent to it.
+    pub(crate) fn kind_of(&self, name: &ObjectName) -> Option<&'static str> {
+        self.lock().objects.get(name).map(Entry::kind)
+    }
+
+    /// Keeps these names, each with what has it, from objects that come later.
+    pub(crate) fn reserve(&self, names: impl IntoIterator<Item = (ObjectName, &'static str)>) {
         self.lock().reserved.extend(names);
     }
 

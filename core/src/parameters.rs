@@ -35,11 +35,18 @@ pub trait Parameters: Variable + Default {
     fn from_values<'a>(
         values: impl IntoIterator<Item = (&'a str, &'a ParameterValue)>,
     ) -> Result<Self, ParameterError> {
-        let mut parameters = Self::default();
+        let (mut parameters, mut given) = (Self::default(), Vec::new());
         for (key, value) in values {
             parameters.set(key, value)?;
+            given.push(key);
         }
-        parameters.check().map(|()| parameters)
+        match parameters.check() {
+            Ok(()) => Ok(parameters),
+            Err(ParameterError::Range { key, found, range, unit }) if !given.contains(&key) => {
+                Err(ParameterError::Default { key, found, range, unit })
+            }
+            Err(error) => Err(error),
+        }
     }
 }
 
@@ -108,6 +115,21 @@ pub enum ParameterError {
         /// The parameter.
         key: &'static str,
         /// The value that was given.
+        found: String,
+        /// The range, as it is declared.
+        range: &'static str,
+        /// The unit of both.
+        unit: Option<&'static str>,
+    },
+    /// The parameter was given no value, and its default lies outside of its range.
+    #[error(
+        "the default of `{key}` in the code is {found}, and must be in {range}{}",
+        in_unit(.unit)
+    )]
+    Default {
+        /// The parameter.
+        key: &'static str,
+        /// Its default.
         found: String,
         /// The range, as it is declared.
         range: &'static str,

@@ -7,14 +7,16 @@
 ///
 /// assert_eq!(nearest("buad", ["baud", "parity"]), Some("baud"));
 /// assert_eq!(nearest("colour", ["baud", "parity"]), None);
+/// assert_eq!(nearest("", ["x"]), None);
 /// ```
 pub fn nearest<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let (distance, word) = known
         .into_iter()
         .map(|word| (edits(wrong, word), word))
         .min_by_key(|&(distance, _)| distance)?;
-    // More than a third of the letters differ: that is another word, not a slip.
-    (distance <= 1 + wrong.len() / 3).then_some(word)
+    // More than a third of the letters differ: that is another word, not a slip; and where nothing
+    // is written, nothing is misspelt.
+    (!wrong.is_empty() && distance <= 1 + wrong.len() / 3).then_some(word)
 }
 
 /// How many letters must be changed, added or removed (Levenshtein).

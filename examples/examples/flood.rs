@@ -1,5 +1,5 @@
 //! A flooded component: its queue is bounded, its policy says what gives way, what was lost is
-//! counted, and the control lane still gets through.
+//! counted, and the commands of the framework still get through.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::DeadReason;

@@ -109,9 +109,13 @@ fn names_are_given_once_also_those_of_supervisors_and_of_the_middleware() {
     blastema::run(async {
         let called = |name: &str| ChildSpec::new(name, || Lamp);
         let group = |name: &str| SupervisorSpec::new(name, Strategy::OneForOne);
-        let same = "is taken by another object";
-        refused(node().child(called("root")), &["root", same]).await;
-        refused(node().child(called("leases")), &["leases", same]).await;
+        let same = "names are given once";
+        refused(node().child(called("root")), &["root is taken by a supervisor", same]).await;
+        refused(
+            node().child(called("leases")),
+            &["leases is taken by an object of the middleware", same],
+        )
+        .await;
         for reserved in ["net/claims", "net/gateway", "chain/of/my/own"] {
             let error = node().child(called(reserved)).start().await.unwrap_err();
             assert!(matches!(error, StartError::Spec(SpecError::Reserved { .. })), "{error}");

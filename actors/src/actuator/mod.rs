@@ -1,4 +1,4 @@
-//! Commanding actuators: a commander holds a lease, and the actuator comes to rest when the
+//! Commanding actuators: a commander holds a lease, and the actuator takes its safe command when the
 //! commander goes.
 //!
 //! ```text

@@ -91,6 +91,17 @@ pub enum SpecError {
         /// What to write instead.
         cure: &'static str,
     },
+    /// It listens twice to one topic, and would get each event twice.
+    #[error(
+        "{name} listens twice to the topic {topic:?}: write one `listen`, with every condition in its \
+         `only_if`, or name another topic by `.on(\"…\")`"
+    )]
+    ListenTwice {
+        /// The component.
+        name: ObjectName,
+        /// The topic.
+        topic: String,
+    },
     /// Two of its ports are for contracts of one name, so that only one of them could be reached.
     #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
     PortTwice {

@@ -1,6 +1,6 @@
 //! The detector's body.
 
-use crate::fault_chain::log;
+use crate::fault_chain::log::FaultLog;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -25,6 +25,7 @@ pub(crate) struct DetectorActor {
     found: Recipient<FaultFound>,
     cleared: Recipient<FaultCleared>,
     listeners: Vec<Recipient<FaultEvent>>,
+    log: FaultLog,
 }
 
 impl DetectorActor {
@@ -43,6 +44,7 @@ impl DetectorActor {
             found,
             cleared,
             listeners: Vec::new(),
+            log: FaultLog::default(),
         }
     }
 
@@ -78,7 +80,7 @@ impl DetectorActor {
     }
 
     fn tell(&mut self, event: FaultEvent) {
-        log::log(&self.node, &event);
+        self.log.step(&self.node, &event);
         // A fault is told at most once per turn, and repetitions at powers of two: the latches are
         // what bounds a slow listener's mailbox.
         self.listeners.retain(Recipient::connected);

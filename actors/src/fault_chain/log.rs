@@ -12,7 +12,8 @@
 //! Its fields are `node`, `place`, `object` (of faults of objects), `kind`, `code`, `severity`,
 //! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
 //! subscriber gets the steps of the first three rows on standard error, a line each; a fault that
-//! is found again is not printed again.
+//! is found again is not printed again, and attempts that fail alike, one after the other, are
+//! printed once.
 
 use blastema_contract::detector::FaultEvent;
 use blastema_core::detection::FaultTransition;
@@ -32,15 +33,46 @@ struct Shown {
     printed: bool,
 }
 
-/// Logs one step of a fault that `node` has found.
-pub(crate) fn log(node: &NodeName, step: &FaultEvent) {
+/// Logs what a node finds.
+#[derive(Default)]
+pub(crate) struct FaultLog {
+    /// The last step that was printed.
+    printed: String,
+}
+
+impl FaultLog {
+    /// Logs one step of a fault that `node` has found.
+    pub(crate) fn step(&mut self, node: &NodeName, step: &FaultEvent) {
+        if tracing::dispatcher::has_been_set() {
+            return log(node, step);
+        }
+        if let Some(line) = self.news(node, step) {
+            // If standard error is gone too, there is no place left to say so.
+            let _ = writeln!(io::stderr(), "{line}");
+        }
+    }
+
+    /// What is to be printed: attempts that fail alike, one after the other, are one line.
+    fn news(
+        &mut self,
+        node: &NodeName,
+        FaultEvent { fault, turn, .. }: &FaultEvent,
+    ) -> Option<&str> {
+        if !shown(fault, turn).printed {
+            return None;
+        }
+        let line = line(node, fault, turn);
+        if matches!(turn, FaultTransition::Failed { .. }) && line == self.printed {
+            return None;
+        }
+        self.printed = line;
+        Some(&self.printed)
+    }
+}
+
+fn log(node: &NodeName, step: &FaultEvent) {
     let FaultEvent { fault, turn, .. } = step;
     let shown = shown(fault, turn);
-    if shown.printed && !tracing::dispatcher::has_been_set() {
-        // If standard error is gone too, there is no place left to say so.
-        let _ = writeln!(io::stderr(), "{}", line(node, fault, turn));
-        return;
-    }
     macro_rules! log_at {
         ($level:expr) => {
             event!(
@@ -179,6 +211,23 @@ mod tests {
         ] {
             check(FaultKind::Panic, None, turn, Level::INFO, false);
         }
+    }
+
+    #[test]
+    fn attempts_that_fail_alike_are_printed_once() {
+        let (node, mut log) = (NodeName::new("module1").unwrap(), FaultLog::default());
+        let failed = |reason: &str| {
+            let (action, reason) = ("restart".to_owned(), reason.to_owned());
+            FaultTransition::Failed { action, reason }
+        };
+        let mut printed = |turn| {
+            let (fault, at) = (fault(FaultKind::Panic, None), Instant::ORIGIN);
+            log.news(&node, &FaultEvent { fault, at, turn }).is_some()
+        };
+        assert!(printed(FaultTransition::Found) && printed(failed("it is given up")));
+        assert!(!printed(failed("it is given up")) && !printed(failed("it is given up")));
+        assert!(printed(failed("no thread")) && printed(failed("it is given up")));
+        assert!(printed(FaultTransition::Found) && printed(FaultTransition::Found), "two faults");
     }
 
     #[test]

@@ -197,7 +197,7 @@ impl<C: Component> ChildSpec<C> {
         RATE_HZ.check(rate_hz)?;
         let interval = Duration::try_from_secs_f64(1.0 / rate_hz);
         interval.map(Some).map_err(|_| {
-            RATE_HZ.refuse(rate_hz.to_string(), "an interval that long cannot be kept")
+            RATE_HZ.refuse(format!("{rate_hz:?}"), "an interval that long cannot be kept")
         })
     }
 }

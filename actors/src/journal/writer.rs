@@ -176,8 +176,9 @@ impl JournalActor {
         self.fall_behind(context);
         if !std::mem::replace(&mut self.failed, true) {
             let path = self.path.display();
-            let detail =
-                format!("the journal {path} cannot be written, and goes on without: {reason}");
+            let detail = format!(
+                "the journal {path} cannot be written, and the node goes on without: {reason}"
+            );
             self.reports.declare(JOURNAL, detail);
         }
     }

@@ -285,12 +285,18 @@ impl NodeAssembly {
     async fn enrol_all(&mut self, tree: PreparedTree) -> Result<(), StartError> {
         let mut enrolments = std::mem::take(&mut self.enrolments);
         let chain = self.parts.chain.pings.iter().cloned();
-        let pings = chain.chain(tree.supervisors);
-        enrolments.extend(pings.map(|(name, pings)| middleware(name, Some(pings))));
-        let others: Vec<_> =
-            enrolments.iter().map(|enrol| enrol.enrolment.object.clone()).collect();
-        let components = tree.components.iter().map(|facts| &facts.name);
-        check_names(others.iter().chain(components)).map_err(SpecError::from)?;
+        enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
+        let registry = &self.environment.registry;
+        let kind = |name| registry.kind_of(name).unwrap_or("an object of the middleware");
+        let names = enrolments.iter().map(|enrol| &enrol.enrolment.object);
+        let mut others: Vec<_> = names.map(|name| (name.clone(), kind(name))).collect();
+        for (name, pings) in tree.supervisors {
+            others.push((name.clone(), "a supervisor"));
+            enrolments.push(middleware(name, Some(pings)));
+        }
+        let components = tree.components.iter().map(|facts| (&facts.name, "a component"));
+        let known = others.iter().map(|(name, kind)| (name, *kind));
+        check_names(known.chain(components)).map_err(SpecError::from)?;
         // Nor will those be called so that are added later.
         self.environment.registry.reserve(others);
         for facts in tree.components {

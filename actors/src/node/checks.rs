@@ -124,13 +124,15 @@ fn check_journal(file: &Path) -> Result<(), StartError> {
 
 /// Refuses two objects of one name, whether components, supervisors or middleware objects.
 pub(super) fn check_names<'a>(
-    names: impl IntoIterator<Item = &'a ObjectName>,
+    names: impl IntoIterator<Item = (&'a ObjectName, &'static str)>,
 ) -> Result<(), NameTaken> {
-    let mut known = BTreeSet::new();
-    match names.into_iter().find(|name| !known.insert(*name)) {
-        Some(name) => Err(NameTaken { name: name.clone() }),
-        None => Ok(()),
+    let mut known = BTreeMap::new();
+    for (name, kind) in names {
+        if let Some(by) = known.insert(name, kind) {
+            return Err(NameTaken { name: name.clone(), by });
+        }
     }
+    Ok(())
 }
 
 #[cfg(feature = "unix")]

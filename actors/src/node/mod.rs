@@ -27,6 +27,7 @@ mod restart;
 mod safety;
 mod signs;
 pub(crate) mod snapshot;
+mod to_the_end;
 mod tree;
 mod watchdogs;
 
@@ -78,6 +79,7 @@ use std::fmt;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use to_the_end::ToTheEnd;
 use tokio::sync::watch;
 use tracing::warn;
 
@@ -202,7 +204,7 @@ impl Node {
     ///
     /// # Errors
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it owns no variables.
+    /// [`DeliveryError::NoVariable`] where it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         variable::find(&self.0.environment.registry, object)
     }
@@ -326,8 +328,9 @@ impl Node {
     /// Where events can be published on a topic; `E`'s own name is its default topic.
     ///
     /// # Errors
-    /// The topic carries another type under this contract's name; the text names both, where each
-    /// was said, and what differs.
+    /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
+    /// name; the text names both, where each was said, and what differs.
+    /// [`DeliveryError::ShutDown`] after a [`shutdown`](Self::shutdown).
     #[track_caller]
     pub fn publisher<E: Event>(&self, topic: &str) -> Result<Publisher<E>, DeliveryError> {
         self.0.environment.topics().publisher_of(topic, self.0.name.as_str())
@@ -405,7 +408,9 @@ impl Node {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
 
-    /// Adds a component under the root supervisor while the node runs, and starts it.
+    /// Adds a component under the root supervisor while the node runs, and starts it. It is
+    /// permanent: every end is followed by a restart. Supervisors, and children that are not
+    /// permanent, are described before the start.
     ///
     /// # Errors
     /// Its name is taken or does not parse, a setting makes no sense, what it depends on is not
@@ -430,7 +435,9 @@ impl Node {
         Ok(actor)
     }
 
-    /// Stops a component that stands directly under the root supervisor, and forgets it.
+    /// Stops a component that stands directly under the root supervisor, and forgets it. A handler
+    /// of that component must not await this, as it would be waited for itself: it counts as
+    /// hanging after [`max_wait`](ChildSpec::max_wait). Spawn it with `actix_rt::spawn`.
     ///
     /// # Errors
     /// [`DeliveryError::Unknown`] or [`DeliveryError::Misspelt`] where the root keeps no such
@@ -451,11 +458,23 @@ impl Node {
     /// accepted for other nodes until the last component has ended is delivered, and they are told
     /// that the node leaves; from then on senders say [`DeliveryError::Stopped`] at once, also to
     /// those who wait in `deliver`.
+    ///
+    /// The order is given when this is first polled; it is carried out also if the future is
+    /// dropped before it resolves. So a component can shut its node down, but not wait for that in
+    /// a handler: its handler would be waited for in turn, until it counts as hanging after
+    /// [`max_wait`](ChildSpec::max_wait). Let a task of `main` call it, or spawn it with
+    /// `actix_rt::spawn`.
     pub async fn shutdown(&self) {
         self.shut_down_because("the program shut it down").await;
     }
 
     async fn shut_down_because(&self, cause: &str) {
+        let (node, cause) = (self.clone(), cause.to_owned());
+        let work = async move { node.carry_out_end(&cause).await };
+        ToTheEnd::of(self.0.chain.arbiter.clone(), work).await;
+    }
+
+    async fn carry_out_end(&self, cause: &str) {
         self.0.tell_systemd("STOPPING=1");
         let stopped = self.0.chain.answer(self.0.shutdown.send(Shutdown)).await;
         if stopped.is_none() && self.state() != NodeState::Stopped {
@@ -471,6 +490,7 @@ impl Node {
             let _ = self.0.last_record.set(record);
         }
         self.0.environment.registry.shut_down();
+        self.0.environment.topics().shut_down(&self.0.name);
         self.0.stop_threads(cause, stopped.is_some());
     }
 }

@@ -28,8 +28,8 @@ pub enum RestartError {
         /// How many.
         count: usize,
     },
-    /// It came to rest again before all components were at work. The record of faults says why.
-    #[error("it came to rest again: {reason}")]
+    /// It entered the safe state again before all components were at work. The record of faults says why.
+    #[error("it entered the safe state again: {reason}")]
     GaveUp {
         /// What the last thing was.
         reason: String,
@@ -92,17 +92,17 @@ fn did_you_mean(nearest: &Option<ObjectName>) -> String {
 
 impl Node {
     /// Brings a node back from safe state, without a new process: all components begin their next
-    /// incarnations in the start order, those too that had come to rest or were isolated alone
-    /// before. Resolves when all are at work. What it was at rest for must be mended by then: this
-    /// is for a person, or an application that knows better.
+    /// incarnations in the start order, those too that had entered the safe state or were
+    /// isolated alone before. Resolves when all are at work. The cause of the safe state must be
+    /// mended by then: this is for a person, or an application that knows better.
     ///
     /// Who still has to be stopped is waited for. Threads that were given up stay so, and are
     /// counted on.
     ///
     /// # Errors
-    /// [`RestartError::NotAtRest`] unless the node is at rest; [`RestartError::ThreadsHang`] where
-    /// that would not help; [`RestartError::GaveUp`] where it came to rest again, when all
-    /// components have ended.
+    /// [`RestartError::NotAtRest`] unless the node is in the safe state;
+    /// [`RestartError::ThreadsHang`] where that would not help; [`RestartError::GaveUp`] where it
+    /// entered the safe state again, when all components have ended.
     pub async fn restart(&self) -> Result<(), RestartError> {
         let lost = self.0.environment.arbiters.lost();
         if lost.len() >= CULPRITS_LIMIT {
@@ -124,9 +124,13 @@ impl Node {
     /// them are at work, or wait for what is not there yet, and says which of it is so. No budget
     /// of restarts counts it.
     ///
+    /// A handler of a component that this restarts must not await it, as it would be waited for
+    /// itself: it counts as hanging after [`max_wait`](crate::ChildSpec::max_wait). A component
+    /// restarts itself by [`cx.stop()`](crate::Context::stop).
+    ///
     /// # Errors
     /// [`RestartError::Unknown`] where no supervisor keeps it; [`RestartError::SupervisorRests`] in
-    /// a node at rest; [`RestartError::ChildGaveUp`] where it did not come back.
+    /// a node in the safe state; [`RestartError::ChildGaveUp`] where it did not come back.
     pub async fn restart_child(&self, name: &str) -> Result<RestartedChild, RestartError> {
         let unknown = || RestartError::Unknown {
             name: name.to_owned(),

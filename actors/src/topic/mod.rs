@@ -41,13 +41,15 @@ use crate::platform;
 use crate::platform::panics::{self, PanicGuard};
 use crate::runtime::reports::FaultReports;
 use blastema_core::contract::codec;
-use blastema_core::{DeliveryError, Event, GatherBuffer, Instant, ObjectName, PreviousVersion};
+use blastema_core::{
+    DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName, PreviousVersion,
+};
 use hub::HubQueue;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::watch;
 use traffic::Traffic;
@@ -62,6 +64,9 @@ pub(crate) type RemoteForward = Arc<dyn Fn(&GatherBuffer, Instant) + Send + Sync
 /// order, so that they do not say which: that is what [`settle_interest`](Topics::settle_interest)
 /// answers.
 pub(crate) type InterestObserver = Arc<dyn Fn(&TopicKey) + Send + Sync>;
+
+/// Set, with the node's name, once the node was shut down.
+type NodeEnd = Arc<OnceLock<NodeName>>;
 
 /// Which topic: its own name, and that of its contract.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -114,6 +119,7 @@ pub(crate) struct Topic<E: Event> {
     interest: Arc<Mutex<Option<InterestObserver>>>,
     /// The earlier versions that are understood.
     former: Vec<PreviousVersion<E>>,
+    ended: NodeEnd,
 }
 
 /// Where a topic's events go.
@@ -131,6 +137,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<E: Event> Topic<E> {
+    /// Why nothing is published on a topic of a node that was shut down.
+    fn shut_down(&self) -> Option<DeliveryError> {
+        self.ended.get().map(|node| DeliveryError::ShutDown { node: node.to_string() })
+    }
+
     fn publish(&self, event: E, captured_at: Option<Instant>, by: &str) {
         let posted_at = enqueue_time::<E>();
         // What is still to come was captured now at the latest.

@@ -28,8 +28,8 @@ impl ComponentEnvironment {
 
 type Bind<C> = Box<dyn FnOnce(&Topics) -> Result<Arc<dyn Subscription<C>>, DeliveryError>>;
 
-/// The subscriptions that a component declares.
-struct ListenPorts<C: Component>(Vec<Bind<C>>);
+/// The subscriptions that a component declares, each with its topic and contract.
+struct ListenPorts<C: Component>(Vec<(String, &'static str, Bind<C>)>);
 
 impl<C: Component> Default for ListenPorts<C> {
     fn default() -> Self {
@@ -38,14 +38,21 @@ impl<C: Component> Default for ListenPorts<C> {
 }
 
 impl<C: Component> Declarations<C> for ListenPorts<C> {
-    fn check(&self, _: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
-        Ok(())
+    fn check(&self, name: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+        let mut known = BTreeSet::new();
+        // One topic carries one contract: that is found where they are bound.
+        match self.0.iter().find(|(topic, contract, _)| !known.insert((topic, contract))) {
+            Some((topic, ..)) => {
+                Err(SpecError::ListenTwice { name: name.clone(), topic: topic.clone() })
+            }
+            None => Ok(()),
+        }
     }
 
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError> {
         let topics = cell.record.environment.topics();
         let bound: Result<Subscriptions<C>, _> =
-            self.0.into_iter().map(|bind| bind(topics)).collect();
+            self.0.into_iter().map(|(_, _, bind)| bind(topics)).collect();
         let refused = |why| SpecError::Topic { name: cell.record.name.clone(), why };
         cell.set_subscriptions(bound.map_err(refused)?);
         Ok(())
@@ -54,7 +61,7 @@ impl<C: Component> Declarations<C> for ListenPorts<C> {
 
 impl<C: Component> Ports<C> {
     /// Listens to the topic that has this event's contract name. The port that is returned takes a
-    /// condition and another topic.
+    /// condition and another topic. A component listens to a topic once.
     #[track_caller]
     pub fn listen<E: Event>(&mut self) -> ListenPort<'_, C, E>
     where
@@ -91,10 +98,13 @@ impl<C: Handle<E>, E: Event> Drop for ListenPort<'_, C, E> {
     fn drop(&mut self) {
         let (topic, only_if) = (std::mem::take(&mut self.topic), self.only_if.take());
         let at = self.at;
-        self.ports.feature::<ListenPorts<C>>().0.push(Box::new(move |topics| {
+        let name = topic.clone();
+        let bind = move |topics: &Topics| {
             let topic = topics.topic::<E>(&topic, at)?;
-            Ok(Arc::new(TopicSubscription::new(topic, only_if)))
-        }));
+            Ok(Arc::new(TopicSubscription::new(topic, only_if)) as Arc<dyn Subscription<C>>)
+        };
+        let declared = self.ports.feature::<ListenPorts<C>>();
+        declared.0.push((name, E::NAME, Box::new(bind)));
     }
 }
 

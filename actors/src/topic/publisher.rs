@@ -68,7 +68,8 @@ impl<E: Event> Publisher<E> {
     /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is
     /// fenced off, or the incarnation that made this publisher has ended;
     /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is
-    /// isolated. The event comes back, and is not counted among the dead letters.
+    /// isolated; [`DeliveryError::ShutDown`](crate::DeliveryError::ShutDown) if the publisher is
+    /// the node's, and the node was shut down. The event comes back, and is not counted among the dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         self.publish_stamped(event, None)
@@ -91,7 +92,11 @@ impl<E: Event> Publisher<E> {
         event: E,
         captured_at: Option<Instant>,
     ) -> Result<(), SendError<E>> {
-        let ended = || self.incarnation.as_ref().and_then(|incarnation| incarnation.forbidden());
+        // A component ends before its node.
+        let ended = || match &self.incarnation {
+            Some(incarnation) => incarnation.forbidden(),
+            None => self.topic.shut_down(),
+        };
         match heartbeat::send_refusal().or_else(ended) {
             Some(why) => Err(SendError::new(why, event)),
             None => {

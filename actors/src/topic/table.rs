@@ -2,12 +2,14 @@
 
 use super::erased::AnyTopic;
 use super::traffic::{TopicRow, Traffic};
-use super::{Hubs, InterestObserver, Publisher, RemoteForward, Topic, TopicKey, lock};
+use super::{Hubs, InterestObserver, NodeEnd, Publisher, RemoteForward, Topic, TopicKey, lock};
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
-use blastema_core::{ContractIdentity, DeliveryError, Event, ObjectName, PeerIdentity, suggestion};
+use blastema_core::{
+    ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity, suggestion,
+};
 use bytes::Bytes;
 use std::any::{Any, type_name};
 use std::collections::BTreeMap;
@@ -88,12 +90,19 @@ pub(crate) struct Topics {
     reports: FaultReports,
     /// When a listener joined a topic last, in nanoseconds.
     joined: Arc<AtomicU64>,
+    ended: NodeEnd,
 }
 
 impl Topics {
     pub(crate) fn new(dead_letters: DeadLetterLog, reports: FaultReports) -> Self {
-        let (inner, interest, joined) = Default::default();
-        Topics { inner, interest, dead_letters, reports, joined }
+        let (inner, interest, joined, ended) = Default::default();
+        Topics { inner, interest, dead_letters, reports, joined, ended }
+    }
+
+    /// This node was shut down: who publishes from outside of its components is told so.
+    pub(crate) fn shut_down(&self, node: &NodeName) {
+        // It is told once.
+        let _ = self.ended.set(node.clone());
     }
 
     /// The topic of this name that carries `E`, as it is said to here. A topic carries one
@@ -133,6 +142,7 @@ impl Topics {
             complained: AtomicBool::new(false),
             interest: self.interest.clone(),
             former: E::previous_versions(),
+            ended: self.ended.clone(),
         });
         let known = TopicEntry { naming, typed: topic.clone(), erased: topic.clone() };
         inner.topics.insert(key.topic.clone(), known);
@@ -168,7 +178,11 @@ impl Topics {
         topic: &str,
         object: &str,
     ) -> Result<Publisher<E>, DeliveryError> {
-        Ok(Publisher::new(self.topic(topic, Location::caller())?, object))
+        let topic = self.topic(topic, Location::caller())?;
+        match topic.shut_down() {
+            Some(why) => Err(why),
+            None => Ok(Publisher::new(topic, object)),
+        }
     }
 
     /// The topics that objects of this node have named.

@@ -122,13 +122,26 @@ impl<V: Variable> fmt::Debug for VariableRef<V> {
     }
 }
 
+/// An object without variables does not serve what they are asked for by.
+fn none_at_all<V: Variable>(why: DeliveryError) -> DeliveryError {
+    match why {
+        DeliveryError::NotServed { object, contract, .. }
+            if contract == <VariableRequest as blastema_core::Contract>::NAME =>
+        {
+            let (variable, known) = (V::NAME.to_owned(), Vec::new());
+            DeliveryError::NoVariable { object, variable, known }
+        }
+        why => why,
+    }
+}
+
 /// The variable `V` of the object of this name.
 pub(crate) fn find<V: Variable>(
     registry: &Registry,
     name: &str,
 ) -> Result<VariableRef<V>, DeliveryError> {
     let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
-    let sender = registry.sender::<VariableRequest>(name)?;
+    let sender = registry.sender::<VariableRequest>(name).map_err(none_at_all::<V>)?;
     let (node, object) = match name.contains(':') {
         true => {
             let ObjectAddress { node, object } = name.parse().map_err(unknown)?;
@@ -151,7 +164,7 @@ impl<V: Variable> VariableRef<V> {
         within: Duration,
     ) -> Result<VariableReply, DeliveryError> {
         let asked = self.sender.ask_within(access, within).await;
-        understood::<V>(asked.map_err(|error| error.kind)?)
+        understood::<V>(asked.map_err(|error| none_at_all::<V>(error.kind))?)
     }
 
     async fn ask_for_value(

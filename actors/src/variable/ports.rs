@@ -116,7 +116,7 @@ impl<C: Component> Context<C> {
     ///
     /// # Errors
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] where no object here has the name,
-    /// [`DeliveryError::NotServed`] where it owns no variables.
+    /// [`DeliveryError::NoVariable`] where it owns no variables.
     pub fn variable<V: Variable>(&self, object: &str) -> Result<VariableRef<V>, DeliveryError> {
         find(&self.cell.record.environment.registry, object)
     }

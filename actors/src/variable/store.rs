@@ -105,6 +105,14 @@ struct Inner {
 }
 
 impl Inner {
+    /// The object has no such variable, but perhaps others.
+    fn no_variable(&self, (object, variable): &VariableKey) -> DeliveryError {
+        let of_object = self.facts.keys().filter(|(owner, _)| owner == object);
+        let known = of_object.map(|(_, known)| known.clone()).collect();
+        let (object, variable) = (object.to_string(), variable.clone());
+        DeliveryError::NoVariable { object, variable, known }
+    }
+
     /// A value from before, if it is what the contract and the owner's check take.
     fn restored(&mut self, variable: &VariableKey, facts: &Facts) -> Option<Bytes> {
         let kept = self.kept.remove(variable)?;
@@ -354,7 +362,11 @@ impl VariableStore {
     /// The value of a variable of this object, as it is now.
     pub(crate) fn value(&self, object: &ObjectName, name: &str) -> Result<Bytes, DeliveryError> {
         let key = (object.clone(), name.to_owned());
-        self.lock().machine.read(&key, platform::now()).map(|report| report.value)
+        let inner = self.lock();
+        if !inner.facts.contains_key(&key) {
+            return Err(inner.no_variable(&key));
+        }
+        inner.machine.read(&key, platform::now()).map(|report| report.value)
     }
 
     fn chosen(
@@ -386,12 +398,8 @@ impl VariableStore {
         })?;
         let key = (wanted.object.clone(), theirs.name.clone());
         let inner = self.lock();
-        let facts = inner.facts.get(&key).cloned().ok_or_else(|| {
-            let of_object = inner.facts.keys().filter(|(object, _)| *object == key.0);
-            let known = of_object.map(|(_, variable)| variable.to_string()).collect();
-            let (object, variable) = (key.0.to_string(), key.1.to_string());
-            VariableReply::refused(&DeliveryError::NoVariable { object, variable, known })
-        })?;
+        let facts = inner.facts.get(&key).cloned();
+        let facts = facts.ok_or_else(|| VariableReply::refused(&inner.no_variable(&key)))?;
         drop(inner);
         match facts.identity.check(&theirs) {
             Ok(()) => Ok((key, facts)),

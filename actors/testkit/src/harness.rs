@@ -68,7 +68,8 @@ impl<C: Component> Harness<C> {
     /// without waiting: if it is sound and quick to initialise, it is active.
     ///
     /// # Panics
-    /// When the spec is wrong.
+    /// When the spec is wrong, or the component's start fails; the text says why. What becomes of a
+    /// component whose start fails is tested with a [`TestNode`], which awaits the fault.
     pub async fn start(spec: ChildSpec<C>) -> Self {
         Harness::within(TestNode::start(Node::builder("test")).await, spec).await
     }
@@ -76,13 +77,19 @@ impl<C: Component> Harness<C> {
     /// Starts the component as one more of a node, in which its partners live already.
     ///
     /// # Panics
-    /// When the spec is wrong, or its name taken.
+    /// As [`start`](Self::start), and when its name is taken.
     pub async fn within(node: TestNode, spec: ChildSpec<C>) -> Self {
         let actor = match node.add_child(spec).await {
             Ok(actor) => actor,
             Err(error) => panic!("the component was not started: {error}"),
         };
         node.settle().await;
+        // One whose device is not there yet waits, and is not at its end.
+        if actor.state() == Lifecycle::Finalized
+            && let Some(faults) = node.faults_of(actor.name()).await
+        {
+            panic!("the component was not started: {}", faults.trim_end());
+        }
         Harness { node, actor }
     }
 

@@ -5,7 +5,7 @@ use crate::probe::Probe;
 use blastema::detection::{FaultRecord, FaultTransition, MonitorRow};
 use blastema::{
     Event, Fault, FaultEvent, FaultEvents, FaultId, FaultKind, FaultLocation, Injection, Lifecycle,
-    Node, NodeBuilder, StartError,
+    Node, NodeBuilder, ObjectName, StartError,
 };
 use blastema_doubles::PATIENCE;
 use std::collections::BTreeSet;
@@ -249,6 +249,13 @@ impl TestNode {
         let mut record = self.node.faults().await;
         record.entries.retain(|entry| !self.awaited.contains(&entry.fault.id));
         assert!(record.entries.is_empty(), "unexpected faults:\n{}", describe(&record));
+    }
+
+    /// The faults that were found in this object, as lines for a person.
+    pub(crate) async fn faults_of(&self, object: &ObjectName) -> Option<String> {
+        let mut record = self.node.faults().await;
+        record.entries.retain(|entry| is_at(&entry.fault.place, object.as_str()));
+        (!record.entries.is_empty()).then(|| describe(&record))
     }
 
     /// A listener to the topic of this event, from now on.

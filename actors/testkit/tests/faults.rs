@@ -2,7 +2,7 @@
 
 use blastema::detection::{Liveness, Push};
 use blastema::prelude::*;
-use blastema_testkit::{Probe, TestNode, owner};
+use blastema_testkit::{Harness, Probe, TestNode, owner};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -244,4 +244,36 @@ fn a_test_that_hangs_ends_with_the_name_of_the_component() {
         let wanted = format!("{test} hangs: lidar has kept its thread in {hook}");
         assert!(said.contains(&wanted), "{said}");
     }
+}
+
+/// Finds no lens.
+struct Blind;
+
+impl Component for Blind {
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Err("no lens".into())
+    }
+}
+
+#[test]
+#[should_panic(expected = "the component was not started: initialisation failed")]
+fn a_harness_says_that_its_component_does_not_start() {
+    blastema_testkit::run(async {
+        Harness::start(ChildSpec::new("camera", || Blind)).await;
+    });
+}
+
+/// Its device is not there yet.
+struct Patient;
+
+impl Component for Patient {
+    async fn on_initialize(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        Err(Failure::unavailable("/dev/video0 is not there"))
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_harness_takes_a_component_that_waits_for_its_device() {
+    let camera = Harness::start(ChildSpec::new("camera", || Patient)).await;
+    assert_eq!(camera.state(), blastema::Lifecycle::Created);
 }

@@ -78,7 +78,7 @@ pub struct IsolateChild {
 }
 
 /// Put a child in safe state: its incarnation ends, it is isolated, and only an explicit restart
-/// brings it back. Answered when it has come to rest.
+/// brings it back. Answered when it has ended.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<Recovered, GaveUp>")]
 pub struct SafeStop {

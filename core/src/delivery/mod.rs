@@ -260,7 +260,11 @@ pub enum DeliveryError {
         wanted: String,
     },
     /// The object has no such variable. Declare it in the object's `ports`, or ask another one.
-    #[error("{object} has no variable `{variable}`: {}", listed("has", .known))]
+    #[error(
+        "{object} has no variable `{variable}`: {}; write `ports.variable(…)`, or \
+         `ports.parameters::<…>()` for parameters, in its `fn ports`",
+        listed("has", .known)
+    )]
     NoVariable {
         /// The object.
         object: String,

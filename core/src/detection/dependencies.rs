@@ -5,7 +5,7 @@
 //! a circle is refused before anything starts.
 
 use crate::suggestion::nearest;
-use crate::{NodeName, ObjectName};
+use crate::{NameError, NodeName, ObjectName};
 use std::collections::BTreeMap;
 
 /// Why the dependencies of a node cannot be.
@@ -27,6 +27,14 @@ pub enum DependencyError {
         /// The node's other objects, in order of their names; at most ten, and how many more there
         /// are.
         known: (Vec<ObjectName>, usize),
+    },
+    /// What an object depends on is no name.
+    #[error("what {name} depends on: {error}")]
+    Name {
+        /// The object.
+        name: ObjectName,
+        /// What is wrong with the name.
+        error: NameError,
     },
     /// Objects depend on each other, or one on itself.
     #[error("{}: each waits for the next, so leave out one of these dependencies", shown(way))]
@@ -123,6 +131,9 @@ impl Dependencies {
     fn check_known(&self, object: &ObjectName) -> Result<(), DependencyError> {
         let missing = |needed: &&String| !self.needs.contains_key(needed.as_str());
         let Some(needed) = self.needs[object].iter().find(missing) else { return Ok(()) };
+        if let Err(error) = ObjectName::new(needed) {
+            return Err(DependencyError::Name { name: object.clone(), error });
+        }
         let others = self.needs.keys().filter(|other| *other != object);
         let nearest = nearest(needed, others.clone().map(ObjectName::as_str)).map(str::to_owned);
         let first: Vec<ObjectName> = others.clone().take(KNOWN_MAX).cloned().collect();

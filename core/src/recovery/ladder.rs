@@ -24,7 +24,7 @@ pub enum RecoveryAction {
     Reroute,
     /// Forbid its sending and receiving.
     Isolate,
-    /// Safe state: safe outputs, and the object, or the node, comes to rest.
+    /// Safe outputs, and the object, or the node, enters the safe state.
     SafeStop,
     /// A strategy of the application's own, by name.
     Custom(Arc<str>),

@@ -21,7 +21,8 @@ pub enum ServiceState {
     /// Nodes were told different things of the service, and by what this one was told nobody may
     /// serve.
     Fenced,
-    /// Its component takes nothing: it was stopped or isolated, or the node is at rest.
+    /// Its component takes nothing: it was stopped or isolated, or the node is in the safe
+    /// state.
     Resting,
 }
 

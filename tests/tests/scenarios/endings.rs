@@ -4,6 +4,7 @@ use crate::puppet::{Deed, News, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::ChildState;
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
@@ -95,4 +96,67 @@ async fn a_condition_that_panics_between_two_incarnations_is_a_failed_check() {
     assert!(fault.detail.contains("unlucky"), "{}", fault.detail);
     node.await_recovered(FaultKind::Panic, "arm").await;
     assert_eq!(incarnation(&node, "ear").await, 2);
+}
+
+#[derive(Debug, Request)]
+#[contract(reply = ())]
+struct EndAll;
+
+/// Shuts down the node in which it is itself, in a handler.
+#[derive(Clone, Default)]
+struct Pilot(Arc<Mutex<Option<Node>>>);
+
+impl Pilot {
+    fn spec(&self) -> ChildSpec<Pilot> {
+        let pilot = self.clone();
+        ChildSpec::new("pilot", move || pilot.clone()).max_wait(50 * MS)
+    }
+}
+
+impl Component for Pilot {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.serve::<EndAll>();
+    }
+}
+
+impl Handle<EndAll> for Pilot {
+    async fn handle(&mut self, _: EndAll, _: &mut Context<Self>) {
+        let node = self.0.lock().unwrap().take();
+        if let Some(node) = node {
+            node.shutdown().await;
+        }
+    }
+}
+
+/// Has the pilot shut the node down, and waits until that has been carried out to its end.
+async fn ends_by_its_pilot(node: &Node, pilot: &Pilot) {
+    *pilot.0.lock().unwrap() = Some(node.clone());
+
+    node.sender::<EndAll>("pilot").unwrap().tell(EndAll).unwrap();
+
+    assert_eq!(node.ended().await, NodeState::Stopped);
+    let ended = DeliveryError::ShutDown { node: "module1".into() };
+    let carried_out = async {
+        while node.sender::<EndAll>("pilot").err() != Some(ended.clone()) {
+            blastema::sleep(MS).await;
+        }
+    };
+    let carried_out = tokio::time::timeout(Duration::from_secs(30), carried_out).await;
+    carried_out.expect("it ends although the handler that waited for it was cut off");
+}
+
+#[blastema_testkit::test]
+async fn a_shutdown_from_a_handler_that_is_cut_off_is_carried_out() {
+    let pilot = Pilot::default();
+    let node = TestNode::start(Node::builder("module1").child(pilot.spec())).await;
+    ends_by_its_pilot(&node, &pilot).await;
+}
+
+#[test]
+fn a_shutdown_from_a_handler_that_is_cut_off_is_carried_out_on_threads() {
+    blastema::run(async {
+        let pilot = Pilot::default();
+        let node = Node::builder("module1").child(pilot.spec()).start().await.unwrap();
+        ends_by_its_pilot(&node, &pilot).await;
+    });
 }

@@ -1,8 +1,8 @@
 //! What errors and faults tell a user who has to act on them.
 
-use crate::puppet::{Deed, Do, Pull, Puppet, Strings};
+use crate::puppet::{Deed, Do, News, Pull, Puppet, Strings};
 use blastema::prelude::*;
-use blastema::{ActuatorSpec, FaultTransition, RestartError, VariableSpec};
+use blastema::{ActuatorSpec, FaultTransition, RestartError, SpecError, VariableSpec};
 use blastema_testkit::TestNode;
 use std::time::Duration;
 
@@ -113,6 +113,10 @@ impl Handle<Drive> for Wheels {
     async fn handle(&mut self, _: Drive, _: &mut Context<Self>) {}
 }
 
+/// What a user is told to write for a variable that a component has not.
+const DECLARE: &str =
+    "write `ports.variable(…)`, or `ports.parameters::<…>()` for parameters, in its `fn ports`";
+
 /// Why something was refused, as it is printed.
 #[track_caller]
 fn text<T>(refused: Result<T, DeliveryError>) -> String {
@@ -142,10 +146,23 @@ async fn what_is_looked_for_in_the_wrong_place_is_told_with_what_is_there() {
     let unclaimed = text(commander.command(Drive(1.0)).await);
     assert!(unclaimed.contains("holds no lease"), "{unclaimed}");
     let colour = text(node.variable::<Colour>("wheels").unwrap().read().await);
-    assert_eq!(colour, "wheels has no variable `wheels/colour`: it has `wheels/limit`");
+    assert_eq!(
+        colour,
+        format!("wheels has no variable `wheels/colour`: it has `wheels/limit`; {DECLARE}")
+    );
+    let none = text(node.variable::<Colour>("laser"));
+    assert_eq!(none, format!("laser has no variable `wheels/colour`: it has none; {DECLARE}"));
+    let nothing = text(node.sender::<Do>(""));
+    assert!(!nothing.contains("did you mean"), "{nothing}");
+    let news = node.publisher::<News>("test/news").unwrap();
+    news.publish(News(0)).unwrap();
 
     node.shutdown().await;
     assert_eq!(text(node.sender::<Do>("laser")), "node module1 was shut down");
+    assert_eq!(text(node.publisher::<News>("test/news")), "node module1 was shut down");
+    let unpublished = news.publish(News(1)).expect_err("its node was shut down");
+    assert_eq!(unpublished.kind, DeliveryError::ShutDown { node: "module1".into() });
+    assert_eq!(unpublished.message.0, 1);
 }
 
 #[blastema_testkit::test]
@@ -159,4 +176,58 @@ async fn an_injected_panic_is_told_without_a_place() {
     assert_eq!(fault.detail, "it was told to panic, in an injected fault");
     let printed = "error: panic of module1:arm: it was told to panic, in an injected fault";
     assert_eq!(fault.to_string(), printed);
+}
+
+#[derive(Clone, Debug, PartialEq, Parameters)]
+#[contract(name = "arm/reach")]
+struct Reach {
+    #[parameter(default = 5.0, range = 0.0..=1.0, unit = "m")]
+    length: f64,
+}
+
+/// Reads parameters that it has not declared.
+struct Undeclared;
+
+impl Component for Undeclared {
+    async fn on_initialize(&mut self, cx: &mut Context<Self>) -> Result<(), Failure> {
+        Err(text(cx.parameters::<Reach>()).as_str().into())
+    }
+}
+
+/// Declares parameters whose default is outside of their range.
+struct Overlong;
+
+impl Component for Overlong {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.parameters::<Reach>();
+    }
+}
+
+impl Handle<Reach> for Overlong {
+    async fn handle(&mut self, _: Reach, _: &mut Context<Self>) {}
+}
+
+#[blastema_testkit::test]
+async fn what_a_component_declares_wrongly_is_told_with_what_to_write() {
+    let strings = Strings::default();
+    let mut node = TestNode::start(Node::builder("module1").child(strings.spec("laser"))).await;
+    let told = |refused: Result<_, SpecError>| refused.map(drop).unwrap_err().to_string();
+
+    let overlong = told(node.add_child(ChildSpec::new("arm", || Overlong)).await.map(drop));
+    let default = "the default of `length` in the code is 5.0, and must be in 0.0..=1.0 m";
+    assert!(overlong.ends_with(default), "{overlong}");
+    let needs = strings.spec("hand").depends_on(["a b"]);
+    let needs = told(node.add_child(needs).await.map(drop));
+    assert!(needs.starts_with("what hand depends on: \"a b\" holds ' '"), "{needs}");
+    let taken = told(node.add_child(strings.spec("laser")).await.map(drop));
+    assert!(taken.contains("the name laser is taken by a component"), "{taken}");
+    let taken = told(node.add_child(strings.spec("root")).await.map(drop));
+    assert!(taken.contains("the name root is taken by a supervisor"), "{taken}");
+    let never = told(node.add_child(strings.spec("hand").rate_hz(1e-300)).await.map(drop));
+    assert!(never.contains("rate_hz of hand is 1e-300"), "{never}");
+
+    node.add_child(ChildSpec::new("leg", || Undeclared)).await.unwrap();
+    let fault = node.await_fault(FaultKind::InitializationFailed, "leg").await;
+    assert!(fault.detail.contains("leg has no variable `arm/reach`"), "{}", fault.detail);
+    assert!(fault.detail.contains("`ports.parameters::<…>()`"), "{}", fault.detail);
 }

@@ -1,6 +1,7 @@
 //! Publishing and listening, across deaths.
 
 use crate::puppet::{Deed, News, Strings, ask, incarnation, strike};
+use blastema::SpecError;
 use blastema::core::delivery::dead_letters::DeadReason;
 use blastema::prelude::*;
 use blastema_testkit::{Harness, TestNode};
@@ -151,4 +152,30 @@ async fn who_publishes_what_a_topic_does_not_carry_is_found_and_nobody_gets_it()
     assert_eq!(strings.lines("news"), [""; 0]);
     assert!(stranger.publisher::<OtherNews>("test/news").is_err());
     assert!(stranger.publisher::<OtherNews>("other/news").is_ok(), "another topic may carry it");
+}
+
+/// Listens twice to one topic, under its own name and under that of its contract.
+struct Twice;
+
+impl Component for Twice {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<Fresh>().only_if(|fresh| fresh.0 > 1);
+        ports.listen::<Fresh>().on("other/fresh");
+        ports.listen::<Fresh>().on("test/fresh");
+    }
+}
+
+impl Handle<Fresh> for Twice {
+    async fn handle(&mut self, _: Fresh, _: &mut Context<Self>) {}
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_listens_twice_to_one_topic_is_refused() {
+    let node = TestNode::start(Node::builder("module1")).await;
+
+    let refused = node.add_child(ChildSpec::new("twice", || Twice)).await;
+
+    let why = refused.expect_err("each event would come twice");
+    assert!(matches!(&why, SpecError::ListenTwice { topic, .. } if topic == "test/fresh"), "{why}");
+    assert!(why.to_string().contains("write one `listen`"), "{why}");
 }

@@ -2,10 +2,10 @@
 
 use crate::args::FaultListOptions;
 use crate::monitor::client::{InspectError, look};
-use crate::monitor::tables::{Column, table};
+use crate::monitor::tables::{Column, WIDEST, table};
 use blastema::journal::{self, JournalEntry, ReadError};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -61,7 +61,9 @@ pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
         (false, true) => "no fault stands\n".to_owned(),
         (false, false) => {
             let columns: Vec<Column> = std::iter::once(found).chain(COLUMNS).collect();
-            table(&columns, &rows)
+            // Whoever reads a file or a pipe wants the texts in full.
+            let widest = if io::stdout().is_terminal() { WIDEST } else { usize::MAX };
+            table(&columns, &rows, widest)
         }
     };
     let printed = io::stdout().write_all(text.as_bytes()).and_then(|()| io::stdout().flush());

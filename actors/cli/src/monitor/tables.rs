@@ -161,12 +161,13 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
 ];
 
 /// The longest text of a cell. The JSON document has longer texts in full.
-const WIDEST: usize = 60;
+pub(crate) const WIDEST: usize = 60;
 
 /// Returns the snapshot as text. An unknown value is a dash. Empty tables are left out; a table of
 /// a part that has not answered says so.
 pub(crate) fn draw(picture: &Value) -> String {
-    let mut text = format!("{} {}", cell("", &picture["node"]), cell("", &picture["state"]));
+    let mut text =
+        format!("{} {}", cell("", &picture["node"], WIDEST), cell("", &picture["state"], WIDEST));
     if let Some(reason) = picture["reason"].as_str() {
         let _ = write!(text, ": {}", plain(reason));
     }
@@ -177,14 +178,14 @@ pub(crate) fn draw(picture: &Value) -> String {
         }
         let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
-            let _ = write!(text, "\n{title}\n{}", table(columns, rows));
+            let _ = write!(text, "\n{title}\n{}", table(columns, rows, WIDEST));
         }
     }
     text
 }
 
-/// One table as lines of text.
-pub(crate) fn table(columns: &[Column], rows: &[Value]) -> String {
+/// One table as lines of text, whose cells have at most `widest` characters.
+pub(crate) fn table(columns: &[Column], rows: &[Value], widest: usize) -> String {
     let mut table = Table::new();
     table.load_style(presets::NOTHING).set_header(columns.iter().map(|(heading, _)| *heading));
     for (at, (_, name)) in columns.iter().enumerate() {
@@ -195,7 +196,9 @@ pub(crate) fn table(columns: &[Column], rows: &[Value]) -> String {
             column.set_cell_alignment(CellAlignment::Right);
         }
     }
-    table.add_rows(rows.iter().map(|row| columns.iter().map(|(_, name)| cell(name, &row[*name]))));
+    table.add_rows(
+        rows.iter().map(|row| columns.iter().map(|(_, name)| cell(name, &row[*name], widest))),
+    );
     table.trim_fmt() + "\n"
 }
 
@@ -204,7 +207,7 @@ fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-fn cell(name: &str, value: &Value) -> String {
+fn cell(name: &str, value: &Value, widest: usize) -> String {
     let text = match value {
         Value::Null => "-".to_owned(),
         Value::Bool(yes) => if *yes { "yes" } else { "-" }.to_owned(),
@@ -219,11 +222,11 @@ fn cell(name: &str, value: &Value) -> String {
         Value::String(text) => plain(text),
         Value::Array(parts) if parts.is_empty() => "-".to_owned(),
         Value::Array(parts) => {
-            parts.iter().map(|part| cell(name, part)).collect::<Vec<_>>().join(", ")
+            parts.iter().map(|part| cell(name, part, widest)).collect::<Vec<_>>().join(", ")
         }
         Value::Object(_) => "…".to_owned(),
     };
-    match text.char_indices().nth(WIDEST) {
+    match text.char_indices().nth(widest) {
         Some((at, _)) => format!("{}…", &text[..at]),
         None => text,
     }
@@ -269,11 +272,15 @@ faults: not answered
 
     #[test]
     fn long_texts_are_cut_with_a_sign_and_keep_to_one_line() {
-        assert_eq!(cell("note", &json!("one\ntwo")), "one two");
-        assert_eq!(cell("note", &json!("\u{1b}[2Jnothing is cleared")), " [2Jnothing is cleared");
-        let long = cell("note", &json!("ä".repeat(100)));
+        assert_eq!(cell("note", &json!("one\ntwo"), WIDEST), "one two");
+        assert_eq!(
+            cell("note", &json!("\u{1b}[2Jnothing is cleared"), WIDEST),
+            " [2Jnothing is cleared"
+        );
+        let long = cell("note", &json!("ä".repeat(100)), WIDEST);
         assert_eq!((long.chars().count(), long.ends_with('…')), (WIDEST + 1, true));
-        assert_eq!(cell("differences", &json!(["a", "b"])), "a, b");
-        assert_eq!(cell("busy", &json!(0.125)), "12 %");
+        assert_eq!(cell("note", &json!("ä".repeat(100)), usize::MAX), "ä".repeat(100));
+        assert_eq!(cell("differences", &json!(["a", "b"]), WIDEST), "a, b");
+        assert_eq!(cell("busy", &json!(0.125), WIDEST), "12 %");
     }
 }

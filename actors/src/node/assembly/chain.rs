@@ -46,7 +46,7 @@ pub(in crate::node) struct FaultChain {
     pub(super) enrol: Recipient<Register>,
     dismiss: Recipient<Unregister>,
     ending: Recipient<NodeEnding>,
-    pub(super) arbiter: Option<ArbiterHandle>,
+    pub(in crate::node) arbiter: Option<ArbiterHandle>,
     /// Where its actors answer.
     pub(super) pings: Vec<(ObjectName, Recipient<AreYouAlive>)>,
     pub(super) notifier: Recipient<AddPort>,
