@@ -201,13 +201,18 @@ impl Recoverer {
         now: Instant,
     ) {
         let Some((place, measure)) = self.close_order(number, now) else { return };
-        let Some(case) = self.cases.get(&place) else { return };
+        let Some(case) = self.cases.get_mut(&place) else { return };
         if case.order != number {
             return;
         }
         match outcome {
             Ok(done) => self.settle_case(&place, &measure, done, now),
-            Err(RecoveryFailed { reason }) => self.climb(&place, reason, now),
+            Err(RecoveryFailed { reason, is_final }) => {
+                if is_final {
+                    case.attempt = case.ladder.steps()[case.rung].attempts;
+                }
+                self.climb(&place, reason, now);
+            }
         }
     }
 

@@ -9,7 +9,7 @@ use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_contract::supervisor::{
     GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
-use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
+use blastema_core::recovery::{GiveUpReason, RecoveryDone, RecoveryFailed};
 use blastema_core::{Contract, DeliveryError, Fault, FaultLocation, NodeName, ObjectName};
 use std::sync::{Arc, OnceLock};
 
@@ -193,7 +193,10 @@ fn judge(
         Ok(Ok(Recovered { incarnation, waits, .. })) => {
             Ok(RecoveryDone { incarnation, waits, finished: false })
         }
-        Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
+        Ok(Err(GaveUp { object, why })) => Err(RecoveryFailed {
+            reason: format!("{object}: {why}"),
+            is_final: matches!(why, GiveUpReason::IntensityExceeded { .. }),
+        }),
         Err(_) => Err("the supervisor did not answer".into()),
     }
 }

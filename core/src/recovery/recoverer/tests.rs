@@ -203,6 +203,21 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
 }
 
 #[test]
+fn a_step_that_is_refused_for_good_is_not_tried_again() {
+    let backoff = Backoff { first: Duration::from_secs(1), ..Backoff::default() };
+    let patient = Ladder::first(RecoveryAction::Restart).times(5).backoff(backoff);
+    let patient = patient.then(RecoveryAction::SafeStop);
+    for plan in [Plan::default(), Plan::default().on(FaultKind::Panic, patient)] {
+        let mut rig = Rig::with(plan, RecovererLimits::default());
+        rig.find(panic_of(1, "laser", 1));
+        let refused = RecoveryFailed { reason: "too many".into(), is_final: true };
+
+        assert_eq!(rig.outcome(1, Err(refused)), ["#2 safe stop here:laser against panic, 1"]);
+        assert_eq!(rig.outcome(2, Ok(RecoveryDone::default())), ["1 contained by safe stop"]);
+    }
+}
+
+#[test]
 fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
