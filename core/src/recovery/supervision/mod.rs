@@ -156,7 +156,8 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        self.children.insert(key, Box::new(SupervisedChild::new(name.clone(), rules)));
+        let child = SupervisedChild::new(name.clone(), rules, &self.rules);
+        self.children.insert(key, Box::new(child));
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
