@@ -373,6 +373,18 @@ fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() 
 }
 
 #[test]
+fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_the_next_one() {
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    assert_eq!(rig.find(panic_of(1, "arm", 1)), ["#1 isolate here:arm against panic, 1"]);
+    rig.find(panic_of(2, "arm", 2));
+
+    let left_alone = ["1 recovered #2", "#2 isolate here:arm against panic, 1"];
+    assert_eq!(rig.outcome(1, works(2)), left_alone);
+    assert_eq!(rig.outcome(2, works(2)), ["2 contained by isolate"]);
+}
+
+#[test]
 fn kinds_without_a_measure_are_observed_and_do_not_hold_symptoms_back() {
     let mut rig = Rig::new();
 
