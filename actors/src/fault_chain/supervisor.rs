@@ -478,9 +478,9 @@ impl Handler<IsolateChild> for SupervisorActor {
     type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
-        let IsolateChild { object, isolated } = message;
+        let IsolateChild { object, struck, isolated } = message;
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_isolate(object, isolated, call, now);
+            machine.handle_isolate(object, struck, isolated, call, now);
         })
     }
 }

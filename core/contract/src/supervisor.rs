@@ -73,6 +73,9 @@ pub struct ResetChild {
 pub struct IsolateChild {
     /// The child.
     pub object: ObjectName,
+    /// The incarnation that a fault struck: nothing is done if another one has followed it. `None`
+    /// means the child, whichever incarnation it has.
+    pub struck: Option<Incarnation>,
     /// Forbidden, or allowed.
     pub isolated: bool,
 }

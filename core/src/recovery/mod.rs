@@ -28,7 +28,7 @@ pub use recoverer::{
     FaultResolution, Recoverer, RecovererLimits, RecovererOutput, RecoveryDone, RecoveryFailed,
     RecoveryOrder,
 };
-pub use restart_window::{RestartWindow, add_restart};
+pub use restart_window::RestartWindow;
 pub use rules::{ChildRules, Restart, RestartGrant, Strategy, SupervisorRules, WhenExceeded};
 pub use supervision::{
     CallId, ChildState, ChildStatus, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,

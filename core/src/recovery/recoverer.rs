@@ -201,13 +201,18 @@ impl Recoverer {
         now: Instant,
     ) {
         let Some((place, measure)) = self.close_order(number, now) else { return };
-        let Some(case) = self.cases.get(&place) else { return };
+        let Some(case) = self.cases.get_mut(&place) else { return };
         if case.order != number {
             return;
         }
         match outcome {
             Ok(done) => self.settle_case(&place, &measure, done, now),
-            Err(RecoveryFailed { reason }) => self.climb(&place, reason, now),
+            Err(RecoveryFailed { reason, is_final }) => {
+                if is_final {
+                    case.attempt = case.ladder.steps()[case.rung].attempts;
+                }
+                self.climb(&place, reason, now);
+            }
         }
     }
 
@@ -374,7 +379,12 @@ impl Recoverer {
     ) {
         let case = self.cases.remove(place).expect("a case that is settled is open");
         let kind = case.faults[0].fault.kind.clone();
-        let contained = matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
+        let known = case.faults.iter().filter(|noted| noted.since < case.order);
+        let struck = known.map(|noted| noted.fault.incarnation).max();
+        // Isolation leaves an incarnation alone that has followed the struck one.
+        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > struck;
+        let contained =
+            !is_late && matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
         let restarted = *measure == RecoveryAction::Restart;
         // What came while the measure was under way may already belong to the new incarnation.
         let cured = |noted: &Noted| {
@@ -382,7 +392,7 @@ impl Recoverer {
                 done.incarnation.is_none_or(|incarnation| noted.fault.incarnation < incarnation);
             // A restart that found the struck incarnation replaced already cures nothing of the
             // present one.
-            contained || if restarted { replaced } else { noted.since < case.order }
+            contained || if restarted || is_late { replaced } else { noted.since < case.order }
         };
         let (cured, left): (Vec<Noted>, Vec<Noted>) = case.faults.into_iter().partition(cured);
         let (over, left): (Vec<Noted>, Vec<Noted>) = left.into_iter().partition(|noted| noted.over);
@@ -400,7 +410,7 @@ impl Recoverer {
             self.tell(fault, settled);
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
-        if !contained && !restarted && *measure != RecoveryAction::Reroute {
+        if !contained && !restarted && !is_late && *measure != RecoveryAction::Reroute {
             self.remember((place.clone(), kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&[ids(&cured), over].concat(), now);

@@ -1,68 +1,62 @@
 //! Whether one more restart is still worth it.
 
 use crate::Instant;
+use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Adds a restart at `now` to the earlier ones, and says whether that exceeds `intensity` restarts
-/// in `period`. Restarts that have left the window are forgotten.
+/// The restarts of one child or one supervisor, as far back as they count: at most `intensity`
+/// instants. Counting one costs the same however many there are.
 ///
-/// This is `add_restart/3` of Erlang's `supervisor`: pure, over instants.
-///
-/// # Errors
-/// The restarts in the window are more than `intensity`.
-pub fn add_restart(
-    earlier: &[Instant],
-    now: Instant,
-    intensity: u32,
-    period: Duration,
-) -> Result<Vec<Instant>, Vec<Instant>> {
-    let recent = |&&at: &&Instant| now - at <= period;
-    let restarts: Vec<Instant> = earlier.iter().filter(recent).copied().chain([now]).collect();
-    if restarts.len() > intensity as usize { Err(restarts) } else { Ok(restarts) }
-}
-
-/// The restarts of one child or one supervisor, as far back as they count. Holds at most
-/// `intensity` + 1 instants.
+/// This is `add_restart/3` of Erlang's `supervisor`, but that a restart that is refused is not
+/// counted.
 #[derive(Clone, Debug)]
 pub struct RestartWindow {
     intensity: u32,
     period: Duration,
-    restarts: Vec<Instant>,
+    restarts: VecDeque<Instant>,
 }
 
 impl RestartWindow {
     /// An empty window.
     pub fn new(intensity: u32, period: Duration) -> Self {
-        RestartWindow { intensity, period, restarts: Vec::new() }
+        RestartWindow { intensity, period, restarts: VecDeque::new() }
     }
 
-    /// Counts one restart. False: the intensity is exceeded.
+    /// Counts one restart. False: it would exceed the intensity, and is not counted.
     pub fn add(&mut self, now: Instant) -> bool {
-        let counted = add_restart(&self.restarts, now, self.intensity, self.period);
-        let within = counted.is_ok();
-        self.restarts = counted.unwrap_or_else(|restarts| restarts);
+        self.forget(now);
+        let within = self.restarts.len() < self.intensity as usize;
+        if within {
+            self.restarts.push_back(now);
+        }
         within
+    }
+
+    /// How many have not left the window.
+    pub fn recent(&self, now: Instant) -> u32 {
+        let gone = self.restarts.partition_point(|&at| now - at > self.period);
+        u32::try_from(self.restarts.len() - gone).unwrap_or(u32::MAX)
     }
 
     /// How many more would be within the intensity at `now`.
     pub fn left(&self, now: Instant) -> u32 {
-        let recent = self.restarts.iter().filter(|&&at| now - at <= self.period).count();
-        self.intensity.saturating_sub(u32::try_from(recent).unwrap_or(u32::MAX))
+        self.intensity.saturating_sub(self.recent(now))
     }
 
     /// When the oldest restart leaves the window; `None` if there is none.
     pub fn next_release(&self) -> Option<Instant> {
         // The restart still counts when it is exactly one period old, and no longer just after.
-        self.restarts.first().map(|&at| at + self.period + Duration::from_nanos(1))
+        self.restarts.front().map(|&at| at + self.period + Duration::from_nanos(1))
     }
 
     /// Forgets what has left the window.
     pub fn forget(&mut self, now: Instant) {
-        let period = self.period;
-        self.restarts.retain(|&at| now - at <= period);
+        while self.restarts.front().is_some_and(|&at| now - at > self.period) {
+            self.restarts.pop_front();
+        }
     }
 
-    /// Forgets everything: a new incarnation of the supervisor begins.
+    /// Forgets everything.
     pub fn clear(&mut self) {
         self.restarts.clear();
     }
@@ -90,7 +84,21 @@ mod tests {
     }
 
     #[test]
+    fn a_storm_of_restarts_within_a_large_intensity_is_counted_without_looking_at_each() {
+        const INTENSITY: u32 = 200_000;
+        let mut window = RestartWindow::new(INTENSITY, Duration::from_secs(1));
+        for n in 0..INTENSITY {
+            assert!(window.add(at(u64::from(n / 1000))));
+            assert_eq!(window.left(at(u64::from(n / 1000))), INTENSITY - n - 1);
+        }
+        assert!(!window.add(at(1000)));
+        assert_eq!((window.left(at(1001)), window.recent(at(1001))), (1000, INTENSITY - 1000));
+        assert!(window.add(at(1001)));
+        assert_eq!(window.restarts.len(), INTENSITY as usize - 999, "the others are forgotten");
+    }
+
+    #[test]
     fn an_intensity_of_zero_allows_nothing() {
-        assert!(add_restart(&[], at(0), 0, Duration::from_secs(1)).is_err());
+        assert!(!RestartWindow::new(0, Duration::from_secs(1)).add(at(0)));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::puppet::{Deed, Do, Pull, Strings, ask, incarnation, strike};
 use blastema::core::detection::Opinion;
-use blastema::core::recovery::ChildState;
+use blastema::core::recovery::{Backoff, ChildState};
 use blastema::prelude::*;
 use blastema::{Fault, FaultLocation, NodeBuilder};
 use blastema_testkit::TestNode;
@@ -200,6 +200,33 @@ async fn a_component_that_fails_too_often_is_stopped_alone_unless_it_is_essentia
         node.await_recovered(FaultKind::Panic, "lamp").await;
         node.restart_child("motors").await.expect("a person brings it back");
         assert_eq!(incarnation(&node, "motors").await, 4);
+    }
+}
+
+#[blastema_testkit::test]
+async fn a_component_that_fails_too_often_is_stopped_at_once_however_patient_its_plan() {
+    let backoff = Backoff { first: Duration::from_secs(1), ..Backoff::default() };
+    let patient = Ladder::first(RecoveryAction::Restart).times(5).backoff(backoff);
+    for plan in [Plan::default(), Plan::default().on(FaultKind::Panic, patient)] {
+        let strings = Strings::default();
+        let applied: Arc<Mutex<Vec<Fault>>> = Arc::default();
+        let outputs = applied.clone();
+        let builder = Node::builder("module1")
+            .child(strings.spec("motors"))
+            .plan(plan)
+            .safe_outputs(move |fault| outputs.lock().unwrap().push(fault.clone()));
+        let node = TestNode::start(builder).await;
+
+        for _ in 0..4 {
+            strike(&node, "motors").await;
+        }
+        node.advance(Duration::from_millis(5)).await;
+        assert_eq!(applied.lock().unwrap().len(), 1, "no attempt that cannot succeed is made");
+        node.advance(Duration::from_secs(60)).await;
+
+        let leaf = &node.tree().await.unwrap().children[0];
+        assert_eq!((leaf.incarnation.0, leaf.state), (4, ChildState::Resting));
+        assert_eq!(applied.lock().unwrap().len(), 1);
     }
 }
 

@@ -9,8 +9,10 @@ use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
 use blastema_contract::supervisor::{
     GaveUp, IsolateChild, MoveChild, Recovered, ResetChild, RestartChild, SafeStop,
 };
-use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
-use blastema_core::{Contract, DeliveryError, Fault, FaultLocation, NodeName, ObjectName};
+use blastema_core::recovery::{GiveUpReason, RecoveryDone, RecoveryFailed};
+use blastema_core::{
+    Contract, DeliveryError, Fault, FaultLocation, Incarnation, NodeName, ObjectName,
+};
 use std::sync::{Arc, OnceLock};
 
 /// Where the tools reach to.
@@ -85,7 +87,7 @@ impl StrategyContext {
     /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
     /// network.
     pub async fn isolate(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        self.set_isolated(place, true, "a recovery strategy says so").await
+        self.set_isolated(place, None, true, "a recovery strategy says so").await
     }
 
     /// Allows an object, or another node, to send and receive again.
@@ -93,7 +95,7 @@ impl StrategyContext {
     /// # Errors
     /// As [`isolate`](StrategyContext::isolate).
     pub async fn admit(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        self.set_isolated(place, false, "a recovery strategy says so").await
+        self.set_isolated(place, None, false, "a recovery strategy says so").await
     }
 
     /// Isolates where the fault is, and tells the other nodes of it.
@@ -101,7 +103,8 @@ impl StrategyContext {
         &self,
         fault: &Fault,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        self.set_isolated(&fault.place, true, &format!("{}: {}", fault.kind, fault.detail)).await
+        let cause = format!("{}: {}", fault.kind, fault.detail);
+        self.set_isolated(&fault.place, Some(fault.incarnation), true, &cause).await
     }
 
     /// Finds another way over the network than this link, or to this node.
@@ -149,6 +152,7 @@ impl StrategyContext {
     async fn set_isolated(
         &self,
         place: &FaultLocation,
+        struck: Option<Incarnation>,
         isolated: bool,
         cause: &str,
     ) -> Result<RecoveryDone, RecoveryFailed> {
@@ -162,7 +166,7 @@ impl StrategyContext {
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
         let (object, controller) = self.controller(place)?;
-        judge(controller.isolate.send(IsolateChild { object, isolated }).await)
+        judge(controller.isolate.send(IsolateChild { object, struck, isolated }).await)
     }
 
     fn controller(
@@ -193,7 +197,10 @@ fn judge(
         Ok(Ok(Recovered { incarnation, waits, .. })) => {
             Ok(RecoveryDone { incarnation, waits, finished: false })
         }
-        Ok(Err(GaveUp { object, why })) => Err(format!("{object}: {why}").into()),
+        Ok(Err(GaveUp { object, why })) => Err(RecoveryFailed {
+            reason: format!("{object}: {why}"),
+            is_final: matches!(why, GiveUpReason::IntensityExceeded { .. }),
+        }),
         Err(_) => Err("the supervisor did not answer".into()),
     }
 }

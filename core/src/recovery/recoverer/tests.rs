@@ -203,6 +203,21 @@ fn the_ladder_is_climbed_with_back_off_until_safe_stop_holds() {
 }
 
 #[test]
+fn a_step_that_is_refused_for_good_is_not_tried_again() {
+    let backoff = Backoff { first: Duration::from_secs(1), ..Backoff::default() };
+    let patient = Ladder::first(RecoveryAction::Restart).times(5).backoff(backoff);
+    let patient = patient.then(RecoveryAction::SafeStop);
+    for plan in [Plan::default(), Plan::default().on(FaultKind::Panic, patient)] {
+        let mut rig = Rig::with(plan, RecovererLimits::default());
+        rig.find(panic_of(1, "laser", 1));
+        let refused = RecoveryFailed { reason: "too many".into(), is_final: true };
+
+        assert_eq!(rig.outcome(1, Err(refused)), ["#2 safe stop here:laser against panic, 1"]);
+        assert_eq!(rig.outcome(2, Ok(RecoveryDone::default())), ["1 contained by safe stop"]);
+    }
+}
+
+#[test]
 fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
@@ -355,6 +370,18 @@ fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() 
 
     assert_eq!(rig.machine.open_cases(), 0);
     assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
+}
+
+#[test]
+fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_the_next_one() {
+    let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
+    let mut rig = Rig::with(plan, RecovererLimits::default());
+    assert_eq!(rig.find(panic_of(1, "arm", 1)), ["#1 isolate here:arm against panic, 1"]);
+    rig.find(panic_of(2, "arm", 2));
+
+    let left_alone = ["1 recovered #2", "#2 isolate here:arm against panic, 1"];
+    assert_eq!(rig.outcome(1, works(2)), left_alone);
+    assert_eq!(rig.outcome(2, works(2)), ["2 contained by isolate"]);
 }
 
 #[test]

@@ -37,11 +37,13 @@ pub struct RecoveryDone {
 pub struct RecoveryFailed {
     /// Why.
     pub reason: String,
+    /// Another attempt cannot help either: the next step of the ladder follows at once.
+    pub is_final: bool,
 }
 
 impl<T: Into<String>> From<T> for RecoveryFailed {
     fn from(reason: T) -> Self {
-        RecoveryFailed { reason: reason.into() }
+        RecoveryFailed { reason: reason.into(), is_final: false }
     }
 }
 

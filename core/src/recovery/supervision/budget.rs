@@ -38,13 +38,12 @@ impl Budget {
 
     /// Counts one restart of a child. False: the intensity is exceeded, and nothing is counted.
     pub(super) fn add(&mut self, child: ChildKey, now: Instant) -> bool {
-        if self.left(child, now) == 0 {
-            return false;
-        }
         let of = self.of(child);
         let window = self.windows.entry(of);
         let window = window.or_insert_with(|| RestartWindow::new(self.intensity, self.period));
-        window.add(now);
+        if !window.add(now) {
+            return false;
+        }
         if window.left(now) == 0 {
             self.spent.insert(of);
         }

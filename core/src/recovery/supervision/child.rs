@@ -1,7 +1,7 @@
 //! What a supervisor knows of one child.
 
 use super::CallId;
-use crate::recovery::{ChildRules, Restart};
+use crate::recovery::{ChildRules, Restart, RestartWindow, SupervisorRules};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 
@@ -124,11 +124,12 @@ pub(super) struct SupervisedChild {
     pub(super) ordered: bool,
     /// When its guard restarted it by itself, as far back as it counts; never more than the
     /// intensity allows, and one.
-    pub(super) on_the_spot: Vec<Instant>,
+    pub(super) on_the_spot: RestartWindow,
 }
 
 impl SupervisedChild {
-    pub(super) fn new(name: ObjectName, rules: ChildRules) -> Self {
+    pub(super) fn new(name: ObjectName, rules: ChildRules, keeper: &SupervisorRules) -> Self {
+        let counted = keeper.intensity.saturating_add(1);
         SupervisedChild {
             name,
             rules,
@@ -140,7 +141,7 @@ impl SupervisedChild {
             restarts: 0,
             isolated: false,
             ordered: false,
-            on_the_spot: Vec::new(),
+            on_the_spot: RestartWindow::new(counted, keeper.period),
         }
     }
 

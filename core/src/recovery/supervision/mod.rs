@@ -156,7 +156,8 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        self.children.insert(key, Box::new(SupervisedChild::new(name.clone(), rules)));
+        let child = SupervisedChild::new(name.clone(), rules, &self.rules);
+        self.children.insert(key, Box::new(child));
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
@@ -309,10 +310,12 @@ impl Supervisor {
         self.outputs.push_back(SupervisorOutput::Reset { child: name });
     }
 
-    /// The child is to be cut off, or let in again.
+    /// The child is to be cut off, or let in again. For a fault of the incarnation `struck`, one
+    /// that has followed it is left alone.
     pub fn handle_isolate(
         &mut self,
         name: &ObjectName,
+        struck: Option<Incarnation>,
         isolated: bool,
         call: CallId,
         now: Instant,
@@ -320,6 +323,15 @@ impl Supervisor {
         let Some(&key) = self.index.get(name) else {
             return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
+        let present = self.kept(key).incarnation;
+        if struck.is_some_and(|struck| struck < present) {
+            let (child, incarnation) = (name.clone(), Some(present));
+            return self.outputs.push_back(SupervisorOutput::Recovered {
+                call,
+                child,
+                incarnation,
+            });
+        }
         self.set_isolated(key, isolated);
         self.grant(key, now);
         let child = self.kept(key);

@@ -440,12 +440,10 @@ impl Supervisor {
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
-        let period = self.rules.period;
         let child = self.kept(key);
         child.incarnation = next;
         child.restarts += 1;
-        child.on_the_spot.retain(|&at| now - at <= period);
-        child.on_the_spot.push(now);
+        child.on_the_spot.add(now);
         if let ChildPhase::Resetting { .. } = child.state {
             self.set_state(key, ChildPhase::Down);
             self.set_state(key, ChildPhase::Running);
@@ -496,9 +494,7 @@ impl Supervisor {
             && !going;
         if allowed && willing {
             child.ordered = true;
-            child.on_the_spot.retain(|&at| now - at <= period);
-            let made = u32::try_from(child.on_the_spot.len()).unwrap_or(u32::MAX);
-            let times = left.saturating_add(made);
+            let times = left.saturating_add(child.on_the_spot.recent(now));
             let (child, order) = (child.name.clone(), Some(RestartGrant { times, period }));
             self.outputs.push_back(SupervisorOutput::StandingOrder { child, order });
         }

@@ -167,7 +167,13 @@ impl Rig {
 
     fn isolate(&mut self, child: &str, isolated: bool) -> Vec<String> {
         let call = self.call();
-        self.machine.handle_isolate(&name(child), isolated, call, self.now);
+        self.machine.handle_isolate(&name(child), None, isolated, call, self.now);
+        self.said()
+    }
+
+    fn isolate_struck(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        let (call, struck) = (self.call(), Some(Incarnation(incarnation)));
+        self.machine.handle_isolate(&name(child), struck, true, call, self.now);
         self.said()
     }
 
