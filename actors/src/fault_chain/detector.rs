@@ -1,6 +1,6 @@
 //! The detector's body.
 
-use crate::fault_chain::log::FaultLog;
+use crate::fault_chain::log::FaultPrinter;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -25,7 +25,7 @@ pub(crate) struct DetectorActor {
     found: Recipient<FaultFound>,
     cleared: Recipient<FaultCleared>,
     listeners: Vec<Recipient<FaultEvent>>,
-    log: FaultLog,
+    log: FaultPrinter,
 }
 
 impl DetectorActor {
@@ -44,7 +44,7 @@ impl DetectorActor {
             found,
             cleared,
             listeners: Vec::new(),
-            log: FaultLog::default(),
+            log: FaultPrinter::default(),
         }
     }
 

@@ -35,12 +35,12 @@ struct Shown {
 
 /// Logs what a node finds.
 #[derive(Default)]
-pub(crate) struct FaultLog {
+pub(crate) struct FaultPrinter {
     /// The last step that was printed.
     printed: String,
 }
 
-impl FaultLog {
+impl FaultPrinter {
     /// Logs one step of a fault that `node` has found.
     pub(crate) fn step(&mut self, node: &NodeName, step: &FaultEvent) {
         if tracing::dispatcher::has_been_set() {
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn attempts_that_fail_alike_are_printed_once() {
-        let (node, mut log) = (NodeName::new("module1").unwrap(), FaultLog::default());
+        let (node, mut log) = (NodeName::new("module1").unwrap(), FaultPrinter::default());
         let failed = |reason: &str| {
             let (action, reason) = ("restart".to_owned(), reason.to_owned());
             FaultTransition::Failed { action, reason }

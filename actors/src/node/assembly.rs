@@ -287,7 +287,9 @@ impl NodeAssembly {
         let chain = self.parts.chain.pings.iter().cloned();
         enrolments.extend(chain.map(|(name, pings)| middleware(name, Some(pings))));
         let registry = &self.environment.registry;
-        let kind = |name| registry.kind_of(name).unwrap_or("an object of the middleware");
+        // A component that has the name of such an object is what is found below.
+        let service = |name| registry.kind_of(name).filter(|kind| *kind != "a component");
+        let kind = |name| service(name).unwrap_or("an object of the middleware");
         let names = enrolments.iter().map(|enrol| &enrol.enrolment.object);
         let mut others: Vec<_> = names.map(|name| (name.clone(), kind(name))).collect();
         for (name, pings) in tree.supervisors {

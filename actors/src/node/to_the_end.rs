@@ -1,4 +1,4 @@
-//! Work that is done to its end, also where nobody waits for it any more.
+//! Work that is done to its end, also where its caller waits for it no more.
 
 use actix::ArbiterHandle;
 use std::future::Future;

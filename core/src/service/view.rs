@@ -18,7 +18,7 @@ pub enum ServiceState {
     Learner,
     /// It knows of nobody who serves. It votes, and stands for election when it is its turn.
     Candidate,
-    /// Nodes were told different things of the service, and by what this one was told nobody may
+    /// Nodes were told different things of the service, and by what this one was told no node may
     /// serve.
     Fenced,
     /// Its component takes nothing: it was stopped or isolated, or the node is in the safe

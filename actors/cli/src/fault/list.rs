@@ -61,7 +61,7 @@ pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
         (false, true) => "no fault stands\n".to_owned(),
         (false, false) => {
             let columns: Vec<Column> = std::iter::once(found).chain(COLUMNS).collect();
-            // Whoever reads a file or a pipe wants the texts in full.
+            // Programs read files and pipes, and want the texts in full.
             let widest = if io::stdout().is_terminal() { WIDEST } else { usize::MAX };
             table(&columns, &rows, widest)
         }
