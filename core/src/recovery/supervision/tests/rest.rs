@@ -47,7 +47,7 @@ fn a_stuck_child_is_put_to_rest_without_being_asked() {
 }
 
 #[test]
-fn nobody_waits_for_an_isolated_child_without_an_incarnation() {
+fn an_isolated_child_without_an_incarnation_is_not_waited_for() {
     let children = ["a", "b"].map(|child| (child, permanent()));
     let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
     rig.begin();
