@@ -105,22 +105,21 @@ pub(crate) const EXPECTED_WITHIN: Setting<Duration> = Setting {
     cure: "give it the time of some hellos, or Duration::MAX if it need not come",
 };
 
-/// Restarts that a supervisor may count: each of them is remembered for one period.
-pub(crate) const INTENSITY: Setting<u32, ()> = Setting {
-    name: "the intensity",
-    default: (),
-    range: 0..=1_000_000,
-    cure: "write a million at most",
-};
+/// Restarts that a supervisor may count: each of them is remembered for one period, and reported to
+/// the fault chain. A storm of more would fill the chain's queues before it is ended.
+pub(crate) const INTENSITY: Setting<u32, ()> =
+    Setting { name: "the intensity", default: (), range: 0..=1000, cure: "write 1000 at most" };
 
-/// In a shorter period there is hardly ever more than one restart, so that a storm of them would go
-/// on for ever.
-pub(crate) const INTENSITY_PERIOD: Setting<Duration, ()> = Setting {
-    name: "the intensity's period",
-    default: (),
-    range: MS..=Duration::MAX,
-    cure: "no restarts would ever be too many: write 1 ms at least",
-};
+/// So many restarts in a shorter period are more than the fault chain can record, so that a storm of
+/// them would go on for ever.
+pub(crate) fn intensity_period(times: u32) -> Setting<Duration, ()> {
+    Setting {
+        name: "the intensity's period",
+        default: (),
+        range: MS * times..=Duration::MAX,
+        cure: "no restarts would ever be too many: write 1 ms at least for each of them",
+    }
+}
 
 /// Messages that a queue holds: a second or two of a robot's rates. A million are seconds of the
 /// fastest sender there is; more would be a leak with a name.

@@ -59,8 +59,10 @@ fn numbers_of_the_node_that_make_no_sense_are_refused() {
         taken(node().session_timeout(200 * MS).child(lamp())).await;
 
         let storm = node().intensity(3, Duration::ZERO);
-        refused(storm, &["the intensity's period of root is 0ns", "1 ms at least"]).await;
-        refused(node().intensity(u32::MAX, MS), &["the intensity of root", "a million"]).await;
+        refused(storm, &["the intensity's period of root is 0ns", "1 ms at least for each"]).await;
+        refused(node().intensity(u32::MAX, MS), &["the intensity of root", "1000 at most"]).await;
+        refused(node().intensity(1000, 999 * MS), &["period of root is 999ms"]).await;
+        taken(node().intensity(1000, 1000 * MS).child(lamp())).await;
         let below = SupervisorSpec::new("drive", Strategy::OneForOne).intensity(3, Duration::ZERO);
         refused(node().supervisor(below), &["of drive"]).await;
         taken(node().intensity(0, Duration::MAX).child(lamp())).await;

@@ -8,7 +8,7 @@ use crate::fault_chain::monitor::MonitorActor;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::host::spec::ChildSpec;
 use crate::runtime::guardian::Guardian;
-use crate::settings::{INTENSITY, INTENSITY_PERIOD, SettingError};
+use crate::settings::{INTENSITY, SettingError, intensity_period};
 use actix::{Addr, ArbiterHandle, Recipient};
 use blastema_contract::child::Child;
 use blastema_contract::reports::AreYouAlive;
@@ -62,7 +62,7 @@ impl SupervisorSpec {
 
     /// How many restarts are worth it in one `period`: of each child, or of all together where the
     /// strategy is not [`OneForOne`](Strategy::OneForOne) or [`when_exceeded`](Self::when_exceeded)
-    /// says so. A million times at most; the period is no shorter than 1 ms.
+    /// says so. 1000 times at most; the period has at least 1 ms for each of them.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         (self.rules.intensity, self.rules.period) = (times, period);
         self
@@ -210,10 +210,7 @@ impl SupervisorSpec {
         let SupervisorRules { intensity, period, .. } = self.rules;
         INTENSITY.check(intensity)?;
         // Where none is allowed, each is too many, whatever the period.
-        if intensity > 0 {
-            INTENSITY_PERIOD.check(period)?;
-        }
-        Ok(())
+        intensity_period(intensity).check(period)
     }
 
     /// Makes the supervisors and gives them their children. Nothing is started yet.

@@ -108,7 +108,7 @@ async fn recorded(node: &Node) -> u64 {
 pub(crate) async fn run(rounds: usize) {
     let mut builder = Node::builder("siblings")
         .components_on_this_thread()
-        .intensity(1_000_000, Duration::from_secs(1));
+        .intensity(1000, Duration::from_secs(1));
     for number in 0..SIBLINGS {
         builder = builder.child(ChildSpec::new(&format!("sibling/{number}"), || Sibling));
     }

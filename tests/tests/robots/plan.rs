@@ -280,7 +280,7 @@ fn group(
         name: name.to_owned(),
         strategy: one_of(random, &strategies),
         escalates: random.chance(0.3),
-        intensity: if patient { 100_000 } else { one_of(random, &[0, 1, 3, 3, 3, 10]) },
+        intensity: if patient { 1000 } else { one_of(random, &[0, 1, 3, 3, 3, 10]) },
         children: Vec::new(),
     };
     for _ in 0..1 + below(random, 4) {

@@ -37,7 +37,7 @@ async fn a_reader_that_never_reads_loses_events_and_is_told_how_many() {
     let plan = Plan::default().on(FaultKind::CheckFailed, Ladder::first(RecoveryAction::Restart));
     let builder = Node::builder("module1")
         .plan(plan)
-        .intensity(100_000, Duration::from_secs(10))
+        .intensity(1000, Duration::from_secs(10))
         .child(strings.spec("laser"));
     let node = TestNode::start(builder).await;
     let slow = node.fault_events();

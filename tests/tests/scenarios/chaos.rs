@@ -44,7 +44,7 @@ impl Chance {
 
 /// Three kinds of supervisor, one below another. One that is patient never gives up.
 fn robot(strings: &Strings, patient: bool) -> NodeBuilder {
-    let (times, period) = (if patient { 100_000 } else { 3 }, Duration::from_secs(10));
+    let (times, period) = (if patient { 1000 } else { 3 }, Duration::from_secs(10));
     let often = |spec: SupervisorSpec| spec.intensity(times, period);
     let spec = |name| {
         strings.spec(name).rate_hz(10.0).liveness(Liveness::push(100 * MS, 3)).max_wait(2000 * MS)

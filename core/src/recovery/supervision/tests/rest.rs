@@ -47,7 +47,7 @@ fn a_stuck_child_is_put_to_rest_without_being_asked() {
 }
 
 #[test]
-fn nobody_waits_for_an_isolated_child_without_an_incarnation() {
+fn an_isolated_child_without_an_incarnation_is_not_waited_for() {
     let children = ["a", "b"].map(|child| (child, permanent()));
     let mut rig = Rig::with(Strategy::OneForOne, 3, &children);
     rig.begin();
@@ -57,7 +57,7 @@ fn nobody_waits_for_an_isolated_child_without_an_incarnation() {
 }
 
 #[test]
-fn who_has_followed_the_struck_incarnation_is_not_isolated_for_its_fault() {
+fn what_has_followed_the_struck_incarnation_is_not_isolated_for_its_fault() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Died, 1);
     assert_eq!(rig.isolate_struck("b", 1), ["2 recovered b #2"], "while it starts");
