@@ -194,7 +194,11 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
     spoilt[100..].fill(0x5a);
     let mut pages_gone = whole.clone();
     pages_gone[5000..].fill(0x5a);
-    for bytes in [spoilt, pages_gone] {
+    let mut cut = whole.clone();
+    cut.truncate(whole.len() / 2);
+    let mut cut_in_a_page = whole;
+    cut_in_a_page.truncate(5000);
+    for bytes in [spoilt, pages_gone, cut, cut_in_a_page] {
         fs::write(&path, &bytes).unwrap();
         let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
         assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
