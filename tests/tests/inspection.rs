@@ -197,7 +197,7 @@ fn two_nodes_are_not_shown_at_one_socket() {
 
         let second = refused(&socket).await;
 
-        assert!(second.contains("another node, or another process"), "{second}");
+        assert!(second.contains("another process uses the socket"), "{second}");
         assert!(look(&socket).await.contains("module1"), "the first is unharmed");
         node.shutdown().await;
     });
@@ -211,8 +211,8 @@ fn a_path_that_can_be_no_socket_is_refused_at_start_with_what_to_do() {
         std::fs::write(&file, "precious").unwrap();
         let long = folder.path().join("w".repeat(120));
         let cases: [(&Path, &str); 7] = [
-            (Path::new("module1.sock"), "give an absolute path"),
-            (Path::new(""), "give an absolute path"),
+            (Path::new("module1.sock"), "give the absolute path"),
+            (Path::new(""), "give the absolute path"),
             (folder.path(), "there is a folder: choose the path of a file in it"),
             (&file, "no socket: remove it, or choose another path"),
             (&file.join("socket"), "what should be its folder is none: choose another"),
