@@ -2,6 +2,7 @@
 //! processes.
 
 pub(crate) mod errors;
+pub(crate) mod file_lock;
 pub(crate) mod panics;
 pub(crate) mod processor_time;
 pub(crate) mod signals;

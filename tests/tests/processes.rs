@@ -373,6 +373,11 @@ fn values_that_were_written_are_there_after_the_process_was_killed_in_the_middle
             };
             assert_eq!(balance.read().await.unwrap().value.0, left, "round {round}: together");
             assert!(left == acknowledged || left == acknowledged + 1, "round {round}: {left}");
+            if round == 0 {
+                let second = Node::builder("module2").keep_variables(&file).start().await;
+                let refused = second.expect_err("two nodes do not share a file").to_string();
+                assert!(refused.contains("another process uses the file (node module1, process "));
+            }
             if round > 0 {
                 let undecided = plan.read().await;
                 assert!(matches!(undecided, Err(DeliveryError::Undecided { .. })), "{undecided:?}");

@@ -5,8 +5,11 @@ use blastema::{FaultEvent, FaultTransition};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration, Instant};
 
 /// For a process to start on a busy computer.
@@ -322,6 +325,43 @@ fn a_second_node_on_the_same_journal_is_refused_and_learns_who_writes_it() {
         node.shutdown().await;
         let next = robot("module2").journal(&path).start().await.expect("it is free");
         next.shutdown().await;
+    });
+}
+
+#[test]
+fn a_node_that_has_ended_leaves_its_files_and_its_socket_to_the_next_one_of_its_process() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let start = || {
+        robot("module1")
+            .journal(path("faults"))
+            .keep_variables(path("variables"))
+            .inspection_socket(path("socket"))
+            .start()
+    };
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                while !over.load(SeqCst) {
+                    std::hint::spin_loop();
+                }
+            });
+        }
+        let cycles = AssertUnwindSafe(|| {
+            blastema::run(async {
+                for cycle in 0..50 {
+                    let node = start().await.unwrap_or_else(|why| panic!("{cycle}: {why}"));
+                    node.shutdown().await;
+                    assert!(!path("socket").exists(), "{cycle}: the socket is gone with the node");
+                    let node = start().await.unwrap_or_else(|why| panic!("{cycle}: {why}"));
+                    drop(node);
+                }
+            });
+        });
+        let outcome = catch_unwind(cycles);
+        over.store(true, SeqCst);
+        outcome.unwrap_or_else(|panic| resume_unwind(panic));
     });
 }
 

@@ -9,58 +9,32 @@
 //! the second one whether the node that wrote last still runs: a process that has not opened the
 //! journal yet does not hold it, and the faults of the run before are not taken for open ones.
 
-use blastema_core::NodeName;
+use crate::platform::file_lock::{FileLock, beside, without_links};
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 use std::sync::OnceLock;
 
 /// What the name of the second lock ends in.
 const RUN: &str = "run";
 
-/// Why a journal cannot be locked.
-#[derive(Debug)]
-pub(crate) enum LockError {
-    /// Another node writes this journal.
-    InUse {
-        /// Which node, and which process it is.
-        by: String,
-    },
-    /// The operating system refuses it.
-    Io(io::Error),
-}
-
 /// While it lives, no other node writes the journal.
 #[derive(Debug)]
 pub(crate) struct JournalLock {
-    path: PathBuf,
-    /// Locked for as long as it is open.
-    _file: File,
-    /// The same, of the run.
+    /// Locked for as long as it is open, if it is.
     run: OnceLock<File>,
+    lock: FileLock,
 }
 
 impl JournalLock {
-    /// Locks the journal at `path` for `node`.
-    pub(crate) fn acquire(path: &Path, node: &NodeName) -> Result<Self, LockError> {
-        let name = beside(path, "lock");
-        let mut options = OpenOptions::new();
-        let opened = options.read(true).write(true).create(true).truncate(false).open(name);
-        let mut file = opened.map_err(LockError::Io)?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let mut by = String::new();
-                // What the holder is writing at this moment may not be there yet.
-                let _ = file.read_to_string(&mut by);
-                return Err(LockError::InUse { by: by.trim().to_owned() });
-            }
-            Err(TryLockError::Error(error)) => return Err(LockError::Io(error)),
-        }
-        // For people; the lock itself says what counts. A full disk therefore stops nothing.
-        let _ = file.set_len(0);
-        let _ = writeln!(file, "node {node}, process {}", std::process::id());
-        Ok(JournalLock { path: path.to_owned(), _file: file, run: OnceLock::new() })
+    /// The journal under this lock, before its run has begun.
+    pub(crate) fn new(lock: FileLock) -> Self {
+        JournalLock { run: OnceLock::new(), lock }
+    }
+
+    /// The journal itself, whatever links lead to it.
+    pub(crate) fn path(&self) -> &Path {
+        self.lock.path()
     }
 
     /// The last run in the journal is that of the holder: all others are marked as ended.
@@ -70,7 +44,7 @@ impl JournalLock {
         }
         let mut options = OpenOptions::new();
         let opened = options.read(true).write(true).create(true).truncate(false);
-        let file = opened.open(beside(&self.path, RUN))?;
+        let file = opened.open(beside(self.path(), RUN))?;
         // Only readers hold it beside the node, for an instant each.
         file.lock()?;
         // This is the only thread that writes the journal.
@@ -81,14 +55,6 @@ impl JournalLock {
 
 /// Whether the last run in the journal at `path` goes on.
 pub(super) fn is_running(path: &Path) -> bool {
-    let Ok(file) = File::open(beside(path, RUN)) else { return false };
+    let Ok(file) = File::open(beside(&without_links(path), RUN)) else { return false };
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
-}
-
-/// A path beside the journal's, with one more ending.
-pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".");
-    name.push(ending);
-    name.into()
 }

@@ -32,5 +32,5 @@ pub use self::reader::{JournalEntry, JournalStatus, ReadError, read};
 pub use self::store::{FAULTS_MAX, NODE_ENDED};
 pub use crate::platform::wall_time::WallTime;
 
-pub(crate) use self::lock::{JournalLock, LockError};
+pub(crate) use self::lock::JournalLock;
 pub(crate) use self::writer::{JOURNAL, JournalActor, JournalGuard, JournalSetup};

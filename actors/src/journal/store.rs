@@ -3,6 +3,8 @@
 use super::WallTime;
 use blastema_core::{Fault, Incarnation, Instant, NodeName};
 use rusqlite::{Connection, ErrorCode, OpenFlags, Statement, Transaction, params};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 use std::time::Duration;
 
@@ -163,6 +165,8 @@ impl Store {
         author: &Author,
         limits: StoreLimits,
     ) -> Result<Self, StoreError> {
+        // From its bytes: SQLite tells nothing of a file that it finds damaged.
+        let is_journal = has_journal_header(path);
         let mut connection = Connection::open_with_flags(
             path,
             OpenFlags::SQLITE_OPEN_READ_WRITE
@@ -170,7 +174,7 @@ impl Store {
                 | OpenFlags::SQLITE_OPEN_NO_MUTEX,
         )?;
         connection.busy_timeout(BUSY)?;
-        check(&connection)?;
+        check(&connection, is_journal)?;
         if version_of(&connection)? == 0 {
             // Before the log takes over, so that the file itself says whose it is.
             connection.pragma_update(None, "application_id", APPLICATION)?;
@@ -228,12 +232,12 @@ impl Store {
 
 /// Whether it is a journal, or a new file, and whole. Only a file whose header says that it is a
 /// journal is damaged; any other is not ours, and is left alone.
-fn check(connection: &Connection) -> Result<(), StoreError> {
+fn check(connection: &Connection, is_journal: bool) -> Result<(), StoreError> {
     let foreign =
         |what: &str| StoreError::Unwritable(format!("it is {what}: give the journal another path"));
     let not_ours = |error: rusqlite::Error| match StoreError::from(error) {
-        StoreError::Damaged(reason) => foreign(&format!("no journal ({reason})")),
-        unwritable => unwritable,
+        StoreError::Damaged(reason) if !is_journal => foreign(&format!("no journal ({reason})")),
+        error => error,
     };
     let application: i32 = connection
         .pragma_query_value(None, "application_id", |row| row.get(0))
@@ -255,6 +259,15 @@ fn check(connection: &Connection) -> Result<(), StoreError> {
         return Err(StoreError::Damaged(found));
     }
     Ok(())
+}
+
+/// Whether the file's header says that it is a journal: see section 1.3 of SQLite's file format.
+fn has_journal_header(path: &Path) -> bool {
+    let mut header = [0; 72];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
+    read.is_ok()
+        && header.starts_with(b"SQLite format 3\0")
+        && header.ends_with(&APPLICATION.to_be_bytes())
 }
 
 pub(super) fn version_of(connection: &Connection) -> rusqlite::Result<i32> {

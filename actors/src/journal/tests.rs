@@ -1,9 +1,10 @@
 //! Databases in a temporary folder, written by runs of invented nodes.
 
-use super::lock::{JournalLock, LockError};
+use super::lock::JournalLock;
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use super::writer::set_aside;
 use super::{JournalEntry, JournalStatus, NODE_ENDED, ReadError, WallTime, read};
+use crate::platform::file_lock::{FileLock, LockError};
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, NodeName};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,9 +30,13 @@ fn open(path: &Path, incarnation: u64) -> Store {
     Store::open(path, &author("a", incarnation), StoreLimits::default()).unwrap()
 }
 
+fn locked(path: &Path, name: &str) -> Result<JournalLock, LockError> {
+    FileLock::acquire(path, &node(name)).map(JournalLock::new)
+}
+
 /// The next run of the node, once it has marked the others as ended.
 fn run(path: &Path, incarnation: u64) -> (JournalLock, Store) {
-    let lock = JournalLock::acquire(path, &node("a")).unwrap();
+    let lock = locked(path, "a").unwrap();
     let store = open(path, incarnation);
     lock.begin_run().unwrap();
     (lock, store)
@@ -123,7 +128,7 @@ fn faults_of_a_killed_process_are_not_open_while_the_next_one_begins() {
     assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
     drop((first, lock));
 
-    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let lock = locked(&path, "a").unwrap();
     let ended = [(1, JournalStatus::EndedWithProcess)];
     assert_eq!(statuses(&path), ended, "the next process has not opened the file yet");
     let mut second = open(&path, 2);
@@ -194,7 +199,11 @@ fn a_damaged_file_is_known_as_such_and_can_be_set_aside() {
     spoilt[100..].fill(0x5a);
     let mut pages_gone = whole.clone();
     pages_gone[5000..].fill(0x5a);
-    for bytes in [spoilt, pages_gone] {
+    let mut cut = whole.clone();
+    cut.truncate(whole.len() / 2);
+    let mut cut_in_a_page = whole;
+    cut_in_a_page.truncate(5000);
+    for bytes in [spoilt, pages_gone, cut, cut_in_a_page] {
         fs::write(&path, &bytes).unwrap();
         let error = Store::open(&path, &author("a", 2), StoreLimits::default()).unwrap_err();
         assert!(matches!(error, StoreError::Damaged(_)), "{error:?}");
@@ -252,12 +261,10 @@ fn a_database_of_another_program_or_a_newer_one_is_left_alone() {
 #[test]
 fn two_nodes_do_not_write_one_journal_and_the_second_learns_who_does() {
     let (_folder, path) = journal();
-    let lock = JournalLock::acquire(&path, &node("a")).unwrap();
+    let lock = locked(&path, "a").unwrap();
 
-    let Err(LockError::InUse { by }) = JournalLock::acquire(&path, &node("b")) else {
-        panic!("it is in use")
-    };
+    let Err(LockError::InUse { by }) = locked(&path, "b") else { panic!("it is in use") };
     assert_eq!(by, format!("node a, process {}", std::process::id()));
     drop(lock);
-    assert!(JournalLock::acquire(&path, &node("b")).is_ok());
+    assert!(locked(&path, "b").is_ok());
 }

@@ -1,9 +1,10 @@
 //! The journal's thread, and the actor that gives it work.
 
 use super::WallTime;
-use super::lock::{JournalLock, beside};
+use super::lock::JournalLock;
 use super::store::{Author, JournalRow, Moment, Store, StoreError, StoreLimits};
 use crate::platform;
+use crate::platform::file_lock::beside;
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
@@ -32,7 +33,6 @@ const SET_ASIDE_MAX: u32 = 8;
 
 /// What the journal's actor is made of.
 pub(crate) struct JournalSetup {
-    pub(crate) path: PathBuf,
     pub(crate) lock: JournalLock,
     pub(crate) node: NodeName,
     pub(crate) incarnation: Incarnation,
@@ -122,7 +122,8 @@ struct Writer {
 impl JournalActor {
     /// The actor, and what ends its thread.
     pub(crate) fn new(setup: JournalSetup) -> (Self, JournalGuard) {
-        let JournalSetup { path, lock, node, incarnation, record, reports } = setup;
+        let JournalSetup { lock, node, incarnation, record, reports } = setup;
+        let path = lock.path().to_owned();
         let (queue, work) = sync_channel(QUEUE);
         let (ended, awaited) = sync_channel(1);
         let ends = Arc::<OnceLock<String>>::default();

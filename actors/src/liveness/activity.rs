@@ -27,6 +27,8 @@ pub(crate) struct ActivityRecord {
     speaks: AtomicBool,
     /// A condition of the component runs, beside what is in service.
     condition: AtomicBool,
+    /// Its tasks are polled, perhaps beside what is in service.
+    tasks: AtomicBool,
     /// What the component announced to take longer than usual, in milliseconds.
     allowance: AtomicU32,
     /// Rounds that it has finished.
@@ -49,6 +51,7 @@ pub(crate) struct ActivitySample {
     pub(crate) during: u32,
     pub(crate) speaks: bool,
     pub(crate) condition: bool,
+    pub(crate) tasks: bool,
     pub(crate) allowance: Duration,
     pub(crate) rounds: u64,
     pub(crate) interval: Duration,
@@ -81,6 +84,12 @@ impl ActivityRecord {
     #[inline]
     pub(crate) fn run_condition(&self, runs: bool) {
         self.condition.store(runs, Relaxed);
+    }
+
+    /// The poll of its tasks begins or ends.
+    #[inline]
+    pub(crate) fn poll_tasks(&self, runs: bool) {
+        self.tasks.store(runs, Relaxed);
     }
 
     #[inline]
@@ -145,6 +154,7 @@ impl ActivityRecord {
             during: self.during.load(Relaxed),
             speaks: self.speaks.load(Relaxed),
             condition: self.condition.load(Relaxed),
+            tasks: self.tasks.load(Relaxed),
             allowance: Duration::from_millis(self.allowance.load(Relaxed).into()),
             rounds: self.rounds.load(Relaxed),
             interval: Duration::from_nanos(self.interval.load(Relaxed)),
@@ -207,6 +217,7 @@ impl Drop for ActivitySlot {
         stamp.incarnation.store(0, Relaxed);
         stamp.speaks.store(false, Relaxed);
         stamp.condition.store(false, Relaxed);
+        stamp.tasks.store(false, Relaxed);
         stamp.allowance.store(0, Relaxed);
         stamp.interval.store(0, Relaxed);
         if stamp.is_busy() {

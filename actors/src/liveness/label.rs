@@ -7,6 +7,8 @@ use std::sync::{Mutex, PoisonError};
 pub(crate) const CONDITION: &str = "a condition of a subscription";
 /// While the component is built.
 pub(crate) const FACTORY: &str = "its factory";
+/// While one of its tasks runs.
+pub(crate) const TASK: &str = "a task of its own";
 /// While one of its timers runs.
 pub(crate) const TIMER: &str = "a timer";
 

@@ -548,7 +548,11 @@ impl Eyes {
 
 /// What runs, for people.
 fn during(reading: &ActivitySample) -> &'static str {
-    if reading.condition { label::CONDITION } else { label::name(reading.during) }
+    match reading {
+        ActivitySample { condition: true, .. } => label::CONDITION,
+        ActivitySample { tasks: true, .. } => label::TASK,
+        _ => label::name(reading.during),
+    }
 }
 
 fn read(known: Option<&Arc<SampledComponent>>) -> ComponentSample {

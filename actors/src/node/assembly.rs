@@ -36,6 +36,9 @@ use crate::global_name::actor::GlobalNamesActor;
 use crate::liveness::sampler;
 use crate::parameters::Configured;
 use crate::platform;
+use crate::platform::file_lock::{FileLock, LockError, without_links};
+#[cfg(feature = "unix")]
+use crate::platform::file_lock::{PREDECESSOR_TIMEOUT, released_here};
 use crate::platform::panics;
 use crate::platform::systemd::Systemd;
 use crate::service::{Carried, ReplicaBody, Roster, ServiceSpecError};
@@ -85,7 +88,7 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     let mut assembly = NodeAssembly::begin(&mut builder)?;
     #[cfg(feature = "journal")]
     assembly.keep_journal(builder.journal).await?;
-    assembly.keep_variables(builder.kept_in)?;
+    assembly.keep_variables(builder.kept_in).await?;
     assembly.read_parameters(builder.parameters)?;
     assembly.start_networks(builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
@@ -94,7 +97,7 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.carry_services(builder.services)?;
     assembly.keep_leases();
     #[cfg(feature = "unix")]
-    let inspection = assembly.make_inspection(builder.shown_at);
+    let inspection = assembly.make_inspection(builder.shown_at).await;
     assembly.enrol_all(preparation.tree).await?;
     assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
@@ -121,6 +124,8 @@ struct NodeAssembly {
     /// All that is to be watched.
     enrolments: Vec<Register>,
     undone: StopOnFailure,
+    /// Files and sockets that no other node has while this one lives.
+    held: Vec<PathBuf>,
 }
 
 /// The tree, and what is in it.
@@ -161,6 +166,7 @@ impl NodeAssembly {
             enrolments: callbacks_of(builder),
             node,
             incarnation,
+            held: Vec::new(),
             judges,
             session_timeout: builder.session_timeout,
             plan,
@@ -168,11 +174,24 @@ impl NodeAssembly {
         })
     }
 
-    fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
+    async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(file) = file else { return Ok(()) };
         let told = self.environment.reports.clone();
         let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
-        let kept = self.environment.variables().keep_in(file.clone(), failed);
+        let lock = match FileLock::acquire_after_predecessor(&file, &self.node).await {
+            Ok(lock) => Some(lock),
+            Err(error @ LockError::InUse { .. }) => {
+                return Err(StartError::Variables { file, reason: error.to_string() });
+            }
+            // Where no lock can be, no file can be written either, and that stops no robot.
+            Err(LockError::Io(error)) => {
+                failed(format!("variables cannot be kept in {}: {error}", file.display()));
+                None
+            }
+        };
+        let path = without_links(&file);
+        self.held.push(path.clone());
+        let kept = self.environment.variables().keep_in(path, lock, failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
         self.enrolments.push(middleware(named(KEPT_VARIABLES), None));
         Ok(())
@@ -269,11 +288,14 @@ impl NodeAssembly {
 
     /// It is opened when there is something to be seen.
     #[cfg(feature = "unix")]
-    fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
+    async fn make_inspection(&mut self, path: Option<PathBuf>) -> Option<Addr<InspectionActor>> {
+        let path = path?;
+        released_here(&path, PREDECESSOR_TIMEOUT).await;
+        self.held.push(path.clone());
         let (name, FaultChainParts { guardian, chain, state, .. }) =
             (named("inspection"), &self.parts);
         let inspection =
-            InspectionActor::new(path?, state.clone(), self.environment.reports.clone());
+            InspectionActor::new(path, state.clone(), self.environment.reports.clone());
         let place = chain.arbiter.as_ref();
         let inspection =
             guardian.start(name.clone(), place, |_: &mut Context<InspectionActor>| inspection);
@@ -365,6 +387,7 @@ impl NodeAssembly {
             begun: AtomicBool::new(false),
             safe: AtomicBool::new(false),
             last_record: OnceLock::new(),
+            held: self.held,
         };
         StartingNode { node: Node(Arc::new(shared)), controller }
     }

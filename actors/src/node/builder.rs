@@ -163,8 +163,8 @@ impl NodeBuilder {
 
     /// Keeps the values of variables in this file, so that they outlive the process: what the next
     /// one finds of each is what its [policy](crate::RestorePolicy) leaves. A write is answered
-    /// when it is on the disk. A file that is damaged is set aside and becomes a fault. Two nodes
-    /// never share one. The path is absolute; any other is refused at start.
+    /// when it is on the disk. A file that is damaged is set aside and becomes a fault. A path that
+    /// is not absolute, or at which another node keeps its variables, is refused at start.
     pub fn keep_variables(mut self, file: impl Into<PathBuf>) -> Self {
         self.kept_in = Some(file.into());
         self

@@ -57,6 +57,7 @@ use crate::liveness::threads::ThreadRow;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
+use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
 use crate::registry::NameResolver;
 use crate::service::{Role, ServiceRef, ServiceRow};
@@ -76,12 +77,17 @@ use blastema_core::{
 use controller::{RestartRoot, Shutdown};
 use std::any::type_name;
 use std::fmt;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 use to_the_end::ToTheEnd;
 use tokio::sync::watch;
 use tracing::warn;
+
+/// How long the end of a node waits until another one may have its files and its socket.
+const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A running node. Clones refer to the same one; it runs until [`shutdown`](Node::shutdown), or
 /// until it enters the safe state, from where [`restart`](Node::restart) brings it back.
@@ -129,6 +135,8 @@ struct Shared {
     safe: AtomicBool,
     /// What stood in the record of faults when the node was shut down.
     last_record: OnceLock<FaultRecord>,
+    /// Files and sockets that no other node has while this one lives.
+    held: Vec<PathBuf>,
 }
 
 /// What the node asks of its root supervisor.
@@ -492,6 +500,11 @@ impl Node {
         self.0.environment.registry.shut_down();
         self.0.environment.topics().shut_down(&self.0.name);
         self.0.stop_threads(cause, stopped.is_some());
+        if stopped.is_some() {
+            for path in &self.0.held {
+                released_here(path, RELEASE_TIMEOUT).await;
+            }
+        }
     }
 }
 
@@ -516,6 +529,7 @@ impl Shared {
     /// the process may fire.
     fn stop_threads(&self, cause: &str, in_order: bool) {
         self.environment.arbiters.stop();
+        self.environment.variables().close_file();
         if let Some(networks) = &self.networks {
             networks.stop();
         }

@@ -8,6 +8,8 @@
 //! it: whatever ends the process, or the power, leaves the old file or the new one.
 
 use crate::platform;
+use crate::platform::file_lock::{FileLock, beside};
+use blastema_core::DeliveryError;
 use blastema_core::contract::codec;
 use blastema_core::variables::PersistedValue;
 use crc::{CRC_32_ISCSI, Crc};
@@ -58,13 +60,6 @@ pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
     Ok(aside)
 }
 
-fn beside(path: &Path, ending: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".");
-    name.push(ending);
-    name.into()
-}
-
 fn save(path: &Path, values: &Vec<PersistedValue>) -> io::Result<()> {
     let mut encoded = Vec::new();
     codec::encode_bounded(values, FILE_MAX, &mut encoded).map_err(io::Error::other)?;
@@ -84,7 +79,7 @@ fn save(path: &Path, values: &Vec<PersistedValue>) -> io::Result<()> {
 pub(super) type WriteDone = Box<dyn FnOnce(Result<(), String>) + Send>;
 
 /// Writes the file on a thread of its own: of several changes that come while it writes, all are in
-/// the next file. Dropped, it writes what was given to it, and ends.
+/// the next file. Closed or dropped, it writes what was given to it, gives the lock back, and ends.
 pub(super) struct PersistenceFile(Arc<Shared>);
 
 struct Shared {
@@ -107,20 +102,36 @@ impl Shared {
 }
 
 impl PersistenceFile {
-    /// `failed` is told when the file cannot be written, once until it can be again.
+    /// The lock is `None` where the file's folder cannot be written. `failed` is told when the file cannot be written, once until it can be again.
     pub(super) fn start(
         path: PathBuf,
+        lock: Option<FileLock>,
         failed: impl Fn(String) + Send + 'static,
     ) -> io::Result<Self> {
         let shared =
             Arc::new(Shared { order: Mutex::new(Order::default()), changed: Condvar::new() });
         let kept = shared.clone();
-        platform::start_thread("variables", move || write_when_told(&path, &kept, failed))?;
+        platform::start_thread("variables", move || {
+            write_when_told(&path, &kept, failed);
+            drop(lock);
+        })?;
         Ok(PersistenceFile(shared))
     }
 
-    pub(super) fn has_room(&self) -> bool {
-        self.0.lock().waiting.len() < WAITING_MAX
+    /// Whether it takes one more change.
+    pub(super) fn check(&self) -> Result<(), DeliveryError> {
+        let order = self.0.lock();
+        match order.ended {
+            true => Err(DeliveryError::NotKept { reason: "the node has ended".to_owned() }),
+            false if order.waiting.len() < WAITING_MAX => Ok(()),
+            false => Err(DeliveryError::Full),
+        }
+    }
+
+    /// Takes no change any more.
+    pub(super) fn close(&self) {
+        self.0.lock().ended = true;
+        self.0.changed.notify_one();
     }
 
     pub(super) fn keep(&self, values: Vec<PersistedValue>, then: WriteDone) {
@@ -134,8 +145,7 @@ impl PersistenceFile {
 
 impl Drop for PersistenceFile {
     fn drop(&mut self) {
-        self.0.lock().ended = true;
-        self.0.changed.notify_one();
+        self.close();
     }
 }
 

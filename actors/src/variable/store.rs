@@ -6,6 +6,7 @@ use crate::messaging::death_watch::{DownReason, Watcher};
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::platform;
+use crate::platform::file_lock::FileLock;
 use crate::platform::panics;
 use crate::platform::panics::PanicGuard;
 use crate::registry::service_fn::ServiceFn;
@@ -182,6 +183,7 @@ impl VariableStore {
     pub(crate) fn keep_in(
         &self,
         path: PathBuf,
+        lock: Option<FileLock>,
         failed: impl Fn(String) + Send + 'static,
     ) -> io::Result<()> {
         let mut inner = self.lock();
@@ -202,8 +204,13 @@ impl VariableStore {
                 ));
             }
         }
-        inner.file = Some(PersistenceFile::start(path, failed)?);
+        inner.file = Some(PersistenceFile::start(path, lock, failed)?);
         Ok(())
+    }
+
+    /// The node has ended: nothing is written any more, and another node may have the file.
+    pub(crate) fn close_file(&self) {
+        self.lock().file.iter().for_each(PersistenceFile::close);
     }
 
     /// What was wrong with the values that were to be restored.
@@ -331,9 +338,9 @@ impl VariableStore {
         answer: Responder<VariableRequest>,
     ) {
         let mut inner = self.lock();
-        if inner.file.as_ref().is_some_and(|file| !file.has_room()) {
+        if let Some(Err(why)) = inner.file.as_ref().map(PersistenceFile::check) {
             drop(inner);
-            return answer.give(VariableReply::refused(&DeliveryError::Full));
+            return answer.give(VariableReply::refused(&why));
         }
         let changed = change(&mut inner.machine);
         let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();

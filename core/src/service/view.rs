@@ -16,7 +16,7 @@ pub enum ServiceState {
     /// It knows who serves by another list of nodes, and learns from that one; it has no vote
     /// there.
     Learner,
-    /// It knows of nobody who serves. It votes, and stands for election when it is its turn.
+    /// It knows of no node that serves. It votes, and stands for election when it is its turn.
     Candidate,
     /// Nodes were told different things of the service, and by what this one was told no node may
     /// serve.

@@ -29,7 +29,7 @@ use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{self, FACTORY, TIMER, label};
+use crate::liveness::label::{self, FACTORY, TASK, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
@@ -279,8 +279,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Says whether that has used the turn up.
     fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
-        if let Err(payload) = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx))) {
-            self.died(payload, "a task of its own");
+        self.slot.stamp.poll_tasks(true);
+        let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
+        self.slot.stamp.poll_tasks(false);
+        if let Err(payload) = polled {
+            self.died(payload, TASK);
         }
         self.handle_limits();
         self.step_first = self.budget.is_spent();

@@ -250,6 +250,43 @@ fn a_hang_on_a_thread_of_its_own_takes_nobody_along() {
     });
 }
 
+/// Has its listener start a task that blocks.
+#[derive(Clone, Event)]
+struct Spawn;
+
+struct Spawner(Gate);
+impl Component for Spawner {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.accept::<Spawn>();
+    }
+}
+impl Handle<Spawn> for Spawner {
+    async fn handle(&mut self, _: Spawn, cx: &mut Context<Self>) {
+        let gate = self.0.clone();
+        cx.spawn(async move { gate.lock().unwrap().recv().unwrap() });
+    }
+}
+
+#[test]
+fn a_task_that_hangs_is_named_and_not_the_handler_that_was_served_last() {
+    actix_rt::System::new().block_on(async {
+        let site = Site::new(1, LONG).await;
+        let gate = site.gate.clone();
+        let spec = ChildSpec::new("spawner", move || Spawner(gate.clone()));
+        let spec = spec.max_block(Duration::from_millis(100));
+        let (mut child, spawner) = site.stage.start(spec).await;
+
+        spawner.tell(Spawn).unwrap();
+        let (culprit, _, during, _) = site.hangs().await;
+        assert_eq!((culprit, during), (name("spawner"), "a task of its own"));
+
+        child.abandon();
+        site.open.send(()).unwrap();
+        site.until("the thread goes on", || site.stage.environment.arbiters.abandoned() == 0).await;
+        site.stage.environment.arbiters.stop();
+    });
+}
+
 /// Blocks its listener.
 #[derive(Clone, Event)]
 struct Hold;

@@ -1,17 +1,12 @@
 //! The journal of faults as a part of the node.
 
 use super::{NodeAssembly, middleware, named};
-use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup, LockError};
+use crate::journal::{JOURNAL, JournalActor, JournalLock, JournalSetup};
 use crate::node::error::StartError;
-use crate::platform;
+use crate::platform::file_lock::{FileLock, LockError};
 use actix::prelude::*;
 use blastema_contract::detector::Subscribe;
 use std::path::PathBuf;
-use std::time::Duration;
-
-/// A reader of the journal holds its lock for a moment. A node that writes it holds it for good.
-const LOCK_ATTEMPTS: u32 = 20;
-const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
 impl NodeAssembly {
     /// Hears of every fault from the first on.
@@ -19,13 +14,10 @@ impl NodeAssembly {
         let Some(path) = file else { return Ok(()) };
         let name = named(JOURNAL);
         let reports = self.environment.reports.clone();
-        let lock = match self.lock(&path).await {
-            Ok(lock) => lock,
-            Err(LockError::InUse { by }) => {
-                let reason = format!(
-                    "another process uses the file ({by}): end that process, or give this node another file"
-                );
-                return Err(StartError::Journal { file: path, reason });
+        let lock = match FileLock::acquire_after_predecessor(&path, &self.node).await {
+            Ok(lock) => JournalLock::new(lock),
+            Err(error @ LockError::InUse { .. }) => {
+                return Err(StartError::Journal { file: path, reason: error.to_string() });
             }
             Err(LockError::Io(error)) => {
                 // No permission, no folder, a full disk: nothing of that stops a robot.
@@ -38,9 +30,10 @@ impl NodeAssembly {
                 return Ok(());
             }
         };
+        self.held.push(lock.path().to_owned());
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let record = self.parts.chain.record.clone();
-        let setup = JournalSetup { path, lock, node, incarnation, record, reports };
+        let setup = JournalSetup { lock, node, incarnation, record, reports };
         let (journal, guard) = JournalActor::new(setup);
         let place = self.parts.chain.arbiter.as_ref();
         let guardian = &self.parts.guardian;
@@ -49,16 +42,5 @@ impl NodeAssembly {
         self.parts.chain.keep_journal(guard);
         self.enrolments.push(middleware(name, Some(journal.recipient())));
         Ok(())
-    }
-
-    async fn lock(&self, path: &std::path::Path) -> Result<JournalLock, LockError> {
-        let mut attempts = 1;
-        loop {
-            match JournalLock::acquire(path, &self.node) {
-                Err(LockError::InUse { .. }) if attempts < LOCK_ATTEMPTS => attempts += 1,
-                answer => return answer,
-            }
-            platform::sleep(LOCK_PAUSE).await;
-        }
     }
 }

@@ -4,6 +4,7 @@
 use super::open;
 use crate::node::{Node, Shared};
 use crate::platform;
+use crate::platform::file_lock::HeldHere;
 use crate::runtime::reports::FaultReports;
 use blastema_core::Machine;
 use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
@@ -42,6 +43,8 @@ pub(super) struct InspectionServer {
     /// Those who are given it: as many as the machine has seats.
     looking: BTreeMap<ClientId, AbortHandle>,
     work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
+    /// Dropped after the socket.
+    _held: HeldHere,
 }
 
 enum Done {
@@ -58,6 +61,7 @@ impl InspectionServer {
         listener: Option<PathListener>,
     ) -> Self {
         InspectionServer {
+            _held: HeldHere::new(path.to_path_buf()),
             path,
             node,
             reports,
