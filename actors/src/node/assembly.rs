@@ -189,7 +189,10 @@ impl NodeAssembly {
                 None
             }
         };
-        let path = without_links(&file);
+        let path = match &lock {
+            Some(lock) => lock.path().to_owned(),
+            None => without_links(&file),
+        };
         self.held.push(path.clone());
         let kept = self.environment.variables().keep_in(path, lock, failed);
         kept.map_err(|error| StartError::Variables { file, reason: error.to_string() })?;
