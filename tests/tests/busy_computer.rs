@@ -3,6 +3,7 @@
 use blastema::Incarnation;
 use blastema::core::detection::FaultEntry;
 use blastema::prelude::*;
+use rustix::time::{ClockId, clock_gettime};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -39,12 +40,20 @@ impl Drop for BusyComputer {
     }
 }
 
-/// Has rounds that take next to no time.
-struct Quick;
-impl Component for Quick {
+/// Has rounds that take so much of a processor's time.
+struct Busy(Duration);
+impl Component for Busy {
     async fn on_execute(&mut self, _: &mut Context<Self>) -> Result<(), Failure> {
+        let end = used() + self.0;
+        while used() < end {}
         Ok(())
     }
+}
+
+/// What this thread has had of the processors.
+fn used() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::try_from(time).expect("it counts from zero")
 }
 
 fn is_computers(entry: &FaultEntry) -> bool {
@@ -55,9 +64,13 @@ fn is_computers(entry: &FaultEntry) -> bool {
 fn a_computer_that_has_no_time_is_the_root_of_an_overload_and_no_component_is() {
     blastema::run(async {
         let load = BusyComputer::start(4);
-        let quick = |name| ChildSpec::new(name, || Quick).ready_within(LONG).max_block(LONG);
-        let safety = quick("safety").rate_hz(100.0).liveness(Liveness::push(10 * MS, 10));
-        let fast = quick("fast").rate_hz(500.0);
+        // Less than half of a processor, and twice what a fair share leaves it.
+        let busy = |name, time| {
+            let spec = ChildSpec::new(name, move || Busy(time));
+            spec.ready_within(LONG).max_block(LONG)
+        };
+        let safety = busy("safety", 4 * MS).rate_hz(100.0).liveness(Liveness::push(10 * MS, 50));
+        let fast = busy("fast", Duration::ZERO).rate_hz(100.0);
         let builder = Node::builder("m").work_threads(1).child(safety).child(fast);
         let node = builder.start().await.expect("the node starts");
 
