@@ -72,9 +72,12 @@ struct Process {
 }
 
 impl Process {
+    /// As a shell starts it, also where these tests were started by `nohup`.
     fn start(role: &str, environment: &[(&str, String)]) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
-        Process::spawn(Command::new(program), role, environment)
+        let mut env = Command::new("env");
+        env.arg("--default-signal=HUP").arg(program);
+        Process::spawn(env, role, environment)
     }
 
     /// As `nohup` starts it.
