@@ -110,8 +110,8 @@ pub(crate) const EXPECTED_WITHIN: Setting<Duration> = Setting {
 pub(crate) const INTENSITY: Setting<u32, ()> =
     Setting { name: "the intensity", default: (), range: 0..=1000, cure: "write 1000 at most" };
 
-/// So many restarts in a shorter period are more than the fault chain can record, so that a storm of
-/// them would go on for ever.
+/// So many restarts in a shorter period are more than the fault chain can record, so that a storm
+/// of them would go on for ever.
 pub(crate) fn intensity_period(times: u32) -> Setting<Duration, ()> {
     Setting {
         name: "the intensity's period",

@@ -1,5 +1,5 @@
-//! Commanding actuators: a commander holds a lease, and the actuator takes its safe command when the
-//! commander goes.
+//! Commanding actuators: a commander holds a lease, and the actuator takes its safe command when
+//! the commander goes.
 //!
 //! ```text
 //!  Commander ─ claim, renew, command ─► ActuatorTable of its node ─ epoch holds? ─► component

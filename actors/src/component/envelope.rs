@@ -71,9 +71,9 @@ pub(crate) trait Envelope<C: Component> {
     fn revocable(&self) -> Option<Arc<dyn Cancel>>;
     /// Tells the asker that the message was not taken up, and gives it back.
     fn give_back(&mut self, why: DeliveryError);
-    /// A future_slot for futures of this contract, filled with this message.
+    /// A slot for the futures of this contract, filled with this message.
     fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
-    /// Where a future_slot of this contract finds the message.
+    /// Where such a slot finds the message.
     fn contents(&mut self) -> &mut dyn Any;
 }
 
@@ -106,7 +106,7 @@ struct Rare {
 }
 
 pin_project! {
-    struct Brood<M: Contract, G, F> {
+    struct HandlerFuture<M: Contract, G, F> {
         make: G,
         answer: Option<Responder<M>>,
         #[pin]
@@ -160,7 +160,7 @@ where
 
     fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
         let make = self.make;
-        let mut future_slot = Box::pin(Brood { make, answer: None, future: None::<F> });
+        let mut future_slot = Box::pin(HandlerFuture { make, answer: None, future: None::<F> });
         FutureSlot::<C>::refill(future_slot.as_mut(), &mut self.contents, slot)
             .then_some(future_slot as _)
     }
@@ -170,7 +170,7 @@ where
     }
 }
 
-impl<C, M, G, F> FutureSlot<C> for Brood<M, G, F>
+impl<C, M, G, F> FutureSlot<C> for HandlerFuture<M, G, F>
 where
     C: Component,
     M: Contract,

@@ -1,8 +1,8 @@
 //! Faults that a test puts into a component which knows nothing of it.
 //!
 //! They belong to the component, not to an incarnation: silence and delay act on every one until
-//! they are taken out; a hang acts once, failed initialisations as often as was said, and a panic at
-//! once. Where none is put in, each handler and hook costs one more load.
+//! they are taken out; a hang acts once, failed initialisations as often as was said, and a panic
+//! at once. Where none is put in, each handler and hook costs one more load.
 
 use blastema_core::Instant;
 use std::future::Future;

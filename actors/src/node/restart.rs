@@ -28,7 +28,8 @@ pub enum RestartError {
         /// How many.
         count: usize,
     },
-    /// It entered the safe state again before all components were at work. The record of faults says why.
+    /// It entered the safe state again before all components were at work. The record of faults
+    /// says why.
     #[error("it entered the safe state again: {reason}")]
     GaveUp {
         /// What the last thing was.

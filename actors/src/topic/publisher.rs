@@ -69,7 +69,8 @@ impl<E: Event> Publisher<E> {
     /// fenced off, or the incarnation that made this publisher has ended;
     /// [`DeliveryError::SenderIsolated`](crate::DeliveryError::SenderIsolated) if the component is
     /// isolated; [`DeliveryError::ShutDown`](crate::DeliveryError::ShutDown) if the publisher is
-    /// the node's, and the node was shut down. The event comes back, and is not counted among the dead letters.
+    /// the node's, and the node was shut down. The event comes back, and is not counted among the
+    /// dead letters.
     #[inline]
     pub fn publish(&self, event: E) -> Result<(), SendError<E>> {
         self.publish_stamped(event, None)

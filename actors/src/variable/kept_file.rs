@@ -102,7 +102,8 @@ impl Shared {
 }
 
 impl PersistenceFile {
-    /// The lock is `None` where the file's folder cannot be written. `failed` is told when the file cannot be written, once until it can be again.
+    /// The lock is `None` where the file's folder cannot be written. `failed` is told when the file
+    /// cannot be written, once until it can be again.
     pub(super) fn start(
         path: PathBuf,
         lock: Option<FileLock>,

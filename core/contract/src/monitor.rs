@@ -24,7 +24,8 @@ use std::sync::Arc;
 pub struct Register {
     /// Who, and how.
     pub enrolment: Registration,
-    /// Where it answers the monitor's questions, also while it serves a message; needed for `Watch::Pull`.
+    /// Where it answers the monitor's questions, also while it serves a message; needed for
+    /// `Watch::Pull`.
     pub pings: Option<Recipient<AreYouAlive>>,
 }
 

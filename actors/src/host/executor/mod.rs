@@ -55,7 +55,7 @@ const NESTS: usize = 4;
 /// What is in service.
 enum Service {
     Idle,
-    /// A message, in the future_slot of this number.
+    /// A message, in the slot of this number.
     Message(usize),
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
@@ -373,7 +373,7 @@ impl<C: Component> ComponentExecutor<C> {
         None
     }
 
-    /// Fills the contract's future_slot, or builds it.
+    /// Fills the contract's slot, or builds it.
     #[inline]
     fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
         let Some(component) = &self.component else { return };

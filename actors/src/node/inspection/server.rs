@@ -40,7 +40,7 @@ pub(super) struct InspectionServer {
     machine: SnapshotServer,
     /// Those who are not given their snapshot yet.
     waiting: BTreeMap<ClientId, UnixStream>,
-    /// Those who are given it: as many as the machine has seats.
+    /// Those who are given it: as many as the machine lets in.
     looking: BTreeMap<ClientId, AbortHandle>,
     work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
     /// Dropped after the socket.
