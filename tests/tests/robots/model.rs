@@ -151,9 +151,17 @@ fn missing(
     out: &mut Vec<String>,
 ) {
     let plan = &evidence.robot.parts[listener];
+    let mut groups = Vec::new();
+    below(&evidence.robot.root, &mut groups);
+    groups.retain(|(_, parts)| parts.contains(&listener));
+    // A group that escalates stops its members until a supervisor above it starts it again.
+    let escalated = groups.iter().any(|(name, _)| {
+        evidence.faults(name).any(|entry| entry.fault.kind == FaultKind::UnexpectedExit)
+    });
     // One that was stopped, for good or until it was restarted, misses what it does not have to
     // read.
     let stayed = evidence.is_running(listener)
+        && !escalated
         && evidence.record.entries.iter().all(|entry| entry.given_up.is_none())
         && !evidence.was(listener, Cause::Stop)
         && plan.restart == Restart::Permanent;
