@@ -16,13 +16,13 @@ use crate::variable::ports::VariablePorts;
 use crate::variable::{DeclaredVariable, RestorePolicy, VariableRef};
 use blastema_core::contract::codec;
 use blastema_core::parameters::{ParameterError, ParameterValue, Parameters};
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{DeliveryError, ObjectName, suggestion};
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::{Table, Value};
 
 /// The values that one component is given.
-type Values = BTreeMap<String, ParameterValue>;
+type Values = SortedMap<String, ParameterValue>;
 
 /// The values that the robot's configuration gives to the components of a node. Clones share them.
 #[derive(Clone, Default)]
@@ -30,9 +30,9 @@ pub(crate) struct Configured(Arc<Mutex<Inner>>);
 
 #[derive(Default)]
 struct Inner {
-    given: BTreeMap<String, Values>,
+    given: SortedMap<String, Values>,
     /// Components that have parameters.
-    takers: BTreeSet<String>,
+    takers: SortedSet<String>,
 }
 
 impl Configured {

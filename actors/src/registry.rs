@@ -18,6 +18,7 @@ use crate::platform::panics;
 use blastema_core::contract::codec;
 use blastema_core::global_name::Holder;
 use blastema_core::net::NodeId;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant,
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
@@ -26,7 +27,6 @@ use bytes::Bytes;
 use encoding::encoding;
 use lookup::GlobalNameSender;
 use std::any::{Any, type_name};
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::marker::PhantomData;
 use std::pin::Pin;
@@ -264,7 +264,7 @@ pub struct NameTaken {
 }
 
 struct Entry {
-    ports: BTreeMap<&'static str, ContractPort>,
+    ports: SortedMap<&'static str, ContractPort>,
     mortal: Arc<dyn Watchable>,
 }
 
@@ -285,12 +285,12 @@ impl Entry {
 #[derive(Default)]
 struct Inner {
     /// As many as the node has objects.
-    objects: BTreeMap<ObjectName, Entry>,
+    objects: SortedMap<ObjectName, Entry>,
     /// What nodes say to each other, and no object does: one contract each.
-    hidden: BTreeMap<ObjectName, ContractPort>,
+    hidden: SortedMap<ObjectName, ContractPort>,
     /// Names of supervisors and of the middleware's own objects, at which nothing can be sent, and
     /// which of these they are.
-    reserved: BTreeMap<ObjectName, &'static str>,
+    reserved: SortedMap<ObjectName, &'static str>,
     /// Rises whenever a name is given or taken away.
     revision: u64,
     node: Option<NodeName>,
@@ -370,7 +370,7 @@ impl Registry {
     pub(crate) fn register(
         &self,
         name: &ObjectName,
-        ports: BTreeMap<&'static str, ContractPort>,
+        ports: SortedMap<&'static str, ContractPort>,
         mortal: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();

@@ -25,6 +25,7 @@ pub mod random;
 pub mod recovery;
 pub mod service;
 pub mod snapshot_server;
+pub mod sorted;
 pub mod suggestion;
 pub mod time;
 pub mod variables;

@@ -1,7 +1,7 @@
 //! Many machines of one kind, driven as one.
 
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, Machine};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// Machines by key: the links over one transport, the sessions of one node.
 ///
@@ -9,11 +9,11 @@ use std::collections::{BTreeMap, BTreeSet};
 /// known without looking at all.
 #[derive(Debug)]
 pub struct MachineSet<K, M> {
-    members: BTreeMap<K, M>,
+    members: SortedMap<K, M>,
     /// Those that may have outputs.
-    talking: BTreeSet<K>,
-    due: BTreeSet<(Instant, K)>,
-    due_of: BTreeMap<K, Instant>,
+    talking: SortedSet<K>,
+    due: SortedSet<(Instant, K)>,
+    due_of: SortedMap<K, Instant>,
     /// Who was spoken to last: the one to suspect when the thread unwinds.
     last: Option<K>,
 }
@@ -21,10 +21,10 @@ pub struct MachineSet<K, M> {
 impl<K, M> Default for MachineSet<K, M> {
     fn default() -> Self {
         MachineSet {
-            members: BTreeMap::new(),
-            talking: BTreeSet::new(),
-            due: BTreeSet::new(),
-            due_of: BTreeMap::new(),
+            members: SortedMap::new(),
+            talking: SortedSet::new(),
+            due: SortedSet::new(),
+            due_of: SortedMap::new(),
             last: None,
         }
     }

@@ -12,8 +12,9 @@
 //! client needs which reads. So a client that reads is served at once, whatever the others do, and
 //! none is refused: further clients wait in the listen backlog, in order.
 
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, Machine};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A descriptor each, of which a process often has a thousand.
@@ -41,7 +42,7 @@ pub struct SnapshotId(u64);
 /// The machine.
 #[derive(Debug, Default)]
 pub struct SnapshotServer {
-    clients: BTreeMap<ClientId, ClientState>,
+    clients: SortedMap<ClientId, ClientState>,
     came: u64,
     taken: u64,
     /// When a snapshot was begun last.
@@ -108,7 +109,7 @@ impl SnapshotServer {
                 Some(*snapshot)
             }
         });
-        snapshots.collect::<BTreeSet<_>>().len()
+        snapshots.collect::<SortedSet<_>>().len()
     }
 
     /// When the client that was given a snapshot longest ago is disconnected.
@@ -176,7 +177,7 @@ mod tests {
         now: u64,
         /// Who waits at the door, and whether he will read.
         door: VecDeque<bool>,
-        readers: BTreeSet<ClientId>,
+        readers: SortedSet<ClientId>,
         taking: Vec<(u64, SnapshotId)>,
         served: u64,
         closed: u64,

@@ -7,10 +7,11 @@
 //! Every change has a revision, which rises over all variables and over the incarnations of the
 //! node, so that "has it changed since?" has an answer whatever happened in between.
 
+use crate::sorted::SortedMap;
 use crate::{DeliveryError, Instant, ObjectName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Watchers that may wait for one node's variables: more than a robot has consoles and planners.
@@ -116,9 +117,9 @@ pub struct WatchReport {
 /// The variables of one node.
 #[derive(Debug)]
 pub struct Variables {
-    entries: BTreeMap<VariableKey, Entry>,
+    entries: SortedMap<VariableKey, Entry>,
     last_revision: u64,
-    watchers: BTreeMap<u64, VariableWatcher>,
+    watchers: SortedMap<u64, VariableWatcher>,
     outputs: VecDeque<WatchReport>,
 }
 
@@ -142,9 +143,9 @@ impl Variables {
     /// node.
     pub fn new(last_revision: u64) -> Self {
         Variables {
-            entries: BTreeMap::new(),
+            entries: SortedMap::new(),
             last_revision,
-            watchers: BTreeMap::new(),
+            watchers: SortedMap::new(),
             outputs: VecDeque::new(),
         }
     }

@@ -6,9 +6,10 @@ use blastema_core::global_name::{
     ClaimPolicy, ClaimRequest, GlobalNames, GlobalNamesConfig, GlobalNamesOutput,
 };
 use blastema_core::random::Random;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 const NODES: usize = 50;
@@ -68,7 +69,7 @@ impl Robot {
     fn start(&mut self, node: usize) {
         self.incarnations[node] += 1;
         let incarnation = Incarnation(self.incarnations[node]);
-        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
+        let (settle, expected) = (Duration::ZERO, SortedSet::new());
         let node_name = name(node);
         let config =
             GlobalNamesConfig { node: node_name, incarnation, lease: LEASE, settle, expected };

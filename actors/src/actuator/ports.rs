@@ -12,8 +12,8 @@ use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
 use crate::settings::LEASE;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{Contract, DeliveryError, ObjectName};
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 impl Extension for ActuatorTable {}
@@ -50,12 +50,12 @@ impl<C: Component> Declarations<C> for ActuatorPorts<C> {
     fn check(
         &self,
         component: &ObjectName,
-        served: &BTreeSet<&'static str>,
+        served: &SortedSet<&'static str>,
     ) -> Result<(), SpecError> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
-        let mut commanded = BTreeSet::new();
+        let mut commanded = SortedSet::new();
         for (actuator, _) in &self.0 {
             let contract = actuator.identity.name;
             let refused = |error| SpecError::setting(component.as_str(), error);

@@ -14,12 +14,12 @@ use crate::runtime::guardian::{Guardian, answers_the_monitor};
 use actix::prelude::*;
 use blastema_contract::reports::AreYouAlive;
 use blastema_core::lease::{CommanderId, Lease, LeaseEnd, LeaseOutput, LeaseStatus};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, DeliveryError, FaultKind, GatherBuffer, Incarnation, Instant, Machine,
     ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Relaxed, SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -67,7 +67,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-type Actuators = BTreeMap<(ObjectName, &'static str), Arc<Actuator>>;
+type Actuators = SortedMap<(ObjectName, &'static str), Arc<Actuator>>;
 
 /// The actuators of a node. Clones share them.
 #[derive(Clone, Default)]

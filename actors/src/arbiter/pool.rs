@@ -11,8 +11,8 @@
 use super::heartbeat::ArbiterHeartbeat;
 use crate::platform;
 use actix_rt::{Arbiter, ArbiterHandle, System};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, ObjectName};
-use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -114,7 +114,7 @@ impl ArbiterSlot {
 pub(crate) type Boarding = Box<dyn FnOnce(ArbiterSlot) + Send>;
 
 /// How many threads each culprit has kept for good.
-pub(crate) type LostThreads = BTreeMap<ObjectName, usize>;
+pub(crate) type LostThreads = SortedMap<ObjectName, usize>;
 
 /// Is called with the threads that are lost now, whenever one more is.
 pub(crate) type OnAbandoned = Box<dyn Fn(&LostThreads) + Send + Sync>;

@@ -5,8 +5,8 @@ use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::spec_error::SpecError;
 use blastema_core::ObjectName;
+use blastema_core::sorted::SortedSet;
 use std::any::Any;
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// What one component declares of one feature.
@@ -15,7 +15,7 @@ pub(crate) trait Declarations<C: Component>: Any {
     fn check(
         &self,
         component: &ObjectName,
-        served: &BTreeSet<&'static str>,
+        served: &SortedSet<&'static str>,
     ) -> Result<(), SpecError>;
 
     /// Makes it so. The component is registered already.

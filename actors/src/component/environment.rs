@@ -8,8 +8,8 @@ use crate::registry::Registry;
 use crate::runtime::callbacks::Callbacks;
 use crate::runtime::reports::FaultReports;
 use crate::settings::CALLBACK_LIMIT;
+use blastema_core::sorted::SortedSet;
 use blastema_core::suggestion::nearest;
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use tracing::error;
 
@@ -23,7 +23,7 @@ pub(crate) struct ComponentEnvironment {
     pub(crate) dead_letters: DeadLetterLog,
     pub(crate) watch_list: SampledComponents,
     /// The codes of the application's own list of faults.
-    pub(crate) fault_codes: Arc<BTreeSet<Arc<str>>>,
+    pub(crate) fault_codes: Arc<SortedSet<Arc<str>>>,
     /// What the features of the node add.
     pub(crate) extensions: Extensions,
 }

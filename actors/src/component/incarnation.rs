@@ -5,9 +5,9 @@ use crate::component::long_operation::LongOperations;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::ActivityRecord;
 use crate::messaging::incarnation::IncarnationToken;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Incarnation, Instant};
 use std::cell::{Cell, OnceCell, RefCell};
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
@@ -51,7 +51,7 @@ pub(crate) struct Timer<C: Component> {
 /// The timers of one incarnation, under their numbers: those that the schedule has taken over, and
 /// behind them those that were set since.
 pub(crate) struct TimerTable<C: Component> {
-    pub(crate) standing: RefCell<BTreeMap<u64, Timer<C>>>,
+    pub(crate) standing: RefCell<SortedMap<u64, Timer<C>>>,
     last: Cell<u64>,
     /// The last one that was taken over.
     taken: Cell<u64>,

@@ -5,9 +5,9 @@ use crate::component::declaration::Declarations;
 use crate::component::spec_error::SpecError;
 use crate::component::{Component, Handle};
 use crate::registry::ContractPort;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Event, ObjectName, Request};
 use std::any::Any;
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Makes the door for one contract.
@@ -59,7 +59,7 @@ impl<C: Component> Ports<C> {
     pub(crate) fn doors(
         &self,
         cell: &Arc<ComponentCell<C>>,
-    ) -> BTreeMap<&'static str, ContractPort> {
+    ) -> SortedMap<&'static str, ContractPort> {
         self.open.iter().map(|open| open(cell)).map(|port| (port.identity.name, port)).collect()
     }
 
@@ -77,7 +77,7 @@ impl<C: Component> Ports<C> {
 
     /// Finds what contradicts itself.
     pub(crate) fn check(&self, component: &ObjectName) -> Result<(), SpecError> {
-        let mut served = BTreeSet::new();
+        let mut served = SortedSet::new();
         if let Some(&contract) = self.taken.iter().find(|name| !served.insert(**name)) {
             let (name, ports) = (component.clone(), "both by serve or accept");
             return Err(SpecError::PortTwice { name, contract, ports });

@@ -4,8 +4,8 @@ use actix::prelude::*;
 use blastema_contract::supervisor::{
     IsolateChild, MoveChild, ReadTree, ResetChild, RestartChild, SafeStop,
 };
+use blastema_core::sorted::SortedMap;
 use blastema_core::{ObjectName, suggestion};
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// What a strategy may ask of a supervisor.
@@ -26,8 +26,8 @@ pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
 #[derive(Default)]
 struct Entries {
-    keepers: BTreeMap<ObjectName, Arc<SupervisorRecipients>>,
-    supervisors: BTreeMap<ObjectName, Arc<SupervisorRecipients>>,
+    keepers: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
+    supervisors: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
 }
 
 impl SupervisorDirectory {

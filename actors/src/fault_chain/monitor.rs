@@ -17,8 +17,8 @@ use blastema_contract::reports::{
 use blastema_core::detection::{
     self, Liveness, MonitorLimits, MonitorOutput, RegistrationError, WorkProgress,
 };
+use blastema_core::sorted::SortedMap;
 use blastema_core::{NodeName, ObjectName};
-use std::collections::BTreeMap;
 use tracing::error;
 
 /// Watches everything in its node, and what its node sees of others.
@@ -27,7 +27,7 @@ pub(crate) struct MonitorActor {
     wake: WakeTimer,
     detector: Recipient<Observed>,
     /// Where objects answer; no more than the machine's table has rows.
-    pings: BTreeMap<ObjectName, Recipient<AreYouAlive>>,
+    pings: SortedMap<ObjectName, Recipient<AreYouAlive>>,
 }
 
 impl MonitorActor {
@@ -38,7 +38,7 @@ impl MonitorActor {
         detector: Recipient<Observed>,
     ) -> Self {
         let machine = detection::Monitor::new(node, limits, platform::now());
-        MonitorActor { machine, wake: WakeTimer::default(), detector, pings: BTreeMap::new() }
+        MonitorActor { machine, wake: WakeTimer::default(), detector, pings: SortedMap::new() }
     }
 
     fn ask(&mut self, object: ObjectName, context: &mut Context<Self>) {

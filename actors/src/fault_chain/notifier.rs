@@ -9,7 +9,7 @@ use blastema_contract::Confirmed;
 use blastema_contract::notifier::{AddPort, FaultCleared, FaultFound, ReadPorts, RemovePort};
 use blastema_contract::recoverer::{CancelRecovery, Recover};
 use blastema_core::detection::{self, FaultNotice, NotifierLimits, NotifierOutput, RecovererPort};
-use std::collections::BTreeMap;
+use blastema_core::sorted::SortedMap;
 use tracing::error;
 
 /// Tells the recoverers, here and on other nodes.
@@ -17,7 +17,7 @@ pub(crate) struct NotifierActor {
     machine: detection::Notifier,
     wake: WakeTimer,
     /// Where the machine's ports lead.
-    doors: BTreeMap<RecovererPort, Door>,
+    doors: SortedMap<RecovererPort, Door>,
 }
 
 struct Door {
@@ -29,7 +29,7 @@ impl NotifierActor {
     /// A notifier without ports.
     pub(crate) fn new(limits: NotifierLimits) -> Self {
         let machine = detection::Notifier::new(limits);
-        NotifierActor { machine, wake: WakeTimer::default(), doors: BTreeMap::new() }
+        NotifierActor { machine, wake: WakeTimer::default(), doors: SortedMap::new() }
     }
 
     fn hand_over(

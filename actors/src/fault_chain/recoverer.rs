@@ -17,7 +17,7 @@ use blastema_core::recovery::{
     self, FaultResolution, RecovererOutput, RecoveryAction, RecoveryDone, RecoveryFailed,
     RecoveryOrder,
 };
-use std::collections::BTreeMap;
+use blastema_core::sorted::SortedMap;
 use tokio::sync::watch;
 use tracing::info;
 
@@ -46,7 +46,7 @@ pub(crate) struct RecovererActor {
     detector: Recipient<FaultOutcome>,
     guardian: Guardian,
     /// The strategies that live at present.
-    engaged: BTreeMap<RecoveryAction, EngagedStrategy>,
+    engaged: SortedMap<RecoveryAction, EngagedStrategy>,
     callbacks: Callbacks,
 }
 
@@ -60,7 +60,7 @@ enum Answer {
 impl RecovererActor {
     pub(crate) fn new(setup: RecovererSetup) -> Self {
         let RecovererSetup { machine, strategies, tools, detector, guardian, callbacks } = setup;
-        let engaged = BTreeMap::new();
+        let engaged = SortedMap::new();
         let wake = WakeTimer::default();
         RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
     }

@@ -8,9 +8,9 @@ use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::monitor::IsolationReported;
 use blastema_contract::reports::{Exited, FaultDeclared, StateReported};
 use blastema_core::recovery::{ChildRules, SupervisorRules};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, ObjectName};
 use blastema_doubles::Probe;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 /// How a child answers one call.
@@ -30,8 +30,8 @@ pub(crate) struct Script(Arc<Mutex<Pages>>);
 struct Pages {
     done: Vec<String>,
     /// By call, as `start laser`. An answer other than `Works` is used up by its first use.
-    answers: BTreeMap<String, Vec<ScriptedReply>>,
-    alive: BTreeMap<ObjectName, Incarnation>,
+    answers: SortedMap<String, Vec<ScriptedReply>>,
+    alive: SortedMap<ObjectName, Incarnation>,
 }
 
 impl Script {

@@ -24,8 +24,8 @@ use blastema_core::recovery::{
     CallId, ChildRules, GiveUpReason, ReplacementCause, Supervisor, SupervisorOutput,
     SupervisorRules,
 };
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, Instant, Lifecycle, ObjectName};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::sync::oneshot;
 use tracing::{error, info, warn};
@@ -55,9 +55,9 @@ pub(crate) struct SupervisorActor {
     name: ObjectName,
     machine: Supervisor,
     wake: WakeTimer,
-    children: BTreeMap<ObjectName, Box<dyn Child>>,
+    children: SortedMap<ObjectName, Box<dyn Child>>,
     /// Who waits for the outcome of a request; bounded by the machine.
-    waiting: BTreeMap<CallId, oneshot::Sender<RecoveryResult>>,
+    waiting: SortedMap<CallId, oneshot::Sender<RecoveryResult>>,
     calls: u64,
     parent: Option<Arc<Recipient<ChildReport>>>,
     /// Where its children report: all to the same, since each copy of a recipient costs memory.
@@ -98,8 +98,8 @@ impl SupervisorActor {
             name,
             machine: Supervisor::new(rules),
             wake: WakeTimer::default(),
-            children: BTreeMap::new(),
-            waiting: BTreeMap::new(),
+            children: SortedMap::new(),
+            waiting: SortedMap::new(),
             calls: 0,
             parent: None,
             reports: None,

@@ -18,8 +18,8 @@ use blastema_core::global_name::{
 use blastema_core::net::active_alarms::ActiveAlarms;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::{NodeId, Refusals};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{FaultKind, Incarnation, NodeName, ObjectName};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -60,9 +60,9 @@ pub(crate) struct GlobalNamesActor {
     machine: GlobalNames,
     wake: WakeTimer,
     letters: PeerChannel,
-    own: BTreeMap<ObjectName, Own>,
+    own: SortedMap<ObjectName, Own>,
     /// Nodes that a session is open with.
-    peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
+    peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     complaints: RefusalAlarms<NodeName>,
     faults: FaultReporter,
     /// Names that were lost to others, who had claimed them out of sight: as many as are claimed
@@ -96,8 +96,8 @@ impl GlobalNamesActor {
                 machine: GlobalNames::new(config(&setup), platform::now()),
                 wake: WakeTimer::default(),
                 letters: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
-                own: BTreeMap::new(),
-                peers: BTreeMap::new(),
+                own: SortedMap::new(),
+                peers: SortedMap::new(),
                 complaints: RefusalAlarms::default(),
                 faults: FaultReporter::of("claims", setup.faults.clone(), setup.mended.clone()),
                 lost: ActiveAlarms::default(),

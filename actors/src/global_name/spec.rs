@@ -12,7 +12,7 @@ use crate::host::spec::ChildSpec;
 use crate::settings::SettingError;
 use blastema_core::ObjectName;
 use blastema_core::global_name::ClaimRequest;
-use std::collections::BTreeSet;
+use blastema_core::sorted::SortedSet;
 use std::sync::Arc;
 
 impl Extension for GlobalNameTable {}
@@ -29,8 +29,8 @@ impl ComponentEnvironment {
 struct ClaimedNames(Vec<(String, ClaimPolicy)>);
 
 impl<C: Component> Declarations<C> for ClaimedNames {
-    fn check(&self, component: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
-        let mut names = BTreeSet::new();
+    fn check(&self, component: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+        let mut names = SortedSet::new();
         for (name, _) in &self.0 {
             ObjectName::new(name)?;
             if !names.insert(name) {

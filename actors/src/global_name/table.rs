@@ -5,8 +5,8 @@ use crate::platform;
 use crate::registry::NameResolver;
 use actix::{Message, Recipient};
 use blastema_core::global_name::{ClaimRequest, Holder};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Incarnation, Instant, ObjectName};
-use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -40,7 +40,7 @@ struct HolderRecord {
 
 struct Inner {
     /// As many as the machine takes.
-    known: Mutex<BTreeMap<ObjectName, HolderRecord>>,
+    known: Mutex<SortedMap<ObjectName, HolderRecord>>,
     revision: watch::Sender<u64>,
     body: OnceLock<Recipient<ClaimCommand>>,
     next: AtomicU64,
@@ -69,7 +69,7 @@ impl NameResolver for GlobalNameTable {
 }
 
 impl GlobalNameTable {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, HolderRecord>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, HolderRecord>> {
         self.0.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

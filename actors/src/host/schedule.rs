@@ -14,8 +14,9 @@ use crate::component::incarnation::{
 };
 use crate::platform;
 use blastema_core::Instant;
+use blastema_core::sorted::SortedMap;
 use futures_util::stream::{FuturesUnordered, Stream};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::future::Future;
 use std::pin::Pin;
 use std::rc::Rc;
@@ -82,7 +83,7 @@ pub(crate) struct ScheduledWork<C: Component> {
 struct Work {
     /// There only where the component has started a task.
     tasks: Option<FuturesUnordered<Spawned>>,
-    schedule: BTreeMap<ScheduleEntry, DueWork>,
+    schedule: SortedMap<ScheduleEntry, DueWork>,
     /// Numbers the entries.
     next_entry: u64,
     /// Sleeps until the earliest entry, or one before it.
@@ -366,9 +367,7 @@ impl Work {
                 return;
             }
             let now = platform::now().max(earliest);
-            while let Some(first) = self.schedule.first_entry().filter(|first| first.key().0 <= now)
-            {
-                let ((at, _), work) = first.remove_entry();
+            while let Some(((at, _), work)) = self.schedule.pop_first_if(|(at, _)| *at <= now) {
                 self.fall_due(work, (at, now), interval, timers);
             }
         }

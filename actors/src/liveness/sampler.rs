@@ -16,8 +16,8 @@ use blastema_core::detection::hang::{
     HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId,
 };
 use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample};
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultLocation, Incarnation, Instant, Machine, NodeName, ObjectName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -94,20 +94,20 @@ pub(crate) struct SampledComponents(Arc<Entries>);
 
 #[derive(Default)]
 struct Entries {
-    by_slot: Mutex<BTreeMap<u32, Arc<SampledComponent>>>,
+    by_slot: Mutex<SortedMap<u32, Arc<SampledComponent>>>,
     /// The component that declares its ports now, before it has a slot.
     declaring: Mutex<Option<ObjectName>>,
     /// The slots whose entries the watch has not learnt of yet.
-    changed: Mutex<BTreeSet<u32>>,
+    changed: Mutex<SortedSet<u32>>,
     /// What was in service at the last look: slot, turn, and since when.
     busy: Mutex<Vec<(u32, u64, Instant)>>,
     /// When components that give signs of life by themselves were last seen to have given one, by
     /// slot.
     signs: Mutex<Vec<(u32, Option<Instant>)>>,
     /// How many rounds each slot's present incarnation has missed, where any.
-    missed: Mutex<BTreeMap<u32, u64>>,
+    missed: Mutex<SortedMap<u32, u64>>,
     /// What the last look found of the arbiters.
-    arbiters: Mutex<BTreeMap<u64, ArbiterStatus>>,
+    arbiters: Mutex<SortedMap<u64, ArbiterStatus>>,
 }
 
 /// Who lives on an arbiter.
@@ -126,7 +126,7 @@ impl ArbiterResidents {
 }
 
 impl SampledComponents {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<u32, Arc<SampledComponent>>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<u32, Arc<SampledComponent>>> {
         self.0.by_slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -157,7 +157,7 @@ impl SampledComponents {
     }
 
     /// What every component is doing now.
-    fn glances(&self) -> BTreeMap<ObjectName, Glance> {
+    fn glances(&self) -> SortedMap<ObjectName, Glance> {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -190,8 +190,8 @@ impl SampledComponents {
     }
 
     /// Who lives on which arbiter now.
-    pub(crate) fn residents(&self) -> BTreeMap<u64, ArbiterResidents> {
-        let mut residents = BTreeMap::new();
+    pub(crate) fn residents(&self) -> SortedMap<u64, ArbiterResidents> {
+        let mut residents = SortedMap::new();
         for (slot, watched) in self.lock().iter() {
             let Some(inside) = watched.inside.upgrade() else { continue };
             let pulse = &watched.pulse;
@@ -205,7 +205,7 @@ impl SampledComponents {
     }
 
     /// What the last look found of the arbiters.
-    pub(crate) fn seen(&self) -> BTreeMap<u64, ArbiterStatus> {
+    pub(crate) fn seen(&self) -> SortedMap<u64, ArbiterStatus> {
         self.0.arbiters.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
@@ -325,7 +325,7 @@ struct Eyes {
     looks: u64,
     stamps: Stamps,
     /// Each with how many components live on it.
-    pulses: BTreeMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
+    pulses: SortedMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
     arbiters: ArbiterPool,
     monitor: Recipient<LivenessReported>,
     /// It goes by the system's clock, as the processors do.
@@ -389,7 +389,7 @@ impl Eyes {
             scanner: HangDetector::new(config),
             looks: 0,
             stamps: Stamps::default(),
-            pulses: BTreeMap::new(),
+            pulses: SortedMap::new(),
             arbiters,
             monitor,
             is_real,

@@ -3,10 +3,10 @@
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
 use blastema_contract::reports::ExitReason;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Incarnation, Lifecycle, NodeName, ObjectName};
 use blastema_macros::{Event, Structure};
 use std::any::Any;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// An incarnation of a watched object has ended.
@@ -119,7 +119,7 @@ impl Watchers {
 /// The ends of objects that are not components: supervisors, and the middleware's own. Clones share
 /// it.
 #[derive(Clone, Default)]
-pub(crate) struct Deaths(Arc<Mutex<BTreeMap<ObjectName, Watched>>>);
+pub(crate) struct Deaths(Arc<Mutex<SortedMap<ObjectName, Watched>>>);
 
 /// As many as the node has such objects.
 #[derive(Default)]
@@ -130,7 +130,7 @@ struct Watched {
 }
 
 impl Deaths {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Watched>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Watched>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -19,9 +19,9 @@ use blastema_core::net::discovery::{
 };
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::{LinkId, NodeId};
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, NodeName};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet};
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
 use std::sync::Arc;
@@ -88,12 +88,12 @@ pub(super) struct DiscoveryActor {
     wake: WakeTimer,
     letters: PeerChannel,
     /// Links that were made: at most so many for each network as it has numbers.
-    made: BTreeMap<(usize, NodeName), (LinkId, MediumAddress)>,
+    made: SortedMap<(usize, NodeName), (LinkId, MediumAddress)>,
     /// Nodes that a session is open with.
-    peers: BTreeMap<NodeId, NodeName>,
+    peers: SortedMap<NodeId, NodeName>,
     complaints: RefusalAlarms<Option<NodeName>>,
     /// The ports at which our networks are open, for beacons.
-    ports: BTreeMap<usize, u16>,
+    ports: SortedMap<usize, u16>,
 }
 
 impl DiscoveryActor {
@@ -106,10 +106,10 @@ impl DiscoveryActor {
             links: Vec::new(),
             wake: WakeTimer::default(),
             letters: PeerChannel::at(super::named("discovery"), &wiring.registry, reader),
-            made: BTreeMap::new(),
-            peers: BTreeMap::new(),
+            made: SortedMap::new(),
+            peers: SortedMap::new(),
             complaints: RefusalAlarms::default(),
-            ports: BTreeMap::new(),
+            ports: SortedMap::new(),
             wiring,
         }
     }
@@ -119,7 +119,7 @@ impl DiscoveryActor {
         else {
             return;
         };
-        let taken: BTreeSet<_> = self.made.values().map(|(number, _)| *number).collect();
+        let taken: SortedSet<_> = self.made.values().map(|(number, _)| *number).collect();
         let number = field.numbers.iter().find(|number| !taken.contains(number)).copied();
         let remote = parse(field.spec.medium, address);
         let (Some(number), Some(remote)) = (number, remote) else {

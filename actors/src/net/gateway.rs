@@ -34,11 +34,11 @@ use blastema_core::net::peer_protocol::{
 };
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{NodeId, OrderingKey};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, FaultLocation, GatherBuffer, Incarnation, NodeName};
 use bytes::Bytes;
 use inbound::{InboundBacklog, PeerBinding, REFUSAL_CHECK_INTERVAL};
 use peer::GatewayPeer;
-use std::collections::BTreeMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use subscriptions::Forwarded;
@@ -80,18 +80,18 @@ pub(super) struct GatewayActor {
     wiring: GatewaySetup,
     exchange: PeerProtocol,
     naming: NodeDirectory,
-    peers: BTreeMap<NodeId, GatewayPeer>,
+    peers: SortedMap<NodeId, GatewayPeer>,
     /// Where replies go, by our number of the request.
-    replies: BTreeMap<u64, (NodeName, ReplyTo)>,
+    replies: SortedMap<u64, (NodeName, ReplyTo)>,
     /// What peers have bound here.
-    skeletons: BTreeMap<(NodeId, u32), PeerBinding>,
+    skeletons: SortedMap<(NodeId, u32), PeerBinding>,
     /// What waits for room with objects here.
     queues: InboundBacklog,
     /// What peers listen to here.
-    forwards: BTreeMap<(NodeId, u32), Forwarded>,
+    forwards: SortedMap<(NodeId, u32), Forwarded>,
     /// What they listened to, until their next session.
-    past: BTreeMap<(NodeId, u32), EndedSubscription>,
-    notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
+    past: SortedMap<(NodeId, u32), EndedSubscription>,
+    notices: SortedMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
     kept_out: u64,
@@ -156,13 +156,13 @@ impl GatewayActor {
             wiring,
             exchange: PeerProtocol::default(),
             naming: NodeDirectory::default(),
-            peers: BTreeMap::new(),
-            replies: BTreeMap::new(),
-            skeletons: BTreeMap::new(),
+            peers: SortedMap::new(),
+            replies: SortedMap::new(),
+            skeletons: SortedMap::new(),
             queues: InboundBacklog::default(),
-            forwards: BTreeMap::new(),
-            past: BTreeMap::new(),
-            notices: BTreeMap::new(),
+            forwards: SortedMap::new(),
+            past: SortedMap::new(),
+            notices: SortedMap::new(),
             next: 0,
             kept_out: 0,
             credit: None,

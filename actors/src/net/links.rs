@@ -30,8 +30,8 @@ use blastema_core::net::wire::frame::{is_hello, is_urgent};
 use blastema_core::net::{
     Link, LinkConfig, LinkId, LinkOutput, LinkSet, LinkSetOutput, LinkState, Quality, Refusals,
 };
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, GatherBuffer, Incarnation, Instant, NodeName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -78,8 +78,8 @@ pub(super) struct LinksRecipients {
 /// The links of one network.
 pub(super) struct LinksActor {
     wiring: LinksRecipients,
-    specs: BTreeMap<LinkId, LinkSpec>,
-    by_remote: BTreeMap<MediumAddress, LinkId>,
+    specs: SortedMap<LinkId, LinkSpec>,
+    by_remote: SortedMap<MediumAddress, LinkId>,
     bundle: LinkSet,
     wake: WakeTimer,
     /// The largest frame; `None` while the medium is closed.
@@ -89,18 +89,18 @@ pub(super) struct LinksActor {
     /// Where all are reached at once, if the medium is a bus.
     bus: Option<MediumAddress>,
     /// What the router was told last: it must be taken back when the actor restarts.
-    told: BTreeMap<LinkId, LinkStatus>,
+    told: SortedMap<LinkId, LinkStatus>,
     /// Those that were never heard while the medium could not be opened.
-    unheard: BTreeSet<LinkId>,
+    unheard: SortedSet<LinkId>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
     complaints: RefusalAlarms<Option<LinkId>>,
     /// Links at whose other end is a node of our name, until another one is.
-    namesakes: BTreeSet<LinkId>,
+    namesakes: SortedSet<LinkId>,
 }
 
 impl LinksActor {
-    pub(super) fn new(wiring: LinksRecipients, specs: BTreeMap<LinkId, LinkSpec>) -> Self {
+    pub(super) fn new(wiring: LinksRecipients, specs: SortedMap<LinkId, LinkSpec>) -> Self {
         let by_remote = specs.iter().map(|(n, spec)| (spec.remote.clone(), *n)).collect();
         let mut links = LinksActor {
             wiring,
@@ -111,11 +111,11 @@ impl LinksActor {
             mtu: None,
             bytes_per_second: None,
             bus: None,
-            told: BTreeMap::new(),
-            unheard: BTreeSet::new(),
+            told: SortedMap::new(),
+            unheard: SortedSet::new(),
             strangers: Refusals::default(),
             complaints: RefusalAlarms::default(),
-            namesakes: BTreeSet::new(),
+            namesakes: SortedSet::new(),
         };
         links.build(platform::now());
         links

@@ -62,9 +62,9 @@ use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::LEARNED_MAX;
 use blastema_core::net::isolation::{IsolationAuthority, IsolationDecision, VoteRefused};
 use blastema_core::net::{LinkId, NodeId};
+use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
-use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -337,9 +337,9 @@ fn number(networks: &[NetworkSpec]) -> (Vec<Vec<LinkId>>, Vec<DiscoveryNetwork>)
 }
 
 fn check(networks: &[NetworkSpec]) -> Result<(), NetError> {
-    let mut names = BTreeSet::new();
+    let mut names = SortedSet::new();
     for NetworkSpec { name: network, links, .. } in networks {
-        let mut remotes = BTreeSet::new();
+        let mut remotes = SortedSet::new();
         for LinkSpec { name, remote, .. } in links {
             if !names.insert((network, name)) {
                 return Err(NetError::LinkNameTaken { name: name.to_string() });

@@ -9,10 +9,10 @@ use crate::registry::{ContractPort, MessageMetadata, Registry, ReplyTo, Skeleton
 use actix::prelude::*;
 use blastema_core::contract::codec;
 use blastema_core::net::NodeId;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, NodeName, ObjectName};
 use blastema_macros::Event;
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU64, AtomicUsize};
@@ -41,7 +41,7 @@ pub(crate) struct ActorMessageReceived {
 pub(crate) struct PeerChannel {
     registry: Registry,
     place: ObjectName,
-    senders: BTreeMap<NodeName, Sender<ActorMessage>>,
+    senders: SortedMap<NodeName, Sender<ActorMessage>>,
     slot: Arc<Slot>,
 }
 
@@ -64,7 +64,7 @@ impl PeerChannel {
         let skeleton: Arc<dyn Skeleton> = slot.clone();
         registry
             .register_hidden(place.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
-        PeerChannel { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
+        PeerChannel { registry: registry.clone(), place, senders: SortedMap::new(), slot }
     }
 
     /// Sends one. It is dropped where the node takes none now.

@@ -19,8 +19,8 @@ use blastema_core::detection::NodeCondition;
 use blastema_core::net::routing::RouterAlarm;
 use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, FaultLocation, Incarnation, NodeName};
-use std::collections::{BTreeMap, BTreeSet};
 use tokio::sync::oneshot;
 use tracing::{debug, error, info};
 
@@ -29,18 +29,18 @@ pub(super) struct RouterActor {
     config: RouterConfig,
     machine: net::Router,
     wake: WakeTimer,
-    links: BTreeMap<LinkId, (Recipient<TransmitOnLink>, Recipient<RemoteLinkDown>)>,
+    links: SortedMap<LinkId, (Recipient<TransmitOnLink>, Recipient<RemoteLinkDown>)>,
     networks: Vec<Recipient<ReportLinks>>,
     sessions: Option<AddSessions>,
     monitor: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
     /// The nodes that can be reached, and their incarnations: what a restarted router finds again.
-    reached: BTreeMap<NodeName, Incarnation>,
+    reached: SortedMap<NodeName, Incarnation>,
     /// Who wants to know whether there is another way to a node, until that is certain: as many as
     /// the recoverer has under way, which gives each two seconds.
     inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
     /// The isolated nodes, which a restarted router is given.
-    kept_out: BTreeSet<NodeName>,
+    kept_out: SortedSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     own_isolation: OwnIsolation,
 }
@@ -57,14 +57,14 @@ impl RouterActor {
                 machine: net::Router::new(config.clone(), platform::now()),
                 config,
                 wake: WakeTimer::default(),
-                links: BTreeMap::new(),
+                links: SortedMap::new(),
                 networks: Vec::new(),
                 sessions: None,
                 monitor,
                 faults,
-                reached: BTreeMap::new(),
+                reached: SortedMap::new(),
                 inquirers: Vec::new(),
-                kept_out: BTreeSet::new(),
+                kept_out: SortedSet::new(),
                 own_isolation,
             }
         }

@@ -14,8 +14,8 @@ use blastema_contract::session::PeerStatusChanged;
 use blastema_core::contract::codec;
 use blastema_core::detection::NodeCondition;
 use blastema_core::net::NodeId;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Incarnation, NodeName};
-use std::collections::BTreeMap;
 use tracing::warn;
 
 /// The longest reason that is told, in bytes: a panic's text, shortened.
@@ -45,7 +45,7 @@ pub(crate) struct SafeStateActor {
     /// Why this node is at rest, as all peers were told; nothing where it was never at rest.
     said: Option<Option<String>>,
     /// Nodes that a session is open with.
-    peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
+    peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     nodes: Recipient<NodeReported>,
 }
 
@@ -60,7 +60,7 @@ impl SafeStateActor {
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
             let letters = PeerChannel::at(super::named("rest"), &registry, reader);
-            SafeStateActor { letters, said: None, peers: BTreeMap::new(), nodes }
+            SafeStateActor { letters, said: None, peers: SortedMap::new(), nodes }
         };
         let body = guardian.start(super::named("rest"), arbiter, make);
         SafeStateRecipients {

@@ -15,9 +15,9 @@ use blastema_core::detection::NodeCondition;
 use blastema_core::net::refusal_alarms::{MANY, RefusalAlarms};
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{MachineSet, NodeId, Refusals, Session, SessionConfig, SessionOutput};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, FaultKind, Incarnation, NodeName};
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::Duration;
 use tracing::{error, info, warn};
@@ -36,7 +36,7 @@ pub(super) struct SessionsActor {
     idle_timeout: Duration,
     machines: MachineSet<NodeId, Session>,
     wake: WakeTimer,
-    peers: BTreeMap<NodeId, Peer>,
+    peers: SortedMap<NodeId, Peer>,
     router: Recipient<SendSegment>,
     gateway: Option<Recipient<SessionReported>>,
     faults: FaultReporter,
@@ -69,7 +69,7 @@ impl SessionsActor {
             idle_timeout,
             machines: MachineSet::default(),
             wake: WakeTimer::default(),
-            peers: BTreeMap::new(),
+            peers: SortedMap::new(),
             router,
             gateway: None,
             faults,

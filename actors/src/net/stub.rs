@@ -11,10 +11,10 @@ use blastema_core::delivery::dead_letters::DeadReason;
 use blastema_core::net::SizeClass;
 use blastema_core::net::session::PAYLOAD_MAX;
 use blastema_core::net::wire::segment::Stream;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{
     ContractIdentity, Delivery, DeliveryError, GatherBuffer, NodeName, ObjectAddress, ObjectName,
 };
-use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
@@ -25,7 +25,7 @@ use tokio::sync::Notify;
 /// Makes doors, and tells those behind them how their peer is.
 pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
-    send_states: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
+    send_states: Mutex<SortedMap<NodeName, Arc<PeerSendState>>>,
     own_isolation: OwnIsolation,
     ended: EndedFlag,
 }
@@ -52,7 +52,7 @@ pub(super) struct PeerSendState {
     full_budget: AtomicU8,
     credits: SendCredits,
     /// Its objects that have no room: as many as this node sends to at most.
-    full: Mutex<BTreeSet<ObjectName>>,
+    full: Mutex<SortedSet<ObjectName>>,
     /// There are some; to be looked at without the lock.
     any_full: AtomicBool,
     changed: Arc<Notify>,
@@ -173,7 +173,7 @@ impl PeerSendState {
         self.condition() == PeerCondition::Open
     }
 
-    fn lock_full(&self) -> MutexGuard<'_, BTreeSet<ObjectName>> {
+    fn lock_full(&self) -> MutexGuard<'_, SortedSet<ObjectName>> {
         self.full.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -291,7 +291,7 @@ impl PeerStubs {
         let _ = self.gateway.set(gateway);
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<NodeName, Arc<PeerSendState>>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<NodeName, Arc<PeerSendState>>> {
         self.send_states.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -10,8 +10,8 @@ use crate::settings::{CALLBACK_LIMIT, GRACE, SESSION_TIMEOUT, WORK_THREADS};
 use blastema_core::detection::dependencies::{Dependencies, DependencyError, circle};
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::service::{HELLO_MAX, HELLO_MIN, MEMBERS_MAX};
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{NodeName, ObjectName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Who needs whom of the objects of this node.
@@ -28,7 +28,7 @@ pub(super) fn dependencies(node: &NodeName, tree: &PreparedTree) -> Dependencies
 /// its hello can be said.
 pub(super) fn check_service(carried: &Carried) -> Result<(), StartError> {
     let Carried { name, config, .. } = carried;
-    let different: BTreeSet<_> = config.members.iter().collect();
+    let different: SortedSet<_> = config.members.iter().collect();
     let reason = if !different.contains(&config.own) {
         format!("{} is none of its nodes: add it, or leave the service out here", config.own)
     } else if different.len() < config.members.len() {
@@ -126,7 +126,7 @@ fn check_journal(file: &Path) -> Result<(), StartError> {
 pub(super) fn check_names<'a>(
     names: impl IntoIterator<Item = (&'a ObjectName, &'static str)>,
 ) -> Result<(), NameTaken> {
-    let mut known = BTreeMap::new();
+    let mut known = SortedMap::new();
     for (name, kind) in names {
         if let Some(by) = known.insert(name, kind) {
             return Err(NameTaken { name: name.clone(), by });
@@ -142,7 +142,7 @@ fn check_socket(path: &Path) -> Result<(), StartError> {
 
 /// Every network and every neighbour there can be what it is said to be.
 pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<(), StartError> {
-    let mut names = BTreeSet::new();
+    let mut names = SortedSet::new();
     for network in networks {
         if !names.insert(network.name()) {
             let text = format!(
@@ -153,7 +153,7 @@ pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<()
         }
         network.check(node)?;
     }
-    let neighbours: BTreeSet<_> = networks.iter().flat_map(Network::neighbours).collect();
+    let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
         let text = format!(
             "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: leave out \
@@ -162,7 +162,7 @@ pub(super) fn check_networks(networks: &[Network], node: &NodeName) -> Result<()
         );
         return Err(StartError::Network(text));
     }
-    let mut links = BTreeMap::new();
+    let mut links = SortedMap::new();
     for network in networks {
         for link in network.link_names() {
             // Faults and tables know a link by its name alone.

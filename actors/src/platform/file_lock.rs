@@ -5,7 +5,7 @@
 
 use super::sleep;
 use blastema_core::NodeName;
-use std::collections::BTreeMap;
+use blastema_core::sorted::SortedMap;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -92,9 +92,9 @@ impl FileLock {
 }
 
 /// What nodes of this process hold, each with how often.
-static HELD: Mutex<BTreeMap<PathBuf, usize>> = Mutex::new(BTreeMap::new());
+static HELD: Mutex<SortedMap<PathBuf, usize>> = Mutex::new(SortedMap::new());
 
-fn held() -> MutexGuard<'static, BTreeMap<PathBuf, usize>> {
+fn held() -> MutexGuard<'static, SortedMap<PathBuf, usize>> {
     HELD.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -18,9 +18,9 @@ use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry, WeakRegistry};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Incarnation, ObjectAddress, ObjectName};
 use blastema_macros::{Request, Structure};
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -153,7 +153,7 @@ pub(crate) fn serve(registry: &Registry) {
 #[derive(Clone)]
 struct DeathWatchService {
     registry: WeakRegistry,
-    objects: Arc<Mutex<BTreeMap<ObjectName, Counted>>>,
+    objects: Arc<Mutex<SortedMap<ObjectName, Counted>>>,
 }
 
 /// One object. There are as many as the node has or had objects that others watched.
@@ -165,7 +165,7 @@ struct Counted {
 }
 
 impl DeathWatchService {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Counted>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Counted>> {
         self.objects.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

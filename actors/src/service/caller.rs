@@ -10,11 +10,11 @@ use crate::platform;
 use crate::registry::Registry;
 use blastema_core::contract::codec;
 use blastema_core::delivery::retry::FailedAttempt;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{
     ContractIdentity, DeliveryError, Instant, MessageId, NameError, NodeName, ObjectName, Request,
     RetryPolicy,
 };
-use std::collections::BTreeSet;
 use std::fmt;
 use std::marker::PhantomData;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -43,9 +43,9 @@ impl<M: Request> fmt::Debug for ServiceRef<M> {
 struct Open(u64);
 
 /// The requests of this process that wait, by number: as many as it has under way.
-static OPEN: Mutex<BTreeSet<u64>> = Mutex::new(BTreeSet::new());
+static OPEN: Mutex<SortedSet<u64>> = Mutex::new(SortedSet::new());
 
-fn open() -> MutexGuard<'static, BTreeSet<u64>> {
+fn open() -> MutexGuard<'static, SortedSet<u64>> {
     OPEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

@@ -25,11 +25,12 @@ use blastema_core::service::{
     MESSAGE_MAX, Replica, ReplicaConfig, ReplicaOutput, Role, ServiceOutcome, ServiceRequest,
     StandbyKind,
 };
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, GatherBuffer, MessageId, NodeName, ObjectName, PeerIdentity,
 };
 use bytes::Bytes;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::{info, warn};
@@ -75,14 +76,14 @@ pub(crate) struct ReplicaBody {
     pub(super) registry: Registry,
     pub(super) roster: Roster,
     pub(super) reports: FaultReports,
-    callers: BTreeMap<u64, Responder<AskService>>,
+    callers: SortedMap<u64, Responder<AskService>>,
     /// Who wants to know who serves, while nobody does.
     wondering: VecDeque<Wondered>,
     inquiry: Option<SpawnHandle>,
     next: u64,
     /// It is going to be asked whether it takes something again.
     looking: bool,
-    others: BTreeMap<NodeName, Sender<ReplicaSays>>,
+    others: SortedMap<NodeName, Sender<ReplicaSays>>,
 }
 
 impl ReplicaBody {
@@ -106,16 +107,16 @@ impl ReplicaBody {
                 registry: names,
                 roster: known,
                 reports,
-                callers: BTreeMap::new(),
+                callers: SortedMap::new(),
                 wondering: VecDeque::new(),
                 inquiry: None,
                 next: 0,
                 looking: false,
-                others: BTreeMap::new(),
+                others: SortedMap::new(),
             }
         };
         let body = guardian.start(carried.body.clone(), arbiter, make);
-        let mut ports = BTreeMap::new();
+        let mut ports = SortedMap::new();
         let asked = body.clone().recipient::<Asked>();
         let serve = ServiceFn::<AskService>(Arc::new(move |ask, answer| {
             asked.do_send(Asked(ask, answer));

@@ -4,8 +4,8 @@ use crate::platform;
 use actix::Recipient;
 use blastema_contract::naming::{FindObject, FoundObject};
 use blastema_core::service::{ReplicaConfig, Role, ServiceState, ServiceView, StandbyKind};
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, NodeName, ObjectName};
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -58,12 +58,12 @@ pub struct ServiceRow {
 #[derive(Clone, Default)]
 pub(crate) struct Roster {
     /// As many as the node carries.
-    services: Arc<Mutex<BTreeMap<ObjectName, Entry>>>,
+    services: Arc<Mutex<SortedMap<ObjectName, Entry>>>,
     finder: Arc<OnceLock<Recipient<FindObject>>>,
 }
 
 impl Roster {
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<ObjectName, Entry>> {
+    fn lock(&self) -> MutexGuard<'_, SortedMap<ObjectName, Entry>> {
         self.services.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

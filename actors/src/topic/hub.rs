@@ -14,11 +14,12 @@ use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
 use crate::platform::panics::PanicGuard;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Event, Incarnation};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
@@ -164,7 +165,7 @@ enum Progress {
 
 thread_local! {
     /// The hubs of this arbiter, by topic.
-    static HUBS: RefCell<BTreeMap<u64, Rc<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
+    static HUBS: RefCell<SortedMap<u64, Rc<dyn Any>>> = const { RefCell::new(SortedMap::new()) };
 }
 
 impl<E: Event> Topic<E> {

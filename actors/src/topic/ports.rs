@@ -10,9 +10,9 @@ use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::component::subscription::{Subscription, Subscriptions};
 use crate::component::{Component, Handle};
+use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, Event, FaultKind, Instant, ObjectName};
 use std::any::TypeId;
-use std::collections::BTreeSet;
 use std::panic::Location;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -38,8 +38,8 @@ impl<C: Component> Default for ListenPorts<C> {
 }
 
 impl<C: Component> Declarations<C> for ListenPorts<C> {
-    fn check(&self, name: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
-        let mut known = BTreeSet::new();
+    fn check(&self, name: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
+        let mut known = SortedSet::new();
         // One topic carries one contract: that is found where they are bound.
         match self.0.iter().find(|(topic, contract, _)| !known.insert((topic, contract))) {
             Some((topic, ..)) => {

@@ -7,12 +7,12 @@ use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
 use crate::registry::difference;
 use crate::runtime::reports::FaultReports;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{
     ContractIdentity, DeliveryError, Event, NodeName, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
 use std::any::{Any, type_name};
-use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::Location;
 use std::sync::atomic::Ordering::Relaxed;
@@ -75,9 +75,9 @@ struct WantedForward {
 #[derive(Default)]
 pub(super) struct TopicTable {
     /// As many as the program has publishers and listeners.
-    topics: BTreeMap<ObjectName, TopicEntry>,
+    topics: SortedMap<ObjectName, TopicEntry>,
     /// Kept for topics that no object of this node has named yet.
-    forwards: BTreeMap<ObjectName, BTreeMap<u64, WantedForward>>,
+    forwards: SortedMap<ObjectName, SortedMap<u64, WantedForward>>,
     next_forward: u64,
 }
 

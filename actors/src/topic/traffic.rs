@@ -2,8 +2,8 @@
 
 use super::{TopicKey, lock};
 use crate::platform;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Instant, ObjectName};
-use std::collections::BTreeMap;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
 use std::sync::{Arc, Mutex};
@@ -56,15 +56,15 @@ pub(super) struct Traffic {
 
 struct Shown {
     /// How many publishers of this name there are.
-    publishers: BTreeMap<Box<str>, usize>,
+    publishers: SortedMap<Box<str>, usize>,
     /// How many subscriptions of this name there are.
-    listeners: BTreeMap<ObjectName, usize>,
+    listeners: SortedMap<ObjectName, usize>,
     /// The window that began last: when, and after how many events.
     window: (Instant, u64),
     rate_hz: f64,
 }
 
-fn count<K: Ord>(counts: &mut BTreeMap<K, usize>, key: K, more: bool) {
+fn count<K: Ord>(counts: &mut SortedMap<K, usize>, key: K, more: bool) {
     let counted = counts.get(&key).copied().unwrap_or(0);
     match if more { counted + 1 } else { counted.saturating_sub(1) } {
         0 => counts.remove(&key),
@@ -82,8 +82,8 @@ impl Traffic {
             judged: AtomicU64::new(0),
             since: now,
             shown: Mutex::new(Shown {
-                publishers: BTreeMap::new(),
-                listeners: BTreeMap::new(),
+                publishers: SortedMap::new(),
+                listeners: SortedMap::new(),
                 window: (now, 0),
                 rate_hz: 0.0,
             }),

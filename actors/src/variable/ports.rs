@@ -10,8 +10,8 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::extension::Extension;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
+use blastema_core::sorted::SortedSet;
 use blastema_core::{DeliveryError, ObjectName, Variable};
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 impl Extension for VariableStore {}
@@ -68,14 +68,14 @@ impl CellListener for Withdrawal {
 }
 
 impl<C: Component> Declarations<C> for VariablePorts<C> {
-    fn check(&self, component: &ObjectName, _: &BTreeSet<&'static str>) -> Result<(), SpecError> {
+    fn check(&self, component: &ObjectName, _: &SortedSet<&'static str>) -> Result<(), SpecError> {
         let twice = |contract, ports| {
             Err(SpecError::PortTwice { name: component.clone(), contract, ports })
         };
         if let [_, (contract, _), ..] = self.parameters[..] {
             return twice(contract, "a component has one set of parameters");
         }
-        let mut known: BTreeSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
+        let mut known: SortedSet<_> = self.parameters.iter().map(|(name, _)| *name).collect();
         let mut names = self.declared.iter().map(DeclaredVariable::name);
         match names.find(|name| !known.insert(*name)) {
             Some(contract) => twice(contract, "both by variable"),

@@ -12,13 +12,13 @@ use crate::platform::panics::PanicGuard;
 use crate::registry::service_fn::ServiceFn;
 use crate::registry::{ContractPort, Registry};
 use blastema_core::contract::codec;
+use blastema_core::sorted::SortedMap;
 use blastema_core::variables::{
     PersistedValue, RestoreChoice, RestorePolicy, ValueWrite, VariableDeclaration, VariableKey,
     Variables, WatchReport,
 };
 use blastema_core::{ContractIdentity, DeliveryError, ObjectName, PeerIdentity, Variable};
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
@@ -95,11 +95,11 @@ struct Facts {
 
 struct Inner {
     machine: Variables,
-    facts: BTreeMap<VariableKey, Facts>,
-    waiting: BTreeMap<u64, Responder<VariableRequest>>,
+    facts: SortedMap<VariableKey, Facts>,
+    waiting: SortedMap<u64, Responder<VariableRequest>>,
     next: u64,
     /// Values of an earlier process whose owner is not there yet, or not any more.
-    kept: BTreeMap<VariableKey, PersistedValue>,
+    kept: SortedMap<VariableKey, PersistedValue>,
     file: Option<PersistenceFile>,
     /// Faults of values that could not be restored, until they can be reported.
     complaints: Vec<String>,
@@ -163,10 +163,10 @@ impl Default for VariableStore {
         let machine = Variables::new(platform::node_incarnation().0 << 20);
         VariableStore(Arc::new(Mutex::new(Inner {
             machine,
-            facts: BTreeMap::new(),
-            waiting: BTreeMap::new(),
+            facts: SortedMap::new(),
+            waiting: SortedMap::new(),
             next: 0,
-            kept: BTreeMap::new(),
+            kept: SortedMap::new(),
             file: None,
             complaints: Vec::new(),
         })))

@@ -8,13 +8,13 @@ pub mod gather_buffer;
 pub mod layout;
 pub mod previous_version;
 
+use crate::sorted::SortedMap;
 use crate::{Delivery, LayoutDescription, ObjectName, PreviousVersion, hash};
 use codec::DecodeError;
 use layout::difference::{ContractPart, Difference, compare};
 use layout::{Described, LayoutOf};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::any::TypeId;
-use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
@@ -300,7 +300,7 @@ pub fn fingerprint(message: LayoutOf, reply: LayoutOf) -> u64 {
 ///
 /// The table is bounded by the number of contracts that the program is compiled with.
 fn remembered_fingerprint(id: TypeId, message: LayoutOf, reply: LayoutOf) -> u64 {
-    static KNOWN: Mutex<BTreeMap<TypeId, u64>> = Mutex::new(BTreeMap::new());
+    static KNOWN: Mutex<SortedMap<TypeId, u64>> = Mutex::new(SortedMap::new());
 
     // A panic while the lock was held leaves at worst an entry out; the table stays true.
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);

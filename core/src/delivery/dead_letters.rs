@@ -1,9 +1,10 @@
 //! What was not delivered, counted by receiver, contract and reason, and the latest of it.
 
+use crate::sorted::SortedMap;
 use crate::{DeliveryError, Instant, NodeName, ObjectName};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt;
 
 /// Why a message became a dead letter.
@@ -161,7 +162,7 @@ type Key = (Option<NodeName>, ObjectName, Cow<'static, str>, DeadReason);
 #[derive(Debug, Default)]
 pub struct DeadLetters {
     limits: DeadLetterLimits,
-    counts: BTreeMap<Key, u64>,
+    counts: SortedMap<Key, u64>,
     beyond: u64,
     latest: VecDeque<DeadLetter>,
 }

@@ -5,8 +5,9 @@
 //! not blamed.
 
 use crate::Incarnation;
+use crate::sorted::SortedMap;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt;
 
 /// Which message it is, however often it is sent.
@@ -45,7 +46,7 @@ impl Default for QuarantineConfig {
 #[derive(Debug, Default)]
 pub struct Quarantine {
     config: QuarantineConfig,
-    kills: BTreeMap<MessageId, Kills>,
+    kills: SortedMap<MessageId, Kills>,
     /// From the longest ago to the latest.
     order: VecDeque<MessageId>,
 }

@@ -1,7 +1,8 @@
 //! Handing things over one by one until each is confirmed.
 
+use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Hands items over to one receiver: in order of rank, one at a time, repeated with back-off until
@@ -20,7 +21,7 @@ use std::time::Duration;
 pub struct ConfirmedQueue<T> {
     limits: ConfirmedQueueLimits,
     number: u64,
-    waiting: BTreeMap<(u8, u64), T>,
+    waiting: SortedMap<(u8, u64), T>,
     flight: Option<Flight<T>>,
     /// The instants of the deliveries within the last second; at most `per_second`.
     recent: VecDeque<Instant>,
@@ -98,7 +99,7 @@ impl<T: Clone> ConfirmedQueue<T> {
         ConfirmedQueue {
             limits,
             number: first,
-            waiting: BTreeMap::new(),
+            waiting: SortedMap::new(),
             flight: None,
             recent: VecDeque::new(),
             held_back: 0,

@@ -1,8 +1,8 @@
 //! What depends on what, and so: which fault is a symptom of which.
 
 use super::FaultLog;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Fault, FaultId, FaultKind, FaultLocation, NodeName, ObjectAddress, ObjectName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The dependencies of this node's objects.
@@ -13,14 +13,14 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub(super) struct DependencyIndex {
     node: NodeName,
-    needs: BTreeMap<ObjectName, Arc<[ObjectAddress]>>,
+    needs: SortedMap<ObjectName, Arc<[ObjectAddress]>>,
     /// The same the other way round: who needs it.
-    users: BTreeMap<ObjectAddress, BTreeSet<ObjectName>>,
+    users: SortedMap<ObjectAddress, SortedSet<ObjectName>>,
 }
 
 impl DependencyIndex {
     pub(super) fn new(node: NodeName) -> Self {
-        DependencyIndex { node, needs: BTreeMap::new(), users: BTreeMap::new() }
+        DependencyIndex { node, needs: SortedMap::new(), users: SortedMap::new() }
     }
 
     /// Says what an object needs, in place of what was said before.
@@ -47,8 +47,8 @@ impl DependencyIndex {
 
     /// Everything without which `place` cannot work, directly or through others; not itself, unless
     /// it stands on a cycle.
-    pub(super) fn needs_of(&self, place: &FaultLocation) -> BTreeSet<FaultLocation> {
-        let mut found = BTreeSet::new();
+    pub(super) fn needs_of(&self, place: &FaultLocation) -> SortedSet<FaultLocation> {
+        let mut found = SortedSet::new();
         let mut open = vec![place.clone()];
         while let Some(next) = open.pop() {
             for need in self.direct_needs(&next) {
@@ -92,7 +92,7 @@ impl DependencyIndex {
 
     /// Who here cannot work without `place`, directly or through others.
     pub(super) fn users_of(&self, place: &FaultLocation) -> Dependents {
-        let (mut objects, mut open) = (BTreeSet::new(), Vec::new());
+        let (mut objects, mut open) = (SortedSet::new(), Vec::new());
         match place {
             FaultLocation::Object(address) => open.extend(self.users.get(address)),
             FaultLocation::Node(node) => {
@@ -120,7 +120,7 @@ impl DependencyIndex {
 /// Everything that cannot work without one place.
 pub(super) struct Dependents {
     here: NodeName,
-    objects: BTreeSet<ObjectName>,
+    objects: SortedSet<ObjectName>,
     /// The place, if it is a node: then all that is there, and all links that lead there, need it.
     node: Option<NodeName>,
 }

@@ -1,7 +1,8 @@
 //! Whether another node's process dies again and again.
 
+use crate::sorted::SortedMap;
 use crate::{Instant, NodeName};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Nodes whose restarts are remembered, at most: as many as a router knows.
@@ -15,7 +16,7 @@ const NODES_MAX: usize = 256;
 pub(super) struct CrashLoops {
     limit: usize,
     period: Duration,
-    nodes: BTreeMap<NodeName, Restarts>,
+    nodes: SortedMap<NodeName, Restarts>,
 }
 
 #[derive(Clone, Debug)]
@@ -31,7 +32,7 @@ struct Restarts {
 impl CrashLoops {
     /// So many restarts within one period are a crash loop.
     pub(super) fn new(limit: u32, period: Duration) -> Self {
-        CrashLoops { limit: limit.max(1) as usize, period, nodes: BTreeMap::new() }
+        CrashLoops { limit: limit.max(1) as usize, period, nodes: SortedMap::new() }
     }
 
     /// The node is there in a new incarnation. Answers how many restarts the crash loop has so far,

@@ -4,9 +4,9 @@
 //! objects that need each other each would be the symptom of the other, and neither the root: such
 //! a circle is refused before anything starts.
 
+use crate::sorted::SortedMap;
 use crate::suggestion::nearest;
 use crate::{NameError, NodeName, ObjectName};
-use std::collections::BTreeMap;
 
 /// Why the dependencies of a node cannot be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -81,13 +81,13 @@ fn shown(way: &[ObjectName]) -> String {
 pub struct Dependencies {
     node: NodeName,
     /// As many as the node has objects. What incarnations on other nodes is left out.
-    needs: BTreeMap<ObjectName, Box<[String]>>,
+    needs: SortedMap<ObjectName, Box<[String]>>,
 }
 
 impl Dependencies {
     /// Those of a node that has no object yet.
     pub fn of(node: NodeName) -> Self {
-        Dependencies { node, needs: BTreeMap::new() }
+        Dependencies { node, needs: SortedMap::new() }
     }
 
     /// The node has an object that needs these, here (`laser`, `module1:laser`) or elsewhere
@@ -165,10 +165,10 @@ impl Dependencies {
 /// assert_eq!(circle(&[(&a, vec![&b]), (&b, vec![&a])].into()), Some(vec![a.clone(), b.clone(), a]));
 /// # Ok::<(), blastema_core::NameError>(())
 /// ```
-pub fn circle(needs: &BTreeMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<ObjectName>> {
+pub fn circle(needs: &SortedMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<ObjectName>> {
     let needs_of = |name: &ObjectName| needs.get(name).map_or(&[][..], Vec::as_slice).iter();
     // Everybody who was met, and whether it is still on the way.
-    let mut met = BTreeMap::new();
+    let mut met = SortedMap::new();
     for start in needs.keys().copied() {
         // The way so far, each with what is still to be looked at. No recursion: a chain may be
         // long.
@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn a_chain_of_any_length_is_walked() {
         let names: Vec<ObjectName> = (0..20_000).map(|at| name(&at.to_string())).collect();
-        let mut needs: BTreeMap<_, _> =
+        let mut needs: SortedMap<_, _> =
             names.windows(2).map(|pair| (&pair[0], vec![&pair[1]])).collect();
         assert_eq!(circle(&needs), None);
 

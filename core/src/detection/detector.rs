@@ -8,12 +8,13 @@ use super::{
     ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultLog, FaultNotice, FaultRecord,
     FaultTransition, Observation, RecoveryOutcome,
 };
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{
     Fault, FaultId, FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName,
     ObjectName,
 };
 use pause::Pause;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Follows the incarnation of every object, compares what is seen with the list of faults, and
@@ -35,22 +36,22 @@ use std::time::Duration;
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
-    objects: BTreeMap<ObjectName, Seen>,
+    objects: SortedMap<ObjectName, Seen>,
     needs: DependencyIndex,
     /// Those that may end themselves in order.
-    may_end: BTreeSet<ObjectName>,
+    may_end: SortedSet<ObjectName>,
     /// Those that may not send and receive.
-    isolated: BTreeSet<ObjectName>,
+    isolated: SortedSet<ObjectName>,
     /// Who stands still behind which hang.
-    behind: BTreeMap<ObjectName, FaultId>,
+    behind: SortedMap<ObjectName, FaultId>,
     chronicle: FaultLog,
     /// Faults that may turn out to be symptoms.
-    explicable: BTreeSet<FaultId>,
+    explicable: SortedSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
-    handed: BTreeSet<FaultId>,
+    handed: SortedSet<FaultId>,
     /// Faults that stand and that no recoverer treats: symptoms behind what keeps their thread,
     /// which were only told, and those whose next incarnation is on its way already.
-    unhanded: BTreeSet<FaultId>,
+    unhanded: SortedSet<FaultId>,
     reminders: DecisionTimeouts,
     conduct: OffenceWindow,
     crash_loops: CrashLoops,
@@ -197,15 +198,15 @@ impl Detector {
     pub fn new(node: NodeName, limits: DetectorLimits, now: Instant) -> Self {
         Detector {
             limits,
-            objects: BTreeMap::new(),
+            objects: SortedMap::new(),
             needs: DependencyIndex::new(node),
-            may_end: BTreeSet::new(),
-            isolated: BTreeSet::new(),
-            behind: BTreeMap::new(),
+            may_end: SortedSet::new(),
+            isolated: SortedSet::new(),
+            behind: SortedMap::new(),
             chronicle: FaultLog::new(limits.record),
-            explicable: BTreeSet::new(),
-            handed: BTreeSet::new(),
-            unhanded: BTreeSet::new(),
+            explicable: SortedSet::new(),
+            handed: SortedSet::new(),
+            unhanded: SortedSet::new(),
             reminders: DecisionTimeouts::default(),
             conduct: OffenceWindow::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),

@@ -1,8 +1,8 @@
 //! The record of faults, and which of them stand.
 
 use super::{FaultEntry, FaultRecord};
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// The record of faults: found, decided, recovered, repaired, with the instants; and the latches.
 ///
@@ -14,8 +14,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// the oldest of all, with its latch, so that it would be found again.
 #[derive(Clone, Debug)]
 pub struct FaultLog {
-    entries: BTreeMap<FaultId, FaultEntry>,
-    latches: BTreeMap<(FaultLocation, FaultKind), FaultId>,
+    entries: SortedMap<FaultId, FaultEntry>,
+    latches: SortedMap<(FaultLocation, FaultKind), FaultId>,
     capacity: usize,
     dropped: u64,
 }
@@ -24,8 +24,8 @@ impl FaultLog {
     /// An empty record with room for so many faults; at least one.
     pub fn new(capacity: usize) -> Self {
         FaultLog {
-            entries: BTreeMap::new(),
-            latches: BTreeMap::new(),
+            entries: SortedMap::new(),
+            latches: SortedMap::new(),
             capacity: capacity.max(1),
             dropped: 0,
         }
@@ -91,7 +91,7 @@ impl FaultLog {
 
     /// Follows a symptom up to its root.
     pub fn root(&self, id: FaultId) -> FaultId {
-        let (mut root, mut passed) = (id, BTreeSet::new());
+        let (mut root, mut passed) = (id, SortedSet::new());
         while passed.insert(root)
             && let Some(above) = self.entries.get(&root).and_then(|entry| entry.fault.symptom_of)
             && self.entries.contains_key(&above)

@@ -8,11 +8,12 @@ use super::{
     Liveness, MonitorRow, NodeCondition, ObjectKind, Observation, Opinion, PingMonitor,
     Registration, RegistrationError, Verdict, WorkProgress,
 };
+use crate::sorted::SortedMap;
 use crate::{
     FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, Machine, NodeName, ObjectAddress,
     ObjectName,
 };
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Keeps the table of everything that is watched, and hands what it sees to the detector.
@@ -27,7 +28,7 @@ use std::sync::Arc;
 pub struct Monitor {
     node: NodeName,
     limits: MonitorLimits,
-    objects: BTreeMap<ObjectName, MonitoredObject>,
+    objects: SortedMap<ObjectName, MonitoredObject>,
     around: PeerTable,
     pings: PingMonitor,
     handover: ConfirmedQueue<Observation>,
@@ -95,7 +96,7 @@ impl Monitor {
         Monitor {
             node,
             limits,
-            objects: BTreeMap::new(),
+            objects: SortedMap::new(),
             around: PeerTable::default(),
             pings: PingMonitor::new(),
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),

@@ -1,8 +1,9 @@
 //! Who is told about a fault: the ports to recoverers, here and on other nodes.
 
 use super::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultNotice};
+use crate::sorted::SortedMap;
 use crate::{FaultId, Instant, Machine, NodeName};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::fmt;
 use std::time::Duration;
 
@@ -14,7 +15,7 @@ use std::time::Duration;
 #[derive(Clone, Debug)]
 pub struct Notifier {
     limits: NotifierLimits,
-    ports: BTreeMap<RecovererPort, Lane>,
+    ports: SortedMap<RecovererPort, Lane>,
     outputs: VecDeque<NotifierOutput>,
     refused: u64,
 }
@@ -120,7 +121,7 @@ struct Lane {
 impl Notifier {
     /// A notifier without ports.
     pub fn new(limits: NotifierLimits) -> Self {
-        Notifier { limits, ports: BTreeMap::new(), outputs: VecDeque::new(), refused: 0 }
+        Notifier { limits, ports: SortedMap::new(), outputs: VecDeque::new(), refused: 0 }
     }
 
     /// Opens a port; no, if there are too many. A port that is open stays as it is.

@@ -3,8 +3,9 @@
 //! One offence is an accident: a peer that was restarted, a cable that spoils frames. Several
 //! within a while are a node that cannot be recovered from here, and is better kept out.
 
+use crate::sorted::SortedMap;
 use crate::{Instant, NodeName};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Nodes whose offences are remembered, at most: as many as a router knows.
@@ -15,13 +16,13 @@ const NODES_MAX: usize = 256;
 pub(super) struct OffenceWindow {
     limit: usize,
     period: Duration,
-    offences: BTreeMap<NodeName, VecDeque<(Instant, String)>>,
+    offences: SortedMap<NodeName, VecDeque<(Instant, String)>>,
 }
 
 impl OffenceWindow {
     /// So many offences within one period are too many.
     pub(super) fn new(limit: u32, period: Duration) -> Self {
-        OffenceWindow { limit: limit.max(1) as usize, period, offences: BTreeMap::new() }
+        OffenceWindow { limit: limit.max(1) as usize, period, offences: SortedMap::new() }
     }
 
     /// A node has done harm. Answers what it has done, each time that it was once too often.
@@ -48,7 +49,7 @@ impl OffenceWindow {
         if all.len() < self.limit {
             return None;
         }
-        let mut kinds: BTreeMap<&str, u32> = BTreeMap::new();
+        let mut kinds: SortedMap<&str, u32> = SortedMap::new();
         all.iter().for_each(|(_, what)| *kinds.entry(what).or_default() += 1);
         let kinds: Vec<_> =
             kinds.iter().map(|(what, times)| format!("{times} times {what}")).collect();

@@ -1,16 +1,16 @@
 //! What this node sees of its links and of other nodes.
 
 use super::{Finding, LinkCondition, MonitorRow, NodeCondition, ObjectKind, Opinion};
+use crate::sorted::SortedMap;
 use crate::{FaultLocation, Incarnation, Instant, NodeName};
-use std::collections::BTreeMap;
 use std::mem::discriminant;
 use std::sync::Arc;
 
 /// The table of links and nodes. It tells what is change from what was said before.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PeerTable {
-    links: BTreeMap<(NodeName, Arc<str>), LinkSeen>,
-    nodes: BTreeMap<NodeName, NodeSeen>,
+    links: SortedMap<(NodeName, Arc<str>), LinkSeen>,
+    nodes: SortedMap<NodeName, NodeSeen>,
 }
 
 /// Something that was not known before.

@@ -1,8 +1,9 @@
 //! The pull model: objects are asked "are you alive?", and must answer in time.
 
 use super::{Opinion, Pull, WorkProgress};
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, Instant, Machine, ObjectName};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Asks objects whether they are alive.
@@ -17,9 +18,9 @@ use std::time::Duration;
 /// There is one open question per object, so that a stuck one is not buried under questions.
 #[derive(Clone, Debug, Default)]
 pub struct PingMonitor {
-    asked: BTreeMap<ObjectName, Asked>,
+    asked: SortedMap<ObjectName, Asked>,
     /// When to look at whom: exactly one look for each object from which something is due.
-    looks: BTreeSet<(Instant, ObjectName)>,
+    looks: SortedSet<(Instant, ObjectName)>,
     outputs: VecDeque<PingOutput>,
 }
 
@@ -232,7 +233,7 @@ impl PingMonitor {
 }
 
 /// Puts an object's look where it is due.
-fn schedule(looks: &mut BTreeSet<(Instant, ObjectName)>, object: &ObjectName, asked: &mut Asked) {
+fn schedule(looks: &mut SortedSet<(Instant, ObjectName)>, object: &ObjectName, asked: &mut Asked) {
     let due = asked.due();
     if asked.look == due {
         return;

@@ -1,15 +1,15 @@
 //! When to ask again about a fault that is not decided.
 
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{FaultId, Instant};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// When to remind of which fault that is not decided: one reminder per fault.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DecisionTimeouts {
-    agenda: BTreeSet<(Instant, FaultId)>,
-    by_fault: BTreeMap<FaultId, DecisionTimeout>,
+    agenda: SortedSet<(Instant, FaultId)>,
+    by_fault: SortedMap<FaultId, DecisionTimeout>,
     /// The latest decision for each rank of faults: when, and about which.
-    decided: BTreeMap<u8, (Instant, FaultId)>,
+    decided: SortedMap<u8, (Instant, FaultId)>,
 }
 
 #[derive(Clone, Copy, Debug)]

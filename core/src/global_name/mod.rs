@@ -26,9 +26,10 @@ pub use self::unmet::UnmetClaims;
 use self::types::{ClaimRecord, GlobalNameMessage, NameClaim};
 use crate::contract::codec;
 use crate::net::wire::Refusals;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 /// The most claims of one node: what a large robot has in all, ten times over.
 pub const CLAIMS_MAX: usize = 10_000;
@@ -56,10 +57,10 @@ struct Peer {
     /// A session is open.
     open: bool,
     heard: Instant,
-    claims: BTreeMap<ObjectName, NameClaim>,
+    claims: SortedMap<ObjectName, NameClaim>,
     sum: u64,
     /// Which of them it has told of since it began to tell all of them.
-    telling: Option<BTreeSet<ObjectName>>,
+    telling: Option<SortedSet<ObjectName>>,
     /// It has told all of them.
     complete: bool,
     /// When it was last asked for everything.
@@ -73,15 +74,15 @@ struct Peer {
 #[derive(Debug)]
 pub struct GlobalNames {
     config: GlobalNamesConfig,
-    own: BTreeMap<ObjectName, Own>,
+    own: SortedMap<ObjectName, Own>,
     sum: u64,
-    peers: BTreeMap<NodeName, Peer>,
+    peers: SortedMap<NodeName, Peer>,
     /// Who has claimed which name, or stands by.
-    known: BTreeMap<ObjectName, BTreeMap<NodeName, NameClaim>>,
+    known: SortedMap<ObjectName, SortedMap<NodeName, NameClaim>>,
     /// Who was last told to hold which.
-    shown: BTreeMap<ObjectName, Holder>,
+    shown: SortedMap<ObjectName, Holder>,
     /// Names without a holder that we stand by for, and when we take them.
-    vacant: BTreeMap<ObjectName, Instant>,
+    vacant: SortedMap<ObjectName, Instant>,
     last_epoch: u64,
     alive_at: Instant,
     /// Until then nothing is granted; `None` once that is over.
@@ -101,12 +102,12 @@ impl GlobalNames {
         let settles = (!config.settle.is_zero()).then(|| now + config.settle);
         GlobalNames {
             config,
-            own: BTreeMap::new(),
+            own: SortedMap::new(),
             sum: 0,
-            peers: BTreeMap::new(),
-            known: BTreeMap::new(),
-            shown: BTreeMap::new(),
-            vacant: BTreeMap::new(),
+            peers: SortedMap::new(),
+            known: SortedMap::new(),
+            shown: SortedMap::new(),
+            vacant: SortedMap::new(),
             last_epoch,
             alive_at,
             settles,
@@ -210,7 +211,7 @@ impl GlobalNames {
             incarnation,
             open: true,
             heard: now,
-            claims: BTreeMap::new(),
+            claims: SortedMap::new(),
             sum: 0,
             telling: None,
             complete: false,
@@ -281,7 +282,7 @@ impl GlobalNames {
         now: Instant,
     ) {
         if let (true, Some(peer)) = (first, self.peers.get_mut(from)) {
-            peer.telling = Some(BTreeSet::new());
+            peer.telling = Some(SortedSet::new());
         }
         claims.into_iter().for_each(|told| self.hear(from, told, now));
         let Some(peer) = self.peers.get_mut(from).filter(|_| last) else { return };
@@ -374,7 +375,7 @@ impl GlobalNames {
             (None, _) if self.settles.is_some() || self.vacant.contains_key(name) => {}
             (None, _) => {
                 // Those before us by name have their turn first.
-                let others = self.known.get(name).into_iter().flat_map(BTreeMap::keys);
+                let others = self.known.get(name).into_iter().flat_map(SortedMap::keys);
                 let before = others.filter(|node| **node < self.config.node).count();
                 let turns = u32::try_from(before).unwrap_or(u32::MAX);
                 let due = now + (self.config.lease / 4).saturating_mul(turns);

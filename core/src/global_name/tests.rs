@@ -18,18 +18,18 @@ fn map() -> ObjectName {
 /// Nodes `a`, `b`, `c` … that hear each other at once, unless they are parted.
 struct Robot {
     now: u64,
-    nodes: BTreeMap<NodeName, GlobalNames>,
+    nodes: SortedMap<NodeName, GlobalNames>,
     parted: bool,
     told: Vec<String>,
     /// Of nodes that start from now on.
     settle: Duration,
-    expected: BTreeSet<NodeName>,
+    expected: SortedSet<NodeName>,
 }
 
 impl Robot {
     fn new(names: &[&str]) -> Self {
-        let (settle, expected) = (Duration::ZERO, BTreeSet::new());
-        let (nodes, told) = (BTreeMap::new(), vec![]);
+        let (settle, expected) = (Duration::ZERO, SortedSet::new());
+        let (nodes, told) = (SortedMap::new(), vec![]);
         let mut robot = Robot { now: 0, nodes, parted: false, told, settle, expected };
         names.iter().for_each(|name| robot.start(name, 0));
         robot

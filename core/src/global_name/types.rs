@@ -1,9 +1,9 @@
 //! What claims are configured with, are told, and want done.
 
+use crate::sorted::SortedSet;
 use crate::{Incarnation, NodeName, ObjectName, hash};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 use std::fmt;
 use std::time::Duration;
 
@@ -31,7 +31,7 @@ pub struct GlobalNamesConfig {
     pub settle: Duration,
     /// Once all of these have told what they claim, it is granted at once. Without any, `settle` is
     /// waited for.
-    pub expected: BTreeSet<NodeName>,
+    pub expected: SortedSet<NodeName>,
 }
 
 /// What an object claims.

@@ -2,7 +2,7 @@
 
 use super::types::{ClaimRefused, Holder};
 use crate::ObjectName;
-use std::collections::BTreeMap;
+use crate::sorted::SortedMap;
 
 /// The most of them that are named: what helps the first ones helps all.
 const NAMED_MAX: usize = 8;
@@ -12,7 +12,7 @@ const NAMED_MAX: usize = 8;
 #[derive(Clone, Debug, Default)]
 pub struct UnmetClaims {
     /// By the name and the number of the claim; as many as components here claim.
-    cases: BTreeMap<(ObjectName, u64), Case>,
+    cases: SortedMap<(ObjectName, u64), Case>,
 }
 
 #[derive(Clone, Debug)]

@@ -7,9 +7,10 @@
 //! ```
 
 use crate::random::Random;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, Machine};
 use bytes::{Bytes, BytesMut};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// How bad a medium is, in one direction.
@@ -147,14 +148,14 @@ const OVERTAKEN_AFTER: Duration = Duration::from_millis(10);
 pub struct ImpairedDirection<T: Impairable> {
     impairment: Impairment,
     cut: bool,
-    parted_from: BTreeSet<T::Peer>,
+    parted_from: SortedSet<T::Peer>,
     random: Random,
     limit: usize,
     /// Waits for another to overtake it, until then.
     overtaken: Option<(Instant, T)>,
     /// When the medium has carried what it was given.
     free_at: Instant,
-    under_way: BTreeMap<(Instant, u64), T>,
+    under_way: SortedMap<(Instant, u64), T>,
     sequence: u64,
     arrived: VecDeque<T>,
     injected: Injected,
@@ -191,12 +192,12 @@ impl<T: Impairable> ImpairedDirection<T> {
         ImpairedDirection {
             impairment: Impairment::NONE,
             cut: false,
-            parted_from: BTreeSet::new(),
+            parted_from: SortedSet::new(),
             random: Random::new(seed),
             limit,
             overtaken: None,
             free_at: Instant::ORIGIN,
-            under_way: BTreeMap::new(),
+            under_way: SortedMap::new(),
             sequence: 0,
             arrived: VecDeque::new(),
             injected: Injected::default(),
@@ -219,8 +220,8 @@ impl<T: Impairable> ImpairedDirection<T> {
 
     /// From now on these peers, and no others, are on the other side of a partition: what is under
     /// way to them is lost too.
-    pub fn part_from(&mut self, peers: BTreeSet<T::Peer>) {
-        self.parted_from = peers;
+    pub fn part_from(&mut self, peers: impl IntoIterator<Item = T::Peer>) {
+        self.parted_from = peers.into_iter().collect();
         let (parted, before) = (&self.parted_from, self.held());
         self.overtaken.take_if(|(_, frame)| parted.contains(frame.peer()));
         self.under_way.retain(|_, frame| !parted.contains(frame.peer()));
@@ -338,10 +339,8 @@ impl<T: Impairable> Machine for ImpairedDirection<T> {
             let fate = FrameFate::Arrives { after: self.impairment.delay, again: None };
             self.enter(frame, fate, due);
         }
-        while let Some(first) = self.under_way.first_entry()
-            && first.key().0 <= now
-        {
-            self.arrived.push_back(first.remove());
+        while let Some((_, frame)) = self.under_way.pop_first_if(|(due, _)| *due <= now) {
+            self.arrived.push_back(frame);
         }
     }
 }
@@ -538,13 +537,13 @@ mod tests {
         let frame = |n: u8| Frame(Bytes::copy_from_slice(&u32::from(n).to_be_bytes()), n);
 
         (0..4).for_each(|n| medium.handle_frame(frame(n), Instant::ORIGIN));
-        medium.part_from([1, 2].into());
+        medium.part_from([1, 2]);
         (0..4).for_each(|n| medium.handle_frame(frame(n), Instant::ORIGIN));
         medium.handle_timeout(Instant::from_millis(5));
         assert_eq!(arrivals(&mut medium), [0, 3, 0, 3]);
         assert_eq!(medium.injected().parted, 4);
 
-        medium.part_from([3].into());
+        medium.part_from([3]);
         (0..4).for_each(|n| medium.handle_frame(frame(n), Instant::ORIGIN));
         medium.restore();
         medium.handle_frame(frame(3), Instant::from_millis(5));

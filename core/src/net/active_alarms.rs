@@ -4,7 +4,7 @@
 //! minute, or is cleared.
 
 use crate::Instant;
-use std::collections::BTreeMap;
+use crate::sorted::SortedMap;
 use std::time::Duration;
 
 /// Whatever goes on is heard of again within ten seconds: six times as long, and longer than an
@@ -15,12 +15,12 @@ pub const QUIET: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug)]
 pub struct ActiveAlarms<K> {
     /// When each was last seen.
-    last: BTreeMap<K, Instant>,
+    last: SortedMap<K, Instant>,
 }
 
 impl<K> Default for ActiveAlarms<K> {
     fn default() -> Self {
-        ActiveAlarms { last: BTreeMap::new() }
+        ActiveAlarms { last: SortedMap::new() }
     }
 }
 

@@ -16,10 +16,11 @@
 
 use super::wire::Refusals;
 use crate::contract::codec;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, Machine, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The most neighbours that are learned on one network: with as many that are described, a router's
@@ -43,7 +44,7 @@ pub enum DiscoveryAdmission {
     /// Each node that is heard of.
     AnyNode,
     /// These, and no others.
-    Only(BTreeSet<NodeName>),
+    Only(SortedSet<NodeName>),
 }
 
 impl DiscoveryAdmission {
@@ -164,11 +165,11 @@ struct Teller {
 #[derive(Debug)]
 pub struct Discovery {
     config: DiscoveryConfig,
-    neighbours: BTreeMap<(usize, NodeName), KnownNeighbour>,
+    neighbours: SortedMap<(usize, NodeName), KnownNeighbour>,
     /// Addresses that did not prove themselves, and until when they are not tried.
-    failed: BTreeMap<(usize, String), Instant>,
+    failed: SortedMap<(usize, String), Instant>,
     /// Neighbours that were up once; as many as there are.
-    tellers: BTreeMap<NodeName, Teller>,
+    tellers: SortedMap<NodeName, Teller>,
     /// Beacons from unknown nodes.
     beacons: Refusals,
     tell_at: Option<Instant>,
@@ -187,9 +188,9 @@ impl Discovery {
         let repeat_at = now + config.repeat;
         Discovery {
             config,
-            neighbours: BTreeMap::new(),
-            failed: BTreeMap::new(),
-            tellers: BTreeMap::new(),
+            neighbours: SortedMap::new(),
+            failed: SortedMap::new(),
+            tellers: SortedMap::new(),
             beacons: Refusals::default(),
             tell_at: None,
             repeat_at,
@@ -384,7 +385,7 @@ impl Discovery {
     /// Tells every neighbour of the others that are up on the same network.
     fn tell(&mut self) {
         let up = || self.neighbours.iter().filter(|(_, known)| known.up);
-        let nodes: BTreeSet<&NodeName> = up().map(|((_, node), _)| node).collect();
+        let nodes: SortedSet<&NodeName> = up().map(|((_, node), _)| node).collect();
         for to in nodes {
             let gossip = |(n, domain): (usize, &DiscoveryDomain)| {
                 up().find(|((m, node), _)| *m == n && node == to)?;

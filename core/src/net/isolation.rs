@@ -17,10 +17,11 @@
 
 use super::wire::node_id::NodeId;
 use crate::contract::codec;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 /// Nodes that one node may have voted on, at most: a quarter of what a router knows, and more than
 /// anyone has reason to.
@@ -39,7 +40,7 @@ pub enum IsolationAuthority {
     #[default]
     Majority,
     /// The newest word of any of these, whatever the others think.
-    Named(BTreeSet<NodeName>),
+    Named(SortedSet<NodeName>),
 }
 
 /// What this node thinks of another.
@@ -120,9 +121,9 @@ pub struct Isolation {
     incarnation: Incarnation,
     judges: IsolationAuthority,
     /// By whom they are about, and whose they are.
-    votes: BTreeMap<NodeName, BTreeMap<NodeName, Vote>>,
-    kept_out: BTreeSet<NodeName>,
-    peers: BTreeSet<NodeName>,
+    votes: SortedMap<NodeName, SortedMap<NodeName, Vote>>,
+    kept_out: SortedSet<NodeName>,
+    peers: SortedSet<NodeName>,
     refused: u64,
     outputs: VecDeque<IsolationOutput>,
 }
@@ -134,9 +135,9 @@ impl Isolation {
             own,
             incarnation,
             judges,
-            votes: BTreeMap::new(),
-            kept_out: BTreeSet::new(),
-            peers: BTreeSet::new(),
+            votes: SortedMap::new(),
+            kept_out: SortedSet::new(),
+            peers: SortedSet::new(),
             refused: 0,
             outputs: VecDeque::new(),
         }
@@ -189,7 +190,7 @@ impl Isolation {
         let about = self.votes.get(node);
         // That it is admitted is said even where no node is known to have objected: an earlier
         // incarnation of this node may have.
-        let newest = about.into_iter().flat_map(BTreeMap::values).map(|vote| vote.revision).max();
+        let newest = about.into_iter().flat_map(SortedMap::values).map(|vote| vote.revision).max();
         let revision = newest.unwrap_or(0).saturating_add(1);
         let cause = cause.chars().take(CAUSE_MAX).collect();
         let vote = Vote { isolated, incarnation: self.incarnation, revision, cause };
@@ -255,7 +256,7 @@ impl Isolation {
 
     /// This node's own votes, on these nodes.
     fn ballot(&self, on: impl Fn(&NodeName) -> bool) -> Bytes {
-        let own = |(about, votes): (&NodeName, &BTreeMap<NodeName, Vote>)| {
+        let own = |(about, votes): (&NodeName, &SortedMap<NodeName, Vote>)| {
             let vote = votes.get(&self.own).filter(|_| on(about))?;
             Some((about.clone(), vote.isolated, vote.revision, vote.cause.clone()))
         };
@@ -269,7 +270,7 @@ impl Isolation {
         if self.count_of(voter) < VOTES_MAX {
             return true;
         }
-        let is_spent = |votes: &BTreeMap<NodeName, Vote>| {
+        let is_spent = |votes: &SortedMap<NodeName, Vote>| {
             votes.contains_key(voter) && votes.values().all(|vote| !vote.isolated)
         };
         let spent = self.votes.iter().find(|(_, votes)| is_spent(votes)).map(|(about, _)| about);
@@ -281,8 +282,8 @@ impl Isolation {
         self.votes.values().filter(|votes| votes.contains_key(voter)).count()
     }
 
-    fn voters(&self) -> BTreeSet<&NodeName> {
-        self.votes.values().flat_map(BTreeMap::keys).collect()
+    fn voters(&self) -> SortedSet<&NodeName> {
+        self.votes.values().flat_map(SortedMap::keys).collect()
     }
 
     /// Judges everybody on whom there are votes, until nothing changes any more.
@@ -320,7 +321,7 @@ impl Isolation {
             }
             IsolationAuthority::Majority => {
                 let here = self.peers.iter().chain([&self.own]).chain(votes.keys());
-                let here: BTreeSet<_> =
+                let here: SortedSet<_> =
                     here.filter(|voter| *voter != node && !self.is_isolated(voter)).collect();
                 let many = |says: &dyn Fn(&&Vote) -> bool| {
                     votes.values().filter(says).count() * 2 > here.len()

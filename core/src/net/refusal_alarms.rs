@@ -7,7 +7,7 @@
 use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use crate::Instant;
-use std::collections::BTreeMap;
+use crate::sorted::SortedMap;
 
 /// Refusals from one look to the next that are no passing matter.
 pub const MANY: u64 = 50;
@@ -18,7 +18,7 @@ const LOOKS: u32 = 3;
 #[derive(Clone, Debug)]
 pub struct RefusalAlarms<K> {
     /// As many as are looked at.
-    seen: BTreeMap<K, Seen>,
+    seen: SortedMap<K, Seen>,
     /// Of whom it was told.
     told: ActiveAlarms<K>,
     /// An alarm was reported, and not yet that all alarms are over.
@@ -34,7 +34,7 @@ struct Seen {
 
 impl<K> Default for RefusalAlarms<K> {
     fn default() -> Self {
-        RefusalAlarms { seen: BTreeMap::new(), told: ActiveAlarms::default(), stands: false }
+        RefusalAlarms { seen: SortedMap::new(), told: ActiveAlarms::default(), stands: false }
     }
 }
 

@@ -1,9 +1,9 @@
 //! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
 
 use super::{Ladder, LadderStep, RecoveryAction};
+use crate::sorted::{SortedMap, SortedSet};
 use crate::suggestion::nearest;
 use crate::{FaultKind, FaultLocation, NodeName, ObjectName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// The robot's answer to every kind of fault, with exceptions for single components.
@@ -25,9 +25,9 @@ use std::sync::Arc;
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
-    kinds: BTreeMap<FaultKind, Ladder>,
-    components: BTreeMap<ObjectName, BTreeMap<FaultKind, Ladder>>,
-    abroad: BTreeMap<FaultKind, Ladder>,
+    kinds: SortedMap<FaultKind, Ladder>,
+    components: SortedMap<ObjectName, SortedMap<FaultKind, Ladder>>,
+    abroad: SortedMap<FaultKind, Ladder>,
     observe: Ladder,
 }
 
@@ -163,8 +163,8 @@ impl Default for Plan {
         };
         Plan {
             kinds: FaultKind::BUILT_IN.iter().map(|kind| (kind.clone(), answer(kind))).collect(),
-            components: BTreeMap::new(),
-            abroad: BTreeMap::new(),
+            components: SortedMap::new(),
+            abroad: SortedMap::new(),
             observe: observe.clone(),
         }
     }
@@ -217,8 +217,8 @@ impl Plan {
     }
 
     /// The codes of all faults of the application's own that the plan answers.
-    pub fn codes(&self) -> BTreeSet<Arc<str>> {
-        let of_components = self.components.values().flat_map(BTreeMap::keys);
+    pub fn codes(&self) -> SortedSet<Arc<str>> {
+        let of_components = self.components.values().flat_map(SortedMap::keys);
         let kinds = self.kinds.keys().chain(of_components);
         let own = kinds.filter_map(|kind| match kind {
             FaultKind::Custom(code) => Some(code.clone()),
@@ -239,8 +239,8 @@ impl Plan {
         own_kinds: impl IntoIterator<Item = &'a FaultKind>,
         strategies: impl IntoIterator<Item = &'a str>,
     ) -> Result<(), PlanError> {
-        let components: BTreeSet<&ObjectName> = components.into_iter().collect();
-        let strategies: BTreeSet<&str> = strategies.into_iter().collect();
+        let components: SortedSet<&ObjectName> = components.into_iter().collect();
+        let strategies: SortedSet<&str> = strategies.into_iter().collect();
         for kind in own_kinds {
             check_code(kind)?;
             let answered = || self.components.values().any(|kinds| kinds.contains_key(kind));
@@ -307,7 +307,7 @@ fn check_ladder(
     what: String,
     kind: &FaultKind,
     ladder: &Ladder,
-    strategies: &BTreeSet<&str>,
+    strategies: &SortedSet<&str>,
 ) -> Result<(), PlanError> {
     let link = matches!(kind, FaultKind::LinkDown | FaultKind::LinkDegraded);
     let node = matches!(

@@ -11,8 +11,9 @@
 
 use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
+use crate::sorted::SortedMap;
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 mod safe_state;
 #[cfg(test)]
@@ -98,11 +99,11 @@ pub struct Recoverer {
     limits: RecovererLimits,
     seed: u64,
     orders: u64,
-    cases: BTreeMap<FaultLocation, Case>,
-    symptoms: BTreeMap<FaultId, Symptom>,
-    memories: BTreeMap<(FaultLocation, FaultKind), LadderProgress>,
-    open: BTreeMap<u64, (FaultLocation, RecoveryAction)>,
-    engaged: BTreeMap<RecoveryAction, Engaged>,
+    cases: SortedMap<FaultLocation, Case>,
+    symptoms: SortedMap<FaultId, Symptom>,
+    memories: SortedMap<(FaultLocation, FaultKind), LadderProgress>,
+    open: SortedMap<u64, (FaultLocation, RecoveryAction)>,
+    engaged: SortedMap<RecoveryAction, Engaged>,
     standstill: Option<Standstill>,
     outputs: VecDeque<RecovererOutput>,
 }
@@ -116,11 +117,11 @@ impl Recoverer {
             limits,
             seed,
             orders: 0,
-            cases: BTreeMap::new(),
-            symptoms: BTreeMap::new(),
-            memories: BTreeMap::new(),
-            open: BTreeMap::new(),
-            engaged: BTreeMap::new(),
+            cases: SortedMap::new(),
+            symptoms: SortedMap::new(),
+            memories: SortedMap::new(),
+            open: SortedMap::new(),
+            engaged: SortedMap::new(),
             standstill: None,
             outputs: VecDeque::new(),
         }
@@ -548,7 +549,7 @@ impl Machine for Recoverer {
         let (released, kept) =
             std::mem::take(&mut self.engaged).into_iter().partition(|(_, engaged)| idle(engaged));
         self.engaged = kept;
-        let released: BTreeMap<RecoveryAction, Engaged> = released;
+        let released: SortedMap<RecoveryAction, Engaged> = released;
         let release = released.into_keys().map(|measure| RecovererOutput::Release { measure });
         self.outputs.extend(release);
     }

@@ -17,6 +17,7 @@ use super::table::Table;
 use super::vocabulary::{ReplicaOutput, Role, ServiceOutcome, ServiceRequest};
 use super::{OnPartition, ReplicaConfig, StandbyKind};
 use crate::contract::codec;
+use crate::sorted::SortedMap;
 use crate::{DeliveryError, FaultKind, Instant, Machine, MessageId, NodeName};
 use accord::Accord;
 use bytes::Bytes;
@@ -24,7 +25,7 @@ use component::Health;
 use outage::Outage;
 use primary::{Follower, Primary, Step};
 use standby::Standby;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 /// Requests that may wait for one service. Beyond, callers are told to slow down.
 pub const QUEUE_MAX: usize = 256;
@@ -83,7 +84,7 @@ pub struct Replica {
     accord: Accord,
     outage: Outage,
     /// What was said to be wrong here, and stands.
-    faults: BTreeMap<FaultKind, String>,
+    faults: SortedMap<FaultKind, String>,
     refused: u64,
     outputs: VecDeque<ReplicaOutput>,
 }
@@ -120,7 +121,7 @@ impl Replica {
             void: false,
             health: Health::Whole,
             outage: Outage::beginning(now),
-            faults: BTreeMap::new(),
+            faults: SortedMap::new(),
             refused: 0,
             outputs: VecDeque::new(),
         };

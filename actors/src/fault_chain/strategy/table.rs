@@ -14,7 +14,7 @@ use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
 use blastema_core::recovery::{RecoveryAction, RecoveryFailed};
-use std::collections::BTreeMap;
+use blastema_core::sorted::SortedMap;
 use std::sync::Arc;
 use tokio::sync::watch;
 
@@ -67,11 +67,11 @@ pub(crate) fn object_of(measure: &RecoveryAction) -> ObjectName {
 
 /// The strategies that this node has: the built-in ones and the application's own.
 #[derive(Clone)]
-pub(crate) struct StrategyTable(BTreeMap<RecoveryAction, Make>);
+pub(crate) struct StrategyTable(SortedMap<RecoveryAction, Make>);
 
 impl Default for StrategyTable {
     fn default() -> Self {
-        let mut table = StrategyTable(BTreeMap::new());
+        let mut table = StrategyTable(SortedMap::new());
         table.insert(RecoveryAction::Reset, || ResetStrategy);
         table.insert(RecoveryAction::Restart, || RestartStrategy);
         table.insert(RecoveryAction::MoveToOwnThread, || MoveToOwnThread);

@@ -3,9 +3,9 @@
 use super::ComponentExecutor;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
+use blastema_core::sorted::SortedMap;
 use std::any::Any;
 use std::cell::RefCell;
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
 use std::rc::{Rc, Weak};
@@ -15,7 +15,7 @@ use std::task::{self, Poll};
 thread_local! {
     /// The executors of this arbiter that have subscriptions, by the cell that they serve, for its
     /// hubs.
-    static EXECUTORS: RefCell<BTreeMap<usize, Weak<dyn Any>>> = const { RefCell::new(BTreeMap::new()) };
+    static EXECUTORS: RefCell<SortedMap<usize, Weak<dyn Any>>> = const { RefCell::new(SortedMap::new()) };
 }
 
 /// The executor of a component that lives on this arbiter.

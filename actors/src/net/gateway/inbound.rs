@@ -8,9 +8,9 @@ use blastema_core::net::NodeId;
 use blastema_core::net::peer_protocol::SessionEpoch;
 use blastema_core::net::peer_protocol::receive_backlog::{BacklogVerdict, ReceiveBacklog};
 use blastema_core::net::refusal_alarms::RefusalAlarms;
+use blastema_core::sorted::SortedMap;
 use blastema_core::{Delivery, DeliveryError, FaultKind, Instant, ObjectName, PeerIdentity};
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::task::{Context as Waiting, Waker};
 use std::time::Duration;
@@ -35,7 +35,7 @@ pub(super) struct PeerBinding {
 pub(super) struct InboundBacklog {
     room: ReceiveBacklog<Held>,
     /// Who waits for room, for each line.
-    watches: BTreeMap<(NodeId, ObjectName), Watch>,
+    watches: SortedMap<(NodeId, ObjectName), Watch>,
     complaints: RefusalAlarms<NodeId>,
 }
 

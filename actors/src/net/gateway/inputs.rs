@@ -29,9 +29,9 @@ impl Handler<SessionReported> for GatewayActor {
                 let (peer, send_state) = self.meet(&node);
                 self.exchange.handle_reachable(peer);
                 send_state.path_found();
-                self.peers
-                    .entry(peer)
-                    .and_modify(|peer| peer.left &= peer.incarnation == incarnation);
+                if let Some(peer) = self.peers.get_mut(&peer) {
+                    peer.left &= peer.incarnation == incarnation;
+                }
                 if !send_state.has_session() {
                     self.set(peer, PeerCondition::Opening);
                 }

@@ -33,8 +33,8 @@ use blastema_core::detection::{
     DetectorLimits, MonitorLimits, NotifierLimits, RecovererPort, RegistrationError,
 };
 use blastema_core::recovery::{self, RecovererLimits, RecoveryAction};
+use blastema_core::sorted::SortedSet;
 use blastema_core::{Fault, FaultKind, Incarnation, NodeName, ObjectName};
-use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tokio::sync::watch;
 
@@ -303,7 +303,7 @@ pub(super) fn callbacks_of(builder: &NodeBuilder) -> Vec<Register> {
     let strategies = strategies.map(|name| object_of(&RecoveryAction::Custom(name.into())));
     let outputs = builder.safe_outputs.iter().map(|_| named(SAFE_OUTPUTS));
     // Two names may differ by what no name of an object can hold.
-    let all: BTreeSet<ObjectName> = strategies.chain(outputs).collect();
+    let all: SortedSet<ObjectName> = strategies.chain(outputs).collect();
     all.into_iter().map(|name| middleware(name, None)).collect()
 }
 

@@ -18,18 +18,18 @@ use blastema_contract::transport::Close;
 use blastema_core::detection::RecovererPort;
 use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::net::isolation::IsolationAuthority;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Incarnation, NodeName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// The networks of a node that runs.
 pub(in crate::node) struct Networks {
     pub(in crate::node) handle: NetHandle,
-    pub(in crate::node) cables: BTreeMap<String, Cable>,
+    pub(in crate::node) cables: SortedMap<String, Cable>,
     transports: Vec<Recipient<Close>>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
-    pub(super) described: BTreeSet<NodeName>,
+    pub(super) described: SortedSet<NodeName>,
 }
 
 /// How long a node that ends waits until its peers have what was sent to them. One that is gone
@@ -45,7 +45,7 @@ impl Networks {
     }
 
     /// All whom it has met, or was told of.
-    pub(in crate::node) fn known(&self) -> BTreeSet<NodeName> {
+    pub(in crate::node) fn known(&self) -> SortedSet<NodeName> {
         self.described.iter().cloned().chain(self.handle.met()).collect()
     }
 
@@ -90,8 +90,8 @@ pub(super) fn make_networks(
         ActorPlacement::Here => None,
         ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
     };
-    let (mut specs, mut cables) = (Vec::new(), BTreeMap::new());
-    let (mut neighbours, mut enrolments) = (BTreeSet::new(), Vec::new());
+    let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
+    let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
     for network in networks {
         let started = network.lay(node, guardian, arbiter.as_ref())?;
         if let Some(cable) = started.cable {

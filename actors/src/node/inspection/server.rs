@@ -8,11 +8,11 @@ use crate::platform::file_lock::HeldHere;
 use crate::runtime::reports::FaultReports;
 use blastema_core::Machine;
 use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
+use blastema_core::sorted::SortedMap;
 use blastema_transports::unix::PathListener;
 use futures_util::StreamExt;
 use futures_util::future::{AbortHandle, abortable};
 use futures_util::stream::FuturesUnordered;
-use std::collections::BTreeMap;
 use std::future::{self, Future};
 use std::path::Path;
 use std::pin::Pin;
@@ -39,9 +39,9 @@ pub(super) struct InspectionServer {
     told: Option<bool>,
     machine: SnapshotServer,
     /// Those who are not given their snapshot yet.
-    waiting: BTreeMap<ClientId, UnixStream>,
+    waiting: SortedMap<ClientId, UnixStream>,
     /// Those who are given it: as many as the machine lets in.
-    looking: BTreeMap<ClientId, AbortHandle>,
+    looking: SortedMap<ClientId, AbortHandle>,
     work: FuturesUnordered<Pin<Box<dyn Future<Output = Done>>>>,
     /// Dropped after the socket.
     _held: HeldHere,
@@ -68,8 +68,8 @@ impl InspectionServer {
             listener,
             told: None,
             machine: SnapshotServer::default(),
-            waiting: BTreeMap::new(),
-            looking: BTreeMap::new(),
+            waiting: SortedMap::new(),
+            looking: SortedMap::new(),
             work: FuturesUnordered::new(),
         }
     }

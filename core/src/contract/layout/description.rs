@@ -1,8 +1,9 @@
 //! The structure of a message as a value that travels to another node.
 
 use crate::contract::layout::{Fields, Layout, LayoutOf, Shape, Text};
+use crate::sorted::SortedMap;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 /// The most types that one description may hold. A rich message has about 30.
 const TYPE_LIMIT: usize = 512;
@@ -115,7 +116,7 @@ impl From<LayoutDescription> for Vec<Shape<u32>> {
 /// Every type that can be reached from `root`, which comes first; each once.
 fn collected(root: Shape<LayoutOf>) -> Vec<Shape<u32>> {
     let mut types = Vec::new();
-    let mut places = BTreeMap::new();
+    let mut places = SortedMap::new();
     let mut open = VecDeque::from([root]);
     // The root has no identity here: inside of itself it is met again under its own name.
     let mut next_place = 1;
@@ -136,12 +137,12 @@ fn collected(root: Shape<LayoutOf>) -> Vec<Shape<u32>> {
 fn merged(types: Vec<Shape<u32>>) -> Vec<Shape<u32>> {
     let classes = classes(&types);
     let class_of = |index: u32| classes[index as usize];
-    let mut members = BTreeMap::new();
+    let mut members = SortedMap::new();
     for (index, &class) in classes.iter().enumerate() {
         members.entry(class).or_insert(index);
     }
 
-    let mut places = BTreeMap::from([(classes[0], 0)]);
+    let mut places = SortedMap::from([(classes[0], 0)]);
     let mut order = VecDeque::from([classes[0]]);
     let mut merged = Vec::new();
     while let Some(class) = order.pop_front() {
@@ -177,7 +178,7 @@ fn classes(types: &[Shape<u32>]) -> Vec<usize> {
 
 /// For each key its number; equal keys have one number, counted in the order of first appearance.
 fn numbered<K: Ord>(keys: impl Iterator<Item = K>) -> Vec<usize> {
-    let mut numbers = BTreeMap::new();
+    let mut numbers = SortedMap::new();
     keys.map(|key| {
         let next = numbers.len();
         *numbers.entry(key).or_insert(next)

@@ -2,7 +2,8 @@
 
 use crate::LayoutDescription;
 use crate::contract::layout::{Field, Fields, Shape, Text, Variant};
-use std::collections::{BTreeSet, VecDeque};
+use crate::sorted::SortedSet;
+use std::collections::VecDeque;
 use std::fmt;
 
 /// The most lines that one difference shows; a person reads no more, and the peer may be hostile.
@@ -57,7 +58,7 @@ pub fn compare(
             field: 0,
             whole: (0, 0),
         }]),
-        seen: BTreeSet::new(),
+        seen: SortedSet::new(),
         pairs: 0,
         lines: Vec::new(),
     };
@@ -83,7 +84,7 @@ struct Comparison<'a> {
     there: &'a [Shape<u32>],
     open: VecDeque<Pair>,
     /// What was compared: types with a name once, others once for each field.
-    seen: BTreeSet<(usize, u32, u32)>,
+    seen: SortedSet<(usize, u32, u32)>,
     pairs: usize,
     lines: Vec<String>,
 }

@@ -2,7 +2,7 @@
 
 use super::{ComponentSample, HangLimits, OverloadFigures, QueueReading, SlotId};
 use crate::Instant;
-use std::collections::BTreeSet;
+use crate::sorted::SortedSet;
 use std::time::Duration;
 
 /// Rounds that a window holds at least: of fewer, one that is missed is already a large share.
@@ -227,7 +227,7 @@ pub(super) enum OverloadRoot {
 #[derive(Debug)]
 pub(super) struct Episode {
     pub(super) latest: Instant,
-    pub(super) victims: BTreeSet<SlotId>,
+    pub(super) victims: SortedSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
     /// The worst of them when it was told last, if it was.
@@ -237,7 +237,7 @@ pub(super) struct Episode {
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
         let worst = OverloadFigures::default();
-        Episode { latest: now, victims: BTreeSet::new(), worst, told: None }
+        Episode { latest: now, victims: SortedSet::new(), worst, told: None }
     }
 
     /// These are late too, or still. Says whether the overload is to be told: it is new, has more

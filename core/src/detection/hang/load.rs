@@ -6,8 +6,9 @@ use super::{
     LivenessEvent, Looked, OverloadFigures, QueueReading, Silence, SlotId,
 };
 use crate::detection::hang::occupancy::Occupancy;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Instant, ObjectName};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A thread that is free less often than in one of five looks makes its components wait for each
@@ -176,7 +177,7 @@ impl ComponentRecord {
 impl HangDetector {
     /// Finds the root of each late component, and reports a root where that is news.
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
-        let mut roots: BTreeMap<OverloadRoot, Vec<Late>> = BTreeMap::new();
+        let mut roots: SortedMap<OverloadRoot, Vec<Late>> = SortedMap::new();
         let home = |slot| Some(self.judged(slot)?.arbiter);
         // Who kept the thread may have left it, and another may have its slot.
         let is_known = |late: &Late| match late.root {
@@ -235,7 +236,7 @@ impl HangDetector {
         }
     }
 
-    fn names(&self, slots: BTreeSet<SlotId>) -> Vec<ObjectName> {
+    fn names(&self, slots: SortedSet<SlotId>) -> Vec<ObjectName> {
         let name = |slot| Some(self.judged(slot)?.object.clone());
         slots.into_iter().filter_map(name).collect()
     }

@@ -35,9 +35,10 @@ pub use self::types::{
 use self::entry::ComponentEntry;
 use self::lateness::{Episode, Late, Lateness, OverloadRoot};
 use self::processor::ProcessorShare;
+use crate::sorted::SortedMap;
 use crate::{Instant, Machine, ObjectName};
 use occupancy::Occupancy;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// A handler whose thread is not run hangs after so many times its limit.
@@ -119,7 +120,7 @@ pub struct HangDetector {
     clock: Instant,
     /// How far its clock went between the last two looks.
     step: Duration,
-    arbiters: BTreeMap<ArbiterId, Arbiter>,
+    arbiters: SortedMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
     components: Vec<Option<ComponentEntry>>,
     /// Those that were judged at the last look, in order.
@@ -137,7 +138,7 @@ impl HangDetector {
             looked_at: None,
             clock: Instant::ORIGIN,
             step: Duration::ZERO,
-            arbiters: BTreeMap::new(),
+            arbiters: SortedMap::new(),
             components: Vec::new(),
             awake: Vec::new(),
             computer: None,

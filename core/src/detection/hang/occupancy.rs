@@ -1,6 +1,7 @@
 //! How much of the time a thread is kept, and by whom, from looks at even intervals.
 
-use std::collections::{BTreeMap, VecDeque};
+use crate::sorted::SortedMap;
+use std::collections::VecDeque;
 
 /// Who was found on a thread in the latest looks.
 ///
@@ -59,7 +60,7 @@ impl<K: Copy + Ord> Occupancy<K> {
 
     /// Who was found most often in the latest looks, and in which share of them.
     pub fn largest(&self, looks: usize) -> Option<(K, f32)> {
-        let mut counts: BTreeMap<K, usize> = BTreeMap::new();
+        let mut counts: SortedMap<K, usize> = SortedMap::new();
         self.latest(looks).flatten().for_each(|who| *counts.entry(who).or_default() += 1);
         let (who, _) = counts.into_iter().max_by_key(|(_, count)| *count)?;
         Some((who, self.share_of(who, looks)))

@@ -3,7 +3,8 @@
 use super::load::SATURATED;
 use super::{ArbiterId, ComponentRecord, HangDetector, Silence};
 use crate::Instant;
-use std::collections::{BTreeMap, VecDeque};
+use crate::sorted::SortedMap;
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// What counts: longer than any single delay, and as long as two windows of rounds.
@@ -100,7 +101,7 @@ impl HangDetector {
     /// Whether the arbiters lack a processor, by what the latest windows of their components
     /// missed.
     pub(super) fn judge_processors(&mut self) {
-        let mut missed: BTreeMap<ArbiterId, f32> = BTreeMap::new();
+        let mut missed: SortedMap<ArbiterId, f32> = SortedMap::new();
         // One that is silent does nothing, whatever the thread gets.
         let works = |component: &&ComponentRecord| component.silence != Silence::Told;
         for component in self.awake().map(|(_, component)| component).filter(works) {

@@ -43,7 +43,8 @@ fn told(discovery: &mut Discovery) -> Vec<String> {
 
 #[test]
 fn two_that_know_only_the_one_between_learn_of_each_other() {
-    let mut b = of("b", vec![domain("ethernet", "udp", DiscoveryAdmission::Only(BTreeSet::new()))]);
+    let mut b =
+        of("b", vec![domain("ethernet", "udp", DiscoveryAdmission::Only(SortedSet::new()))]);
     b.handle_up(0, node("a"), "a:1".into(), ms(0));
     b.handle_up(0, node("c"), "c:1".into(), ms(5));
     b.handle_timeout(ms(20));

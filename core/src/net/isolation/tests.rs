@@ -6,7 +6,7 @@ fn node(name: &str) -> NodeName {
 
 /// Nodes that all have a session with each other.
 struct Robot {
-    nodes: BTreeMap<NodeName, Isolation>,
+    nodes: SortedMap<NodeName, Isolation>,
     told: Vec<String>,
     /// Whether the last decision counts.
     said: Result<(), VoteRefused>,
@@ -14,7 +14,7 @@ struct Robot {
 
 impl Robot {
     fn new(names: &[&str], judges: &IsolationAuthority) -> Self {
-        let mut robot = Robot { nodes: BTreeMap::new(), told: vec![], said: Ok(()) };
+        let mut robot = Robot { nodes: SortedMap::new(), told: vec![], said: Ok(()) };
         names.iter().for_each(|name| robot.join(name, 1, judges));
         robot
     }
@@ -234,7 +234,7 @@ fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
     victim.handle_told(&node("hostile"), b"\xff\xff");
 
     assert_eq!((victim.votes.len(), victim.refused()), (VOTES_MAX, 6 + 1 + 1));
-    let longest = victim.votes.values().flat_map(BTreeMap::values).map(|vote| vote.cause.len());
+    let longest = victim.votes.values().flat_map(SortedMap::values).map(|vote| vote.cause.len());
     assert_eq!(longest.max(), Some(CAUSE_MAX));
     assert!(victim.kept_out.is_empty());
 }

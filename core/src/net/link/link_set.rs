@@ -17,8 +17,9 @@ use crate::net::wire::frame::Frame;
 use crate::net::wire::hello_state::HelloState;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
+use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant, Machine};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The machine of all links over one transport.
@@ -29,7 +30,7 @@ pub struct LinkSet {
     /// The largest frame; 0 while that is not known.
     mtu: usize,
     /// The last entry of each link's neighbour; `None` where there is no bus.
-    bus: Option<BTreeMap<LinkId, Told>>,
+    bus: Option<SortedMap<LinkId, Told>>,
     greetings: VecDeque<GatherBuffer>,
     stalled: Option<Duration>,
 }
@@ -101,7 +102,7 @@ impl LinkSet {
     /// Every node of the medium receives every frame: one greeting is sent for all links.
     pub fn handle_bus(&mut self) {
         if self.bus.is_none() {
-            self.bus = Some(BTreeMap::new());
+            self.bus = Some(SortedMap::new());
             self.each(Link::join_bus);
             self.pace();
         }

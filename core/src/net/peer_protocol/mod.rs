@@ -32,12 +32,13 @@ use super::wire::Refusals;
 use super::wire::message::{FORMS_MAX, PeerMessage};
 use super::wire::node_id::NodeId;
 use super::wire::segment::Stream;
+use crate::sorted::SortedMap;
 use crate::{
     ContractIdentity, Delivery, DeliveryError, GatherBuffer, Incarnation, Instant, ObjectName,
 };
 use bytes::Bytes;
 use naming::DirectoryUpdate;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// The most bindings and subscriptions that a peer may have here, each.
@@ -54,9 +55,9 @@ const GRACE: Duration = Duration::from_secs(1);
 /// session's matter, and callers mind their deadlines.
 #[derive(Debug, Default)]
 pub struct PeerProtocol {
-    peers: BTreeMap<NodeId, PeerRecord>,
+    peers: SortedMap<NodeId, PeerRecord>,
     /// What is listened to here.
-    interests: BTreeMap<TopicContract, RemoteTopic>,
+    interests: SortedMap<TopicContract, RemoteTopic>,
     next_subscription: u32,
     next_binding: u32,
     next_call: u64,

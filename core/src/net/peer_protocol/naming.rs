@@ -6,8 +6,8 @@
 //! without all this.
 
 use crate::net::wire::node_id::NodeId;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, NodeName, ObjectAddress, ObjectName};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// The most names of one node that are remembered: what a large robot has, ten times over.
 pub const NAMES_MAX: usize = 10_000;
@@ -17,8 +17,8 @@ const NAMES_PER_MESSAGE: usize = 256;
 /// The names of all nodes, as one node knows them.
 #[derive(Debug, Default)]
 pub struct NodeDirectory {
-    own: BTreeSet<ObjectName>,
-    nodes: BTreeMap<NodeId, NodeNames>,
+    own: SortedSet<ObjectName>,
+    nodes: SortedMap<NodeId, NodeNames>,
     /// Names that were refused because a node has too many.
     refused: u64,
 }
@@ -27,7 +27,7 @@ pub struct NodeDirectory {
 struct NodeNames {
     node: NodeName,
     incarnation: Incarnation,
-    objects: BTreeSet<ObjectName>,
+    objects: SortedSet<ObjectName>,
 }
 
 /// What is to be told: every peer, or one.
@@ -43,7 +43,7 @@ pub struct DirectoryUpdate {
 
 impl NodeDirectory {
     /// This node now has exactly these objects. Answers what every peer has to be told.
-    pub fn handle_own(&mut self, objects: BTreeSet<ObjectName>) -> Vec<DirectoryUpdate> {
+    pub fn handle_own(&mut self, objects: SortedSet<ObjectName>) -> Vec<DirectoryUpdate> {
         let added: Vec<_> = objects.difference(&self.own).cloned().collect();
         let removed: Vec<_> = self.own.difference(&objects).cloned().collect();
         self.own = objects;
@@ -66,7 +66,7 @@ impl NodeDirectory {
         node: NodeName,
         incarnation: Incarnation,
     ) -> Vec<DirectoryUpdate> {
-        let names = NodeNames { node, incarnation, objects: BTreeSet::new() };
+        let names = NodeNames { node, incarnation, objects: SortedSet::new() };
         self.nodes.insert(NodeId::of(&names.node), names);
         let own: Vec<_> = self.own.iter().cloned().collect();
         let mut chunks: Vec<_> = own.chunks(NAMES_PER_MESSAGE).map(<[_]>::to_vec).collect();
@@ -109,7 +109,7 @@ impl NodeDirectory {
     }
 
     /// Every node that a session is open with, in which incarnation, and its objects.
-    pub fn nodes(&self) -> impl Iterator<Item = (&NodeName, Incarnation, &BTreeSet<ObjectName>)> {
+    pub fn nodes(&self) -> impl Iterator<Item = (&NodeName, Incarnation, &SortedSet<ObjectName>)> {
         self.nodes.values().map(|names| (&names.node, names.incarnation, &names.objects))
     }
 
@@ -127,7 +127,7 @@ mod tests {
         ObjectName::new(name).unwrap()
     }
 
-    fn objects(names: &[&str]) -> BTreeSet<ObjectName> {
+    fn objects(names: &[&str]) -> SortedSet<ObjectName> {
         names.iter().map(|name| object(name)).collect()
     }
 

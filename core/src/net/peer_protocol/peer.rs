@@ -7,16 +7,16 @@ use crate::net::session::ordering_key::OrderingKey;
 use crate::net::wire::message::{PeerMessage, TICK_US};
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::segment::Stream;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{
     ContractIdentity, Delivery, GatherBuffer, Incarnation, Instant, MessageId, ObjectName,
 };
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// A binding: the object, the contract's name and fingerprint.
 pub(super) type BindingKey = (ObjectName, &'static str, u64);
 /// Which binding has which number. Numbers are not used again in the next session.
-pub(super) type BindingTable = BTreeMap<u32, BindingKey>;
+pub(super) type BindingTable = SortedMap<u32, BindingKey>;
 
 #[derive(Debug)]
 pub(super) struct PeerSession {
@@ -27,19 +27,19 @@ pub(super) struct PeerSession {
     pub(super) began: Instant,
     /// Known from the peer's first stamp on.
     pub(super) ages: Option<AgeEstimator>,
-    pub(super) bindings: BTreeMap<BindingKey, Binding>,
+    pub(super) bindings: SortedMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,
     /// Our requests that are not answered, by their number on the wire.
-    pub(super) calls: BTreeMap<u64, PendingCall>,
-    pub(super) notices: BTreeSet<u64>,
+    pub(super) calls: SortedMap<u64, PendingCall>,
+    pub(super) notices: SortedSet<u64>,
     /// How many bindings and subscriptions the peer has here.
     pub(super) taken: usize,
     /// The peer's bindings whose replies go every way; no more than it has bindings.
-    pub(super) redundant: BTreeSet<u32>,
+    pub(super) redundant: SortedSet<u32>,
     /// The requests through them that are not answered.
-    pub(super) redundant_calls: BTreeSet<u64>,
+    pub(super) redundant_calls: SortedSet<u64>,
     /// The peer's objects that have no room, and by which of our bindings it has said so.
-    pub(super) full: BTreeMap<ObjectName, BTreeSet<u32>>,
+    pub(super) full: SortedMap<ObjectName, SortedSet<u32>>,
     /// How much waits for bindings.
     pub(super) budget: PendingBudget,
 }
@@ -88,14 +88,14 @@ impl PeerSession {
             incarnation,
             began,
             ages: None,
-            bindings: BTreeMap::new(),
-            numbers: BTreeMap::new(),
-            calls: BTreeMap::new(),
-            notices: BTreeSet::new(),
+            bindings: SortedMap::new(),
+            numbers: SortedMap::new(),
+            calls: SortedMap::new(),
+            notices: SortedSet::new(),
             taken: 0,
-            redundant: BTreeSet::new(),
-            redundant_calls: BTreeSet::new(),
-            full: BTreeMap::new(),
+            redundant: SortedSet::new(),
+            redundant_calls: SortedSet::new(),
+            full: SortedMap::new(),
             budget: PendingBudget::default(),
         }
     }

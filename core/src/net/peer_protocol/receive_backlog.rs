@@ -16,7 +16,8 @@
 use crate::ObjectName;
 use crate::net::wire::Refusals;
 use crate::net::wire::node_id::NodeId;
-use std::collections::{BTreeMap, VecDeque};
+use crate::sorted::SortedMap;
+use std::collections::VecDeque;
 
 /// The messages of one peer that wait here at most: twice what its two ordered streams and the way
 /// to them hold, once for what they hold when it is told to stop, and once for what follows until
@@ -29,12 +30,12 @@ pub const BYTES_MAX: usize = 20 << 20;
 #[derive(Debug)]
 pub struct ReceiveBacklog<T> {
     /// Peers of which something waits, or did not fit.
-    peers: BTreeMap<NodeId, PeerBacklog<T>>,
+    peers: SortedMap<NodeId, PeerBacklog<T>>,
 }
 
 #[derive(Debug)]
 struct PeerBacklog<T> {
-    lines: BTreeMap<ObjectName, Line<T>>,
+    lines: SortedMap<ObjectName, Line<T>>,
     messages: usize,
     bytes: usize,
     refusals: Refusals,
@@ -61,7 +62,7 @@ pub enum BacklogVerdict<T> {
 
 impl<T> Default for ReceiveBacklog<T> {
     fn default() -> Self {
-        ReceiveBacklog { peers: BTreeMap::new() }
+        ReceiveBacklog { peers: SortedMap::new() }
     }
 }
 
@@ -138,7 +139,7 @@ impl<T> ReceiveBacklog<T> {
 impl<T> Default for PeerBacklog<T> {
     fn default() -> Self {
         let refusals = Refusals::default();
-        PeerBacklog { lines: BTreeMap::new(), messages: 0, bytes: 0, refusals }
+        PeerBacklog { lines: SortedMap::new(), messages: 0, bytes: 0, refusals }
     }
 }
 

@@ -8,9 +8,9 @@
 
 use super::types::SessionEpoch;
 use crate::net::wire::node_id::NodeId;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{GatherBuffer, Incarnation, Instant, MessageId};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// How long a reply is remembered: longer than any deadline within which a caller sends again.
@@ -30,11 +30,11 @@ pub(super) type RequestOrigin = (NodeId, SessionEpoch, u64);
 /// The table of one callee.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ReplyCache {
-    known: BTreeMap<RequestKey, Stage>,
+    known: SortedMap<RequestKey, Stage>,
     /// Those being served, by the sending that began it.
-    serving: BTreeMap<RequestOrigin, RequestKey>,
+    serving: SortedMap<RequestOrigin, RequestKey>,
     /// Those that were answered, the oldest first.
-    answered: BTreeSet<(Instant, RequestKey)>,
+    answered: SortedSet<(Instant, RequestKey)>,
     bytes: usize,
 }
 

@@ -7,8 +7,8 @@ use crate::net::wire::advertisement::{
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, NodeName};
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// How long what was said before a withdrawal counts: what is true follows at once, and no session
@@ -27,7 +27,7 @@ const FORGED_MANY: u32 = 3;
 impl Router {
     /// Our own links have changed: everybody must know.
     pub(super) fn announce_links(&mut self) {
-        let mut edges: BTreeMap<NodeId, Edge> = BTreeMap::new();
+        let mut edges: SortedMap<NodeId, Edge> = SortedMap::new();
         for adjacent in self.links.values() {
             let edge = Edge {
                 to: adjacent.id,
@@ -139,7 +139,7 @@ impl Router {
 
     pub(super) fn handle_announce(&mut self, link: LinkId, advertisements: Vec<Advertisement>) {
         let mut confirmed = Vec::new();
-        let mut better = BTreeSet::new();
+        let mut better = SortedSet::new();
         for advertisement in advertisements {
             let stamp = advertisement.stamp;
             if stamp.origin == self.id {
@@ -379,7 +379,7 @@ impl Router {
         if let Some((first, last)) = range
             && first <= last
         {
-            let listed: std::collections::BTreeSet<_> = stamps.iter().map(|s| s.origin).collect();
+            let listed: crate::sorted::SortedSet<_> = stamps.iter().map(|s| s.origin).collect();
             let held = self.known.range(first..=last).map(|(origin, _)| *origin);
             let own = (first..=last).contains(&self.id).then_some(self.id);
             better.extend(held.chain(own).filter(|origin| !listed.contains(origin)));

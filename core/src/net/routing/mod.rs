@@ -27,10 +27,11 @@ use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
 use super::wire::link_id::LinkId;
 use super::wire::node_id::NodeId;
+use crate::sorted::{SortedMap, SortedSet};
 use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, NodeName};
 use bytes::Bytes;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 use topology::{Adjacency, DisjointPath, Route, Topology};
 
@@ -39,17 +40,17 @@ use topology::{Adjacency, DisjointPath, Route, Topology};
 pub struct Router {
     config: RouterConfig,
     id: NodeId,
-    links: BTreeMap<LinkId, Adjacency>,
+    links: SortedMap<LinkId, Adjacency>,
     /// Isolated nodes, as many as there are decisions.
-    isolated: BTreeSet<NodeId>,
+    isolated: SortedSet<NodeId>,
     /// Links to them, which are not used.
-    barred: BTreeMap<LinkId, LinkStatus>,
-    known: BTreeMap<NodeId, DatabaseEntry>,
+    barred: SortedMap<LinkId, LinkStatus>,
+    known: SortedMap<NodeId, DatabaseEntry>,
     own: Advertisement,
-    routes: BTreeMap<NodeId, Route>,
+    routes: SortedMap<NodeId, Route>,
     /// The disjoint paths of copies, computed for the first copy to a node after a change: as many
     /// as routes.
-    ways: BTreeMap<NodeId, Vec<DisjointPath>>,
+    ways: SortedMap<NodeId, Vec<DisjointPath>>,
     /// When the paths are computed again; `None` while they are current.
     compute_at: Option<Instant>,
     computed_at: Instant,
@@ -67,9 +68,9 @@ pub struct Router {
     /// when it is known: perhaps an earlier one of ours, before the clock was set back.
     unconfirmed_incarnation: Option<(AdvertisementId, Instant)>,
     /// Names of which a later incarnation is isolated; at most as many as nodes are remembered.
-    disputes: BTreeMap<NodeId, Dispute>,
+    disputes: SortedMap<NodeId, Dispute>,
     /// Links to those incarnations, which are not used.
-    contested: BTreeMap<LinkId, LinkStatus>,
+    contested: SortedMap<LinkId, LinkStatus>,
     /// Alarms that were reported and are not over.
     troubles: ActiveAlarms<RouterAlarm>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
@@ -120,13 +121,13 @@ impl Router {
         Router {
             config,
             id,
-            links: BTreeMap::new(),
-            isolated: BTreeSet::new(),
-            barred: BTreeMap::new(),
-            known: BTreeMap::new(),
+            links: SortedMap::new(),
+            isolated: SortedSet::new(),
+            barred: SortedMap::new(),
+            known: SortedMap::new(),
             own,
-            routes: BTreeMap::new(),
-            ways: BTreeMap::new(),
+            routes: SortedMap::new(),
+            ways: SortedMap::new(),
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
@@ -136,8 +137,8 @@ impl Router {
             usurper: None,
             defended_at: Instant::ORIGIN,
             unconfirmed_incarnation: None,
-            disputes: BTreeMap::new(),
-            contested: BTreeMap::new(),
+            disputes: SortedMap::new(),
+            contested: SortedMap::new(),
             troubles: ActiveAlarms::default(),
             remembered: None,
             wake_at: refresh_at,
@@ -247,7 +248,7 @@ impl Router {
                 }
             }
             _ => {
-                let pending = BTreeMap::new();
+                let pending = SortedMap::new();
                 self.links.insert(
                     link,
                     Adjacency {
@@ -287,7 +288,7 @@ impl Router {
             .into_iter()
             .partition(|(_, adjacent)| adjacent.id == id);
         self.links = links;
-        let barred: BTreeMap<LinkId, Adjacency> = barred;
+        let barred: SortedMap<LinkId, Adjacency> = barred;
         if barred.is_empty() {
             return;
         }

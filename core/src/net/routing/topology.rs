@@ -12,9 +12,10 @@ use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{HOPS_MAX, PACKET_HEADER, passed_length};
+use crate::sorted::SortedMap;
 use crate::{Incarnation, Instant, NodeName};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 use std::time::Duration;
 
 /// The way to one node.
@@ -49,7 +50,7 @@ pub(crate) struct Adjacency {
     /// What the neighbour calls it, as far as it has said.
     pub(crate) number_there: Option<LinkId>,
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
-    pub(crate) pending: BTreeMap<NodeId, Instant>,
+    pub(crate) pending: SortedMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
 }
 
@@ -93,7 +94,7 @@ impl Route {
     /// never to one of `had`.
     pub(crate) fn choose(
         &self,
-        links: &BTreeMap<LinkId, Adjacency>,
+        links: &SortedMap<LinkId, Adjacency>,
         had: &[NodeId],
     ) -> Option<LinkId> {
         let ways = [Some(self.next), self.alternate];
@@ -109,8 +110,8 @@ impl Route {
 /// The network as one node knows it.
 pub(crate) struct Topology<'a> {
     here: NodeId,
-    links: &'a BTreeMap<LinkId, Adjacency>,
-    known: BTreeMap<NodeId, &'a Advertisement>,
+    links: &'a SortedMap<LinkId, Adjacency>,
+    known: SortedMap<NodeId, &'a Advertisement>,
 }
 
 /// How far a node is from some other.
@@ -125,15 +126,15 @@ struct Distance {
 impl<'a> Topology<'a> {
     pub(crate) fn new(
         here: NodeId,
-        links: &'a BTreeMap<LinkId, Adjacency>,
+        links: &'a SortedMap<LinkId, Adjacency>,
         known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
     ) -> Self {
         Topology { here, links, known: known.collect() }
     }
 
-    pub(crate) fn routes(&self) -> BTreeMap<NodeId, Route> {
+    pub(crate) fn routes(&self) -> SortedMap<NodeId, Route> {
         let from_here = self.distances(self.here);
-        let from_neighbours: BTreeMap<_, _> = self
+        let from_neighbours: SortedMap<_, _> = self
             .links
             .values()
             .map(|a| (a.id, ()))
@@ -150,7 +151,7 @@ impl<'a> Topology<'a> {
         &self,
         to: NodeId,
         from_here: Distance,
-        from_neighbours: &BTreeMap<NodeId, BTreeMap<NodeId, Distance>>,
+        from_neighbours: &SortedMap<NodeId, SortedMap<NodeId, Distance>>,
     ) -> Option<Route> {
         let mut ways: Vec<_> = self
             .links
@@ -195,8 +196,8 @@ impl<'a> Topology<'a> {
     }
 
     /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
-    fn distances(&self, from: NodeId) -> BTreeMap<NodeId, Distance> {
-        let mut found = BTreeMap::new();
+    fn distances(&self, from: NodeId) -> SortedMap<NodeId, Distance> {
+        let mut found = SortedMap::new();
         let mut edge_of_search = BinaryHeap::from([Reverse((0, from, Reverse(u16::MAX), 0u8))]);
         while let Some(Reverse((cost, id, Reverse(mtu), links))) = edge_of_search.pop() {
             if found.contains_key(&id) {

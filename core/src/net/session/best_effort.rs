@@ -2,9 +2,9 @@
 
 use super::reassembly::{Reassembly, pieces_of};
 use crate::net::wire::segment::{Datagram, PIECES_MAX};
+use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant};
 use bytes::Bytes;
-use std::collections::BTreeMap;
 
 /// The bytes that a datagram puts before its payload, at most.
 const DATAGRAM_HEADER: usize = 28;
@@ -18,9 +18,9 @@ fn payload_room(room: usize) -> usize {
 #[derive(Debug)]
 pub(crate) struct BestEffort {
     /// The last number used, by channel.
-    sent: BTreeMap<u32, u64>,
+    sent: SortedMap<u32, u64>,
     /// The newest that was delivered, by channel.
-    delivered: BTreeMap<u32, u64>,
+    delivered: SortedMap<u32, u64>,
     channels_max: usize,
     pieces: Reassembly<(u32, u64)>,
 }
@@ -42,7 +42,7 @@ pub(crate) enum DatagramStatus {
 
 impl BestEffort {
     pub(crate) fn new(channels_max: usize, pieces: Reassembly<(u32, u64)>) -> Self {
-        BestEffort { sent: BTreeMap::new(), delivered: BTreeMap::new(), channels_max, pieces }
+        BestEffort { sent: SortedMap::new(), delivered: SortedMap::new(), channels_max, pieces }
     }
 
     /// The most bytes of a message whose datagrams are no larger than `room` with their headers.

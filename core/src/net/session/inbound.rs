@@ -3,8 +3,9 @@
 use crate::Instant;
 use crate::net::wire::segment::{Ack, RANGES_MAX};
 use crate::net::wire::{Reader, WireError};
+use crate::sorted::SortedMap;
 use bytes::{Bytes, BytesMut};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Fresh memory for a message of this size, in bytes, costs more than all else that is done with
@@ -21,7 +22,7 @@ const LARGE: usize = 16 * 1024;
 pub(crate) struct Inbound {
     next: u64,
     /// Arrived ahead of their turn; all within the window.
-    ahead: BTreeMap<u64, Part>,
+    ahead: SortedMap<u64, Part>,
     partial: Option<Partial>,
     /// Where large messages were put together before: taken again once no receiver holds those any
     /// more. Two of the largest message for each stream at most, once such have come.
@@ -62,7 +63,7 @@ impl Inbound {
     pub(crate) fn new(window: u32, message_max: usize) -> Self {
         Inbound {
             next: 0,
-            ahead: BTreeMap::new(),
+            ahead: SortedMap::new(),
             partial: None,
             spare: VecDeque::new(),
             window,

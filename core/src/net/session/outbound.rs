@@ -6,9 +6,10 @@ use crate::net::session::ordering_key::OrderingKey;
 use crate::net::session::size_class::SizeClass;
 use crate::net::wire::segment::Ack;
 use crate::net::wire::{WireError, Write, varint_length};
+use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant};
 use bytes::{Bytes, BytesMut};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Messages that wait or are on their way, until the peer has acknowledged them.
@@ -27,7 +28,7 @@ pub(crate) struct Outbound {
     /// Of what is small, and of bulk.
     bytes: [usize; 2],
     /// Parts on their way, by sequence number.
-    flight: BTreeMap<u64, Chunk>,
+    flight: SortedMap<u64, Chunk>,
     /// The bytes of those that are not known to be lost.
     flying_bytes: usize,
     lost: usize,
@@ -117,7 +118,7 @@ impl Outbound {
             overtook: false,
             looked: 0,
             bytes: [0; 2],
-            flight: BTreeMap::new(),
+            flight: SortedMap::new(),
             flying_bytes: 0,
             lost: 0,
             next: 0,

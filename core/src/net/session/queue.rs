@@ -2,7 +2,7 @@
 
 use crate::GatherBuffer;
 use crate::net::session::ordering_key::OrderingKey;
-use std::collections::BTreeMap;
+use crate::sorted::SortedMap;
 use std::ops::RangeFrom;
 
 /// Messages that wait. Each strand keeps its order; of each only the first is ever looked at, so
@@ -10,9 +10,9 @@ use std::ops::RangeFrom;
 #[derive(Debug, Default)]
 pub(super) struct SendQueue {
     /// By strand, in the order of arrival there.
-    messages: BTreeMap<(OrderingKey, u64), GatherBuffer>,
+    messages: SortedMap<(OrderingKey, u64), GatherBuffer>,
     /// The first of each strand, by arrival.
-    heads: BTreeMap<u64, OrderingKey>,
+    heads: SortedMap<u64, OrderingKey>,
     arrivals: u64,
 }
 
@@ -53,7 +53,7 @@ impl SendQueue {
     /// All of them, in the order in which they arrived.
     pub(super) fn into_messages(self) -> impl Iterator<Item = GatherBuffer> {
         let by_arrival = self.messages.into_iter().map(|((_, number), message)| (number, message));
-        by_arrival.collect::<BTreeMap<_, _>>().into_values()
+        by_arrival.collect::<SortedMap<_, _>>().into_values()
     }
 
     fn head(&self, strand: OrderingKey) -> Option<u64> {

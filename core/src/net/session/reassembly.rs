@@ -1,16 +1,15 @@
 //! Puts pieces together, within bounds of space and time.
 
 use crate::net::wire::segment::{Fragment, PIECES_MAX};
+use crate::sorted::SortedMap;
 use crate::{GatherBuffer, Instant};
 use bytes::{Bytes, BytesMut};
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::time::Duration;
 
 /// Things of which some pieces have arrived, by a key.
 #[derive(Debug)]
 pub(crate) struct Reassembly<K> {
-    open: BTreeMap<K, Pieces>,
+    open: SortedMap<K, Pieces>,
     bytes: usize,
     bytes_max: usize,
     patience: Duration,
@@ -24,14 +23,14 @@ const PIECE_OVERHEAD: usize = 64;
 #[derive(Debug)]
 struct Pieces {
     count: u16,
-    arrived: BTreeMap<u16, Bytes>,
+    arrived: SortedMap<u16, Bytes>,
     bytes: usize,
     since: Instant,
 }
 
 impl<K: Ord + Copy> Reassembly<K> {
     pub(crate) fn new(bytes_max: usize, patience: Duration) -> Self {
-        Reassembly { open: BTreeMap::new(), bytes: 0, bytes_max, patience, given_up: 0 }
+        Reassembly { open: SortedMap::new(), bytes: 0, bytes_max, patience, given_up: 0 }
     }
 
     /// A piece has arrived. Answers with the whole when it was the last one missing.
@@ -49,13 +48,13 @@ impl<K: Ord + Copy> Reassembly<K> {
         }
         let pieces = self.open.entry(key).or_insert_with(|| Pieces {
             count: piece.count,
-            arrived: BTreeMap::new(),
+            arrived: SortedMap::new(),
             bytes: 0,
             since: now,
         });
-        if let Entry::Vacant(place) = pieces.arrived.entry(piece.index) {
+        if !pieces.arrived.contains_key(&piece.index) {
             let weight = bytes.len() + PIECE_OVERHEAD;
-            place.insert(bytes);
+            pieces.arrived.insert(piece.index, bytes);
             pieces.bytes += weight;
             self.bytes += weight;
         }

@@ -3,7 +3,7 @@
 use super::child::ChildKey;
 use crate::Instant;
 use crate::recovery::{RestartWindow, SupervisorRules};
-use std::collections::{BTreeMap, BTreeSet};
+use crate::sorted::{SortedMap, SortedSet};
 use std::time::Duration;
 
 /// The restarts that are counted at present. See the [module](self).
@@ -14,16 +14,16 @@ pub(super) struct Budget {
     shared: bool,
     /// By child; under a shared count, all under one key. A child that was never restarted has
     /// none.
-    windows: BTreeMap<ChildKey, RestartWindow>,
+    windows: SortedMap<ChildKey, RestartWindow>,
     /// The counts that are exhausted until their windows move.
-    spent: BTreeSet<ChildKey>,
+    spent: SortedSet<ChildKey>,
 }
 
 impl Budget {
     pub(super) fn new(rules: &SupervisorRules) -> Self {
         let (intensity, period) = (rules.intensity, rules.period);
         let shared = rules.counts_together();
-        Budget { intensity, period, shared, windows: BTreeMap::new(), spent: BTreeSet::new() }
+        Budget { intensity, period, shared, windows: SortedMap::new(), spent: SortedSet::new() }
     }
 
     /// Where a child's restarts are counted.
@@ -68,7 +68,7 @@ impl Budget {
     }
 
     /// Moves the windows; says which of the exhausted counts allow restarts again.
-    pub(super) fn release(&mut self, now: Instant) -> BTreeSet<ChildKey> {
+    pub(super) fn release(&mut self, now: Instant) -> SortedSet<ChildKey> {
         let moved = |of: &ChildKey| self.windows.get(of).is_none_or(|window| window.left(now) > 0);
         let (released, spent) = std::mem::take(&mut self.spent).into_iter().partition(moved);
         self.spent = spent;

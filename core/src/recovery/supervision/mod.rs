@@ -34,10 +34,11 @@ pub use child::{ChildState, ChildStatus, ReplacementCause};
 pub use vocabulary::{CallId, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
+use crate::sorted::{SortedMap, SortedSet};
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
 use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::VecDeque;
 
 /// No supervisor keeps more: its table is read as a whole.
 const CHILDREN_LIMIT: usize = 128 * 1024;
@@ -81,13 +82,13 @@ pub struct Supervisor {
     incarnation: Incarnation,
     phase: Phase,
     /// Boxed: keys rise, and leave the nodes of such a map half empty.
-    children: BTreeMap<ChildKey, Box<SupervisedChild>>,
-    index: BTreeMap<ObjectName, ChildKey>,
+    children: SortedMap<ChildKey, Box<SupervisedChild>>,
+    index: SortedMap<ObjectName, ChildKey>,
     next_key: ChildKey,
-    going: BTreeSet<ChildKey>,
-    coming: BTreeSet<ChildKey>,
+    going: SortedSet<ChildKey>,
+    coming: SortedSet<ChildKey>,
     /// Those that have a deadline at present.
-    timed: BTreeSet<ChildKey>,
+    timed: SortedSet<ChildKey>,
     pending: Vec<Pending>,
     budget: Budget,
     outputs: VecDeque<SupervisorOutput>,
@@ -100,12 +101,12 @@ impl Supervisor {
             rules,
             incarnation: Incarnation::default(),
             phase: Phase::Idle,
-            children: BTreeMap::new(),
-            index: BTreeMap::new(),
+            children: SortedMap::new(),
+            index: SortedMap::new(),
             next_key: 0,
-            going: BTreeSet::new(),
-            coming: BTreeSet::new(),
-            timed: BTreeSet::new(),
+            going: SortedSet::new(),
+            coming: SortedSet::new(),
+            timed: SortedSet::new(),
             pending: Vec::new(),
             budget: Budget::new(&rules),
             outputs: VecDeque::new(),

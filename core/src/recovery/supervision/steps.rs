@@ -220,7 +220,7 @@ impl Supervisor {
         }
         let retire = |child| SupervisorOutput::Retire { child };
         self.outputs.extend(finished.into_iter().map(retire));
-        self.going.extend(&going);
+        self.going.extend(going.iter().copied());
         self.foretell(going);
     }
 

@@ -23,7 +23,7 @@
 use super::super::terms::{TERMS_MAX, Terms};
 use super::rivals::{RIVALS_MAX, Rivals};
 use super::*;
-use std::collections::BTreeSet;
+use crate::sorted::SortedSet;
 use std::time::Duration;
 
 /// How soon another one is asked again that has not answered, or is out of sight. Shorter finds out
@@ -52,10 +52,10 @@ const NAMED_MAX: usize = 8;
 pub(super) struct Accord {
     pub(super) terms: Terms,
     fingerprint: u64,
-    pub(super) known: BTreeMap<NodeName, Known>,
+    pub(super) known: SortedMap<NodeName, Known>,
     pub(super) rivals: Rivals,
     /// To these a path leads: some of those who carry the service.
-    pub(super) reached: BTreeSet<NodeName>,
+    pub(super) reached: SortedSet<NodeName>,
     /// What the others were told otherwise, and whether anybody serves all the same.
     dispute: Option<String>,
     /// Nobody of these terms serves until that is mended.
@@ -111,9 +111,9 @@ impl Accord {
         Accord {
             fingerprint: terms.fingerprint(),
             terms,
-            known: BTreeMap::new(),
+            known: SortedMap::new(),
             rivals: Rivals::default(),
-            reached: BTreeSet::new(),
+            reached: SortedSet::new(),
             dispute: None,
             hopeless: false,
             told: None,
@@ -238,12 +238,12 @@ impl Accord {
             ConfigComparison::Differs { terms, .. } => Some(terms),
             _ => None,
         };
-        let terms: BTreeSet<u64> =
+        let terms: SortedSet<u64> =
             self.known.values().filter(|known| away(known)).filter_map(differing).collect();
         // Who is kept out by it is to be told why.
         let enough = self.agreeing() >= self.terms.quorum();
         let is_harmless = |terms: &u64| enough && self.hinders_nobody(*terms, now);
-        let harmless: BTreeSet<u64> = terms.into_iter().filter(is_harmless).collect();
+        let harmless: SortedSet<u64> = terms.into_iter().filter(is_harmless).collect();
         for known in self.known.values_mut() {
             let terms = differing(known).filter(|terms| harmless.contains(terms));
             known.quiet = terms.is_some() && away(known);
@@ -322,7 +322,7 @@ impl Replica {
         }
         self.accord.quieten(now);
         let known = self.accord.known.keys();
-        let all: BTreeSet<_> = known.chain(found).chain(members).cloned().collect();
+        let all: SortedSet<_> = known.chain(found).chain(members).cloned().collect();
         all.iter().for_each(|node| self.compare(node, now));
         self.settle_dispute(now);
     }

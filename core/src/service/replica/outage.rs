@@ -12,7 +12,7 @@
 
 use super::accord::some_of;
 use super::*;
-use std::collections::BTreeSet;
+use crate::sorted::SortedSet;
 use std::time::Duration;
 
 /// The least time for which nobody serves before that is a fault: less is over before anybody has
@@ -44,7 +44,7 @@ pub(super) struct Outage {
     unwilling: Vec<NodeName>,
     /// To whom nothing is sent, as this node keeps them out: of the members, when they were last
     /// written to.
-    kept_out: BTreeSet<NodeName>,
+    kept_out: SortedSet<NodeName>,
 }
 
 impl Outage {

@@ -13,9 +13,9 @@ pub(super) struct Primary {
     number: u64,
     /// When which hello was said.
     said: VecDeque<(u64, Instant)>,
-    pub(super) standbys: BTreeMap<NodeName, Follower>,
+    pub(super) standbys: SortedMap<NodeName, Follower>,
     /// Who waits for which request, and where it stands.
-    pub(super) waiting: BTreeMap<MessageId, u64>,
+    pub(super) waiting: SortedMap<MessageId, u64>,
     /// Replies that are held back, in order.
     held: VecDeque<(Position, MessageId, Instant)>,
     began: Instant,
@@ -65,8 +65,8 @@ impl Primary {
             hello_at: now,
             number: 0,
             said: VecDeque::new(),
-            standbys: BTreeMap::new(),
-            waiting: BTreeMap::new(),
+            standbys: SortedMap::new(),
+            waiting: SortedMap::new(),
             held: VecDeque::new(),
             began: now,
             released,

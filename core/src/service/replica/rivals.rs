@@ -33,7 +33,7 @@
 use super::super::terms::Terms;
 use super::accord::{Accord, ConfigComparison, Known};
 use super::*;
-use std::collections::BTreeSet;
+use crate::sorted::SortedSet;
 
 /// The most terms that are told apart: far more than a change of lists makes. Beyond, this one
 /// serves and elects nobody until its node begins anew: of what it has forgotten, it cannot tell
@@ -44,7 +44,7 @@ pub(super) const RIVALS_MAX: usize = 64;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rivals {
     /// By their fingerprints.
-    all: BTreeMap<u64, Rival>,
+    all: SortedMap<u64, Rival>,
     /// There were more than are remembered.
     pub(super) overflow: bool,
 }
@@ -79,7 +79,7 @@ impl Accord {
     /// Terms that nobody has any more are not reckoned with.
     pub(super) fn forget_rivals(&mut self, now: Instant) {
         let known = self.known.values();
-        let had: BTreeSet<u64> = known
+        let had: SortedSet<u64> = known
             .filter_map(|known| match known.opinion {
                 ConfigComparison::Differs { terms, .. } => Some(terms),
                 _ => None,

@@ -35,7 +35,7 @@ struct Claiming {
     /// How far we had come then.
     position: Position,
     /// And whether they have what we have.
-    votes: BTreeMap<NodeName, bool>,
+    votes: SortedMap<NodeName, bool>,
 }
 
 impl Standby {
@@ -265,7 +265,7 @@ impl Replica {
         self.claimed = epoch;
         let position = self.position;
         let Acting::Standby(standby) = &mut self.role else { return };
-        standby.claiming = Some(Claiming { epoch, asked: now, position, votes: BTreeMap::new() });
+        standby.claiming = Some(Claiming { epoch, asked: now, position, votes: SortedMap::new() });
         if self.config.majority() == 1 || self.config.on_partition == OnPartition::Continue {
             if self.accord.allows(|node| *node == self.config.own, now) {
                 self.take_over(epoch, now, [], now);

@@ -12,7 +12,7 @@ mod rivals;
 
 use super::*;
 use crate::random::Random;
-use std::collections::BTreeSet;
+use crate::sorted::SortedSet;
 use std::time::Duration;
 
 const HELLO: Duration = Duration::from_millis(10);
@@ -75,25 +75,25 @@ struct Robot {
     /// Processes that get no time, and what waits for them.
     stopped: Vec<bool>,
     stalled: Vec<(usize, usize, Bytes)>,
-    wire: BTreeMap<(Instant, u64), (usize, usize, Bytes)>,
+    wire: SortedMap<(Instant, u64), (usize, usize, Bytes)>,
     /// Messages that wait for a cut to be mended, as sessions keep them; `None` where they are
     /// lost.
     dammed: Option<Vec<(usize, usize, Bytes)>>,
     /// Sessions keep the order.
-    last: BTreeMap<(usize, usize), Instant>,
+    last: SortedMap<(usize, usize), Instant>,
     count: u64,
     callers: Vec<Caller>,
     /// Under which epochs somebody served.
-    epochs: BTreeMap<u64, usize>,
+    epochs: SortedMap<u64, usize>,
     overlaps: u64,
     /// From when on the services are there that this one depends on, if it does.
     served_ms: Option<u64>,
     /// What each member was told, where that is not the same for all.
-    told: BTreeMap<usize, ReplicaConfig>,
+    told: SortedMap<usize, ReplicaConfig>,
     /// What members have said about each other's terms.
-    disputes: BTreeMap<usize, String>,
+    disputes: SortedMap<usize, String>,
     /// What is wrong of the service, on which member.
-    faults: BTreeMap<(usize, FaultKind), String>,
+    faults: SortedMap<(usize, FaultKind), String>,
     /// How often it was said that state was lost.
     losses: u64,
     /// How many states were sent, and who is sent none.
@@ -115,17 +115,17 @@ impl Robot {
             sides: vec![0; size],
             stopped: vec![false; size],
             stalled: Vec::new(),
-            wire: BTreeMap::new(),
+            wire: SortedMap::new(),
             dammed: (!seed.is_multiple_of(3)).then(Vec::new),
-            last: BTreeMap::new(),
+            last: SortedMap::new(),
             count: 0,
             callers: Vec::new(),
-            epochs: BTreeMap::new(),
+            epochs: SortedMap::new(),
             overlaps: 0,
             served_ms: None,
-            told: BTreeMap::new(),
-            disputes: BTreeMap::new(),
-            faults: BTreeMap::new(),
+            told: SortedMap::new(),
+            disputes: SortedMap::new(),
+            faults: SortedMap::new(),
             losses: 0,
             snapshots: 0,
             withheld: None,
@@ -313,10 +313,9 @@ impl Robot {
         while self.now < end {
             let next = self.next_event().map_or(end, |event| event.min(end));
             self.now = on_step(next.max(self.now + STEP));
-            while let Some(entry) = self.wire.first_entry()
-                && entry.key().0 <= self.now
+            while let Some((_, (from, to, message))) =
+                self.wire.pop_first_if(|(due, _)| *due <= self.now)
             {
-                let (from, to, message) = entry.remove();
                 if self.stopped[to] {
                     self.stalled.push((from, to, message));
                     continue;

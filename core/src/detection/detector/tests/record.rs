@@ -278,8 +278,8 @@ proptest! {
 
             let entries = bench.entries();
             prop_assert!(entries.len() <= 16);
-            let mut standing = BTreeSet::new();
-            let mut passed = BTreeSet::new();
+            let mut standing = SortedSet::new();
+            let mut passed = SortedSet::new();
             for entry in &entries {
                 let fault = &entry.fault;
                 prop_assert_eq!(entry.stands(), bench.detector.chronicle.stands(fault.id));

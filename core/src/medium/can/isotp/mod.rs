@@ -37,9 +37,10 @@ use self::reception::{FrameResult, Reception, ReceptionContext};
 use self::transmission::{TargetType, Transmission};
 use super::address::{AddressInfo, Addressing, BusAddress};
 use super::frame::CanFrame;
+use crate::sorted::SortedMap;
 use crate::{Instant, Machine};
 use bytes::Bytes;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 /// Why a message is not taken to be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -128,9 +129,9 @@ pub struct IsoTp {
     own: BusAddress,
     addressing: Addressing,
     config: IsoTpConfig,
-    outgoing: BTreeMap<BusAddress, Lane>,
+    outgoing: SortedMap<BusAddress, Lane>,
     /// What is under way to us, by source, and whether it is to all.
-    incoming: BTreeMap<(BusAddress, bool), Reception>,
+    incoming: SortedMap<(BusAddress, bool), Reception>,
     /// Whose frame went out last.
     last: BusAddress,
     room: bool,
@@ -154,8 +155,8 @@ impl IsoTp {
             own,
             addressing,
             config,
-            outgoing: BTreeMap::new(),
-            incoming: BTreeMap::new(),
+            outgoing: SortedMap::new(),
+            incoming: SortedMap::new(),
             last: BusAddress::ALL,
             room: true,
             refusals: IsoTpErrorCounts::default(),

@@ -4,7 +4,7 @@ use super::*;
 use crate::Machine;
 use crate::net::link::Neighbour;
 use crate::net::routing::RouterConfig;
-use std::collections::{BTreeMap, BTreeSet};
+use crate::sorted::{SortedMap, SortedSet};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -14,10 +14,10 @@ type Who = (&'static str, u64);
 #[derive(Default)]
 struct Net {
     now: Instant,
-    routers: BTreeMap<Who, Router>,
+    routers: SortedMap<Who, Router>,
     /// Who has a cable to whom; its number on one's side says who is at the other.
-    cables: BTreeSet<(Who, Who)>,
-    numbers: BTreeMap<(Who, &'static str), LinkId>,
+    cables: SortedSet<(Who, Who)>,
+    numbers: SortedMap<(Who, &'static str), LinkId>,
     wire: Vec<(Who, LinkId, bytes::Bytes)>,
     told: Vec<String>,
 }

@@ -12,8 +12,9 @@ use super::Topology;
 use crate::net::wire::link_id::LinkId;
 use crate::net::wire::node_id::NodeId;
 use crate::net::wire::packet::{COPIES_MAX, RELAYS_MAX};
+use crate::sorted::SortedMap;
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 /// What sharing an edge costs: more than the longest path, which has fewer nodes than 2¹⁶ of costs
 /// below 2¹⁶ each.
@@ -99,7 +100,7 @@ impl FlowNetwork {
         ids.extend(topology.links.values().map(|link| link.id).chain([here, to]));
         ids.sort();
         ids.dedup();
-        let place: BTreeMap<NodeId, usize> = ids.iter().zip(0..).map(|(id, n)| (*id, n)).collect();
+        let place: SortedMap<NodeId, usize> = ids.iter().zip(0..).map(|(id, n)| (*id, n)).collect();
         let (coming, going) = (|id| 2 * place[&id], |id| 2 * place[&id] + 1);
         let vertices = 2 * ids.len();
         let mut flow = FlowNetwork {

@@ -6,8 +6,8 @@ use crate::net::routing::LinkHealth;
 use crate::net::routing::topology::Adjacency;
 use crate::net::wire::advertisement::{Advertisement, AdvertisementId, Edge as Announced};
 use crate::random::Random;
+use crate::sorted::SortedSet;
 use crate::{Incarnation, Instant, NodeName};
-use std::collections::BTreeSet;
 
 /// Between which nodes, and how dear.
 type Cable = (usize, usize, u16);
@@ -31,10 +31,10 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
         };
         cables.iter().enumerate().filter_map(move |(n, cable)| Some((n, far(cable)?)))
     };
-    let links: BTreeMap<_, _> = at_end(0)
+    let links: SortedMap<_, _> = at_end(0)
         .map(|(number, (far, cost))| {
             let neighbour = Neighbour { node: name(far), incarnation: Incarnation(1) };
-            let (health, pending, compare_at) = (LinkHealth::Up, BTreeMap::new(), Instant::ORIGIN);
+            let (health, pending, compare_at) = (LinkHealth::Up, SortedMap::new(), Instant::ORIGIN);
             let link = Adjacency {
                 neighbour,
                 id: id(far),
@@ -71,7 +71,7 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
 }
 
 fn connected(nodes: usize, cables: &[Cable], without: Option<usize>) -> bool {
-    let mut reached = BTreeSet::from([0]);
+    let mut reached = SortedSet::from([0]);
     for _ in 0..nodes {
         for &(a, b, _) in cables {
             if Some(a) != without && Some(b) != without {
@@ -111,7 +111,7 @@ fn what_cannot_be_avoided_is_shared_and_nothing_else() {
     // Behind the only neighbour.
     let behind = [(0, 2, 1), (2, 3, 1), (2, 4, 1), (3, 1, 1), (4, 1, 1)];
     let ways_behind = ways(5, &behind).into_iter().map(|(_, link, relays)| (link, relays));
-    assert_eq!(ways_behind.collect::<BTreeSet<_>>(), [(0, vec![2, 3]), (0, vec![2, 4])].into());
+    assert_eq!(ways_behind.collect::<SortedSet<_>>(), [(0, vec![2, 3]), (0, vec![2, 4])].into());
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn in_any_network_no_single_failure_stops_both_ways_unless_it_parts_the_network(
     let mut pairs = 0;
     for _ in 0..400 {
         let nodes = 3 + random.below(6) as usize;
-        let mut cables = BTreeMap::new();
+        let mut cables = SortedMap::new();
         for _ in 0..nodes + random.below(2 * nodes as u64) as usize {
             let (a, b) = (random.below(nodes as u64) as usize, random.below(nodes as u64) as usize);
             if a != b {

@@ -1,0 +1,651 @@
+//! A map and a set in the order of their keys, as vectors that are searched by halves.
+//!
+//! They do what `BTreeMap` and `BTreeSet` do, with a tenth of the machine code for each type of key
+//! and value, and without the unused slots of a tree's nodes: the machines have some two hundred
+//! such maps, which were half of what a release build compiled. The entries stand in chunks, as in
+//! Python's `sortedcontainers`, so that an insertion into a large map moves a chunk and not all of
+//! it.
+
+use std::borrow::Borrow;
+use std::fmt::{self, Debug};
+use std::iter::Flatten;
+use std::ops::{Bound, Index, RangeBounds};
+use std::{mem, slice, vec};
+
+/// Entries of a chunk at most.
+const CHUNK_MAX: usize = 64;
+
+/// A map in the order of its keys.
+#[derive(Clone)]
+pub struct SortedMap<K, V> {
+    /// None of them is empty.
+    chunks: Vec<Vec<(K, V)>>,
+    len: usize,
+}
+
+/// The chunk of an entry, and its place therein.
+type Position = (usize, usize);
+
+impl<K: PartialEq, V: PartialEq> PartialEq for SortedMap<K, V> {
+    fn eq(&self, other: &Self) -> bool {
+        self.len == other.len && self.iter().eq(other)
+    }
+}
+
+impl<K: Eq, V: Eq> Eq for SortedMap<K, V> {}
+
+impl<K, V> Default for SortedMap<K, V> {
+    fn default() -> Self {
+        SortedMap::new()
+    }
+}
+
+impl<K, V> SortedMap<K, V> {
+    /// An empty map, which holds no memory.
+    #[must_use]
+    pub const fn new() -> Self {
+        SortedMap { chunks: Vec::new(), len: 0 }
+    }
+
+    /// The number of entries.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is no entry.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Removes all entries.
+    pub fn clear(&mut self) {
+        *self = SortedMap::new();
+    }
+
+    /// All entries in order.
+    pub fn iter(&self) -> Iter<'_, K, V> {
+        self.between((0, 0), (self.chunks.len(), 0))
+    }
+
+    /// All entries in order, with values that may be changed.
+    pub fn iter_mut(&mut self) -> IterMut<'_, K, V> {
+        IterMut(self.chunks.iter_mut().flatten())
+    }
+
+    /// All keys in order.
+    pub fn keys(&self) -> Keys<'_, K, V> {
+        Keys(self.iter())
+    }
+
+    /// All values in the order of their keys.
+    pub fn values(&self) -> impl DoubleEndedIterator<Item = &V> + Clone {
+        self.chunks.iter().flatten().map(|(_, value)| value)
+    }
+
+    /// All values in the order of their keys.
+    pub fn values_mut(&mut self) -> impl DoubleEndedIterator<Item = &mut V> {
+        self.chunks.iter_mut().flatten().map(|(_, value)| value)
+    }
+
+    /// All keys in order.
+    pub fn into_keys(self) -> impl DoubleEndedIterator<Item = K> {
+        self.into_iter().map(|(key, _)| key)
+    }
+
+    /// All values in the order of their keys.
+    pub fn into_values(self) -> impl DoubleEndedIterator<Item = V> {
+        self.into_iter().map(|(_, value)| value)
+    }
+
+    /// Keeps the entries of which this is true.
+    pub fn retain(&mut self, mut is_kept: impl FnMut(&K, &mut V) -> bool) {
+        for chunk in &mut self.chunks {
+            chunk.retain_mut(|(key, value)| is_kept(key, value));
+        }
+        self.chunks.retain(|chunk| !chunk.is_empty());
+        self.len = self.chunks.iter().map(Vec::len).sum();
+    }
+
+    /// The entry with the lowest key.
+    #[must_use]
+    pub fn first_key_value(&self) -> Option<(&K, &V)> {
+        self.chunks.first()?.first().map(|(key, value)| (key, value))
+    }
+
+    /// The entry with the highest key.
+    #[must_use]
+    pub fn last_key_value(&self) -> Option<(&K, &V)> {
+        self.chunks.last()?.last().map(|(key, value)| (key, value))
+    }
+
+    /// Removes the entry with the lowest key.
+    pub fn pop_first(&mut self) -> Option<(K, V)> {
+        (self.len > 0).then(|| self.remove_at((0, 0)))
+    }
+
+    /// Removes the entry with the lowest key, if this is true of the key.
+    pub fn pop_first_if(&mut self, is_popped: impl FnOnce(&K) -> bool) -> Option<(K, V)> {
+        self.first_key_value()
+            .is_some_and(|(key, _)| is_popped(key))
+            .then(|| self.remove_at((0, 0)))
+    }
+
+    /// Removes the entry with the highest key.
+    pub fn pop_last(&mut self) -> Option<(K, V)> {
+        let last = self.chunks.len().checked_sub(1)?;
+        Some(self.remove_at((last, self.chunks[last].len() - 1)))
+    }
+
+    fn between(&self, from: Position, to: Position) -> Iter<'_, K, V> {
+        let chunk = |at: usize| self.chunks.get(at).map_or(&[][..], Vec::as_slice);
+        if from.0 >= to.0 {
+            let end = if from.0 == to.0 { to.1.max(from.1) } else { from.1 };
+            let front = chunk(from.0)[from.1..end].iter();
+            return Iter { front, chunks: [].iter(), back: [].iter() };
+        }
+        Iter {
+            front: chunk(from.0)[from.1..].iter(),
+            chunks: self.chunks[from.0 + 1..to.0].iter(),
+            back: chunk(to.0)[..to.1].iter(),
+        }
+    }
+
+    fn at(&self, (chunk, at): Position) -> &(K, V) {
+        &self.chunks[chunk][at]
+    }
+
+    fn insert_at(&mut self, (mut chunk, mut at): Position, key: K, value: V) -> &mut V {
+        if self.chunks.is_empty() {
+            self.chunks.reserve_exact(1);
+            self.chunks.push(Vec::new());
+        }
+        if self.chunks[chunk].len() == CHUNK_MAX {
+            // What comes in order fills whole chunks.
+            let split = if at == CHUNK_MAX { CHUNK_MAX } else { CHUNK_MAX / 2 };
+            let upper = self.chunks[chunk].split_off(split);
+            self.chunks.insert(chunk + 1, upper);
+            if at >= split {
+                (chunk, at) = (chunk + 1, at - split);
+            }
+        }
+        self.len += 1;
+        let chunk = &mut self.chunks[chunk];
+        chunk.insert(at, (key, value));
+        &mut chunk[at].1
+    }
+
+    fn remove_at(&mut self, (chunk, at): Position) -> (K, V) {
+        self.len -= 1;
+        let entry = self.chunks[chunk].remove(at);
+        let rest = self.chunks[chunk].len();
+        let next = self.chunks.get(chunk + 1).map_or(CHUNK_MAX, Vec::len);
+        if rest == 0 {
+            self.chunks.remove(chunk);
+        } else if rest + next <= CHUNK_MAX / 2 {
+            let mut next = self.chunks.remove(chunk + 1);
+            self.chunks[chunk].append(&mut next);
+        }
+        entry
+    }
+}
+
+impl<K: Ord, V> SortedMap<K, V> {
+    /// Where the entry is, or where it would be put.
+    fn position<Q: Ord + ?Sized>(&self, key: &Q) -> Result<Position, Position>
+    where
+        K: Borrow<Q>,
+    {
+        let above = self.chunks.partition_point(|chunk| chunk[0].0.borrow() <= key);
+        let chunk = above.saturating_sub(1);
+        let Some(entries) = self.chunks.get(chunk) else { return Err((0, 0)) };
+        match entries.binary_search_by(|(known, _)| known.borrow().cmp(key)) {
+            Ok(at) => Ok((chunk, at)),
+            Err(at) => Err((chunk, at)),
+        }
+    }
+
+    /// Where the entries within these bounds begin, and where they end.
+    fn bounds<Q: Ord + ?Sized>(&self, range: &impl RangeBounds<Q>) -> (Position, Position)
+    where
+        K: Borrow<Q>,
+    {
+        let seek = |key: &Q, is_after: bool| match self.position(key) {
+            Ok((chunk, at)) => (chunk, at + usize::from(is_after)),
+            Err(position) => position,
+        };
+        let from = match range.start_bound() {
+            Bound::Included(key) => seek(key, false),
+            Bound::Excluded(key) => seek(key, true),
+            Bound::Unbounded => (0, 0),
+        };
+        let to = match range.end_bound() {
+            Bound::Included(key) => seek(key, true),
+            Bound::Excluded(key) => seek(key, false),
+            Bound::Unbounded => (self.chunks.len(), 0),
+        };
+        (from, to)
+    }
+
+    /// The value of this key.
+    pub fn get<Q: Ord + ?Sized>(&self, key: &Q) -> Option<&V>
+    where
+        K: Borrow<Q>,
+    {
+        self.position(key).ok().map(|position| &self.at(position).1)
+    }
+
+    /// The key as it stands in the map, and its value.
+    pub fn get_key_value<Q: Ord + ?Sized>(&self, key: &Q) -> Option<(&K, &V)>
+    where
+        K: Borrow<Q>,
+    {
+        self.position(key).ok().map(|position| self.at(position)).map(|(key, value)| (key, value))
+    }
+
+    /// The value of this key.
+    pub fn get_mut<Q: Ord + ?Sized>(&mut self, key: &Q) -> Option<&mut V>
+    where
+        K: Borrow<Q>,
+    {
+        let (chunk, at) = self.position(key).ok()?;
+        Some(&mut self.chunks[chunk][at].1)
+    }
+
+    /// Whether there is an entry with this key.
+    pub fn contains_key<Q: Ord + ?Sized>(&self, key: &Q) -> bool
+    where
+        K: Borrow<Q>,
+    {
+        self.position(key).is_ok()
+    }
+
+    /// Sets the value of this key; returns the value that it had.
+    pub fn insert(&mut self, key: K, value: V) -> Option<V> {
+        match self.position(&key) {
+            Ok((chunk, at)) => Some(mem::replace(&mut self.chunks[chunk][at].1, value)),
+            Err(position) => {
+                self.insert_at(position, key, value);
+                None
+            }
+        }
+    }
+
+    /// Removes this key; returns its value.
+    pub fn remove<Q: Ord + ?Sized>(&mut self, key: &Q) -> Option<V>
+    where
+        K: Borrow<Q>,
+    {
+        self.position(key).ok().map(|position| self.remove_at(position).1)
+    }
+
+    /// The entry of this key, which may be vacant.
+    pub fn entry(&mut self, key: K) -> Entry<'_, K, V> {
+        let position = self.position(&key);
+        Entry { map: self, key, position }
+    }
+
+    /// The entries within these bounds, in order.
+    pub fn range<Q: Ord + ?Sized>(&self, range: impl RangeBounds<Q>) -> Iter<'_, K, V>
+    where
+        K: Borrow<Q>,
+    {
+        let (from, to) = self.bounds(&range);
+        self.between(from, to)
+    }
+
+    /// The entries within these bounds, in order, with values that may be changed.
+    pub fn range_mut<Q: Ord + ?Sized>(
+        &mut self,
+        range: impl RangeBounds<Q>,
+    ) -> impl Iterator<Item = (&K, &mut V)>
+    where
+        K: Borrow<Q>,
+    {
+        let (from, to) = self.bounds(&range);
+        let chunks = self.chunks.iter_mut().enumerate().take(to.0 + 1).skip(from.0);
+        chunks.flat_map(move |(chunk, entries)| {
+            let start = if chunk == from.0 { from.1 } else { 0 };
+            let end = if chunk == to.0 { to.1 } else { entries.len() };
+            entries.iter_mut().take(end).skip(start).map(|(key, value)| (&*key, value))
+        })
+    }
+}
+
+/// The entry of one key in a [`SortedMap`].
+pub struct Entry<'a, K, V> {
+    map: &'a mut SortedMap<K, V>,
+    key: K,
+    position: Result<Position, Position>,
+}
+
+impl<'a, K: Ord, V> Entry<'a, K, V> {
+    /// The value; where there is none, this one is inserted.
+    pub fn or_insert(self, value: V) -> &'a mut V {
+        self.or_insert_with(|| value)
+    }
+
+    /// The value; where there is none, one is made and inserted.
+    pub fn or_insert_with(self, value: impl FnOnce() -> V) -> &'a mut V {
+        match self.position {
+            Ok((chunk, at)) => &mut self.map.chunks[chunk][at].1,
+            Err(position) => self.map.insert_at(position, self.key, value()),
+        }
+    }
+
+    /// The value; where there is none, the default is inserted.
+    pub fn or_default(self) -> &'a mut V
+    where
+        V: Default,
+    {
+        self.or_insert_with(V::default)
+    }
+}
+
+/// The entries of a [`SortedMap`], in order.
+pub struct Iter<'a, K, V> {
+    front: slice::Iter<'a, (K, V)>,
+    chunks: slice::Iter<'a, Vec<(K, V)>>,
+    back: slice::Iter<'a, (K, V)>,
+}
+
+impl<K, V> Clone for Iter<'_, K, V> {
+    fn clone(&self) -> Self {
+        let Iter { front, chunks, back } = self;
+        Iter { front: front.clone(), chunks: chunks.clone(), back: back.clone() }
+    }
+}
+
+impl<'a, K, V> Iterator for Iter<'a, K, V> {
+    type Item = (&'a K, &'a V);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some((key, value)) = self.front.next() {
+                return Some((key, value));
+            }
+            match self.chunks.next() {
+                Some(chunk) => self.front = chunk.iter(),
+                None => return self.back.next().map(|(key, value)| (key, value)),
+            }
+        }
+    }
+}
+
+impl<K, V> DoubleEndedIterator for Iter<'_, K, V> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some((key, value)) = self.back.next_back() {
+                return Some((key, value));
+            }
+            match self.chunks.next_back() {
+                Some(chunk) => self.back = chunk.iter(),
+                None => return self.front.next_back().map(|(key, value)| (key, value)),
+            }
+        }
+    }
+}
+
+/// The entries of a [`SortedMap`], in order, with values that may be changed.
+pub struct IterMut<'a, K, V>(Flatten<slice::IterMut<'a, Vec<(K, V)>>>);
+
+impl<'a, K, V> Iterator for IterMut<'a, K, V> {
+    type Item = (&'a K, &'a mut V);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.0.next().map(|(key, value)| (&*key, value))
+    }
+}
+
+impl<K, V> DoubleEndedIterator for IterMut<'_, K, V> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        self.0.next_back().map(|(key, value)| (&*key, value))
+    }
+}
+
+/// The keys of a [`SortedMap`], in order.
+pub struct Keys<'a, K, V>(Iter<'a, K, V>);
+
+impl<K, V> Clone for Keys<'_, K, V> {
+    fn clone(&self) -> Self {
+        Keys(self.0.clone())
+    }
+}
+
+impl<'a, K, V> Iterator for Keys<'a, K, V> {
+    type Item = &'a K;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.0.next().map(|(key, _)| key)
+    }
+}
+
+impl<K, V> DoubleEndedIterator for Keys<'_, K, V> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        self.0.next_back().map(|(key, _)| key)
+    }
+}
+
+impl<K, V> IntoIterator for SortedMap<K, V> {
+    type Item = (K, V);
+    type IntoIter = Flatten<vec::IntoIter<Vec<(K, V)>>>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.chunks.into_iter().flatten()
+    }
+}
+
+impl<'a, K, V> IntoIterator for &'a SortedMap<K, V> {
+    type Item = (&'a K, &'a V);
+    type IntoIter = Iter<'a, K, V>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+impl<'a, K, V> IntoIterator for &'a mut SortedMap<K, V> {
+    type Item = (&'a K, &'a mut V);
+    type IntoIter = IterMut<'a, K, V>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter_mut()
+    }
+}
+
+impl<K: Ord, V> Extend<(K, V)> for SortedMap<K, V> {
+    fn extend<I: IntoIterator<Item = (K, V)>>(&mut self, entries: I) {
+        for (key, value) in entries {
+            self.insert(key, value);
+        }
+    }
+}
+
+impl<K: Ord, V> FromIterator<(K, V)> for SortedMap<K, V> {
+    fn from_iter<I: IntoIterator<Item = (K, V)>>(entries: I) -> Self {
+        let mut map = SortedMap::new();
+        map.extend(entries);
+        map
+    }
+}
+
+impl<K: Ord, V, const N: usize> From<[(K, V); N]> for SortedMap<K, V> {
+    fn from(entries: [(K, V); N]) -> Self {
+        entries.into_iter().collect()
+    }
+}
+
+impl<K: Ord + Borrow<Q>, Q: Ord + ?Sized, V> Index<&Q> for SortedMap<K, V> {
+    type Output = V;
+
+    fn index(&self, key: &Q) -> &V {
+        self.get(key).expect("no entry of this key")
+    }
+}
+
+impl<K: Debug, V: Debug> Debug for SortedMap<K, V> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_map().entries(self).finish()
+    }
+}
+
+/// A set in order.
+#[derive(Clone, PartialEq, Eq)]
+pub struct SortedSet<T>(SortedMap<T, ()>);
+
+impl<T> Default for SortedSet<T> {
+    fn default() -> Self {
+        SortedSet::new()
+    }
+}
+
+impl<T> SortedSet<T> {
+    /// An empty set, which holds no memory.
+    #[must_use]
+    pub const fn new() -> Self {
+        SortedSet(SortedMap::new())
+    }
+
+    /// The number of elements.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether there is no element.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Removes all elements.
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// All elements in order.
+    pub fn iter(&self) -> Keys<'_, T, ()> {
+        self.0.keys()
+    }
+
+    /// Keeps the elements of which this is true.
+    pub fn retain(&mut self, mut is_kept: impl FnMut(&T) -> bool) {
+        self.0.retain(|element, ()| is_kept(element));
+    }
+
+    /// The lowest element.
+    #[must_use]
+    pub fn first(&self) -> Option<&T> {
+        self.0.first_key_value().map(|(element, ())| element)
+    }
+
+    /// The highest element.
+    #[must_use]
+    pub fn last(&self) -> Option<&T> {
+        self.0.last_key_value().map(|(element, ())| element)
+    }
+
+    /// Removes the lowest element.
+    pub fn pop_first(&mut self) -> Option<T> {
+        self.0.pop_first().map(|(element, ())| element)
+    }
+}
+
+impl<T: Ord> SortedSet<T> {
+    /// Adds an element; false where it was there before.
+    pub fn insert(&mut self, element: T) -> bool {
+        self.0.insert(element, ()).is_none()
+    }
+
+    /// Removes an element; false where it was not there.
+    pub fn remove<Q: Ord + ?Sized>(&mut self, element: &Q) -> bool
+    where
+        T: Borrow<Q>,
+    {
+        self.0.remove(element).is_some()
+    }
+
+    /// Whether this element is in the set.
+    pub fn contains<Q: Ord + ?Sized>(&self, element: &Q) -> bool
+    where
+        T: Borrow<Q>,
+    {
+        self.0.contains_key(element)
+    }
+
+    /// The element as it stands in the set.
+    pub fn get<Q: Ord + ?Sized>(&self, element: &Q) -> Option<&T>
+    where
+        T: Borrow<Q>,
+    {
+        self.0.get_key_value(element).map(|(element, ())| element)
+    }
+
+    /// The elements within these bounds, in order.
+    pub fn range<Q: Ord + ?Sized>(&self, range: impl RangeBounds<Q>) -> Keys<'_, T, ()>
+    where
+        T: Borrow<Q>,
+    {
+        Keys(self.0.range(range))
+    }
+
+    /// The elements that are not in the other set, in order.
+    pub fn difference<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a T> {
+        self.iter().filter(|element| !other.contains(element))
+    }
+
+    /// The elements that are also in the other set, in order.
+    pub fn intersection<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a T> {
+        self.iter().filter(|element| other.contains(element))
+    }
+}
+
+impl<T> IntoIterator for SortedSet<T> {
+    type Item = T;
+    type IntoIter = vec::IntoIter<T>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.0.into_keys().collect::<Vec<T>>().into_iter()
+    }
+}
+
+impl<'a, T> IntoIterator for &'a SortedSet<T> {
+    type Item = &'a T;
+    type IntoIter = Keys<'a, T, ()>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+impl<T: Ord> Extend<T> for SortedSet<T> {
+    fn extend<I: IntoIterator<Item = T>>(&mut self, elements: I) {
+        for element in elements {
+            self.insert(element);
+        }
+    }
+}
+
+impl<T: Ord> FromIterator<T> for SortedSet<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(elements: I) -> Self {
+        let mut set = SortedSet::new();
+        set.extend(elements);
+        set
+    }
+}
+
+impl<T: Ord, const N: usize> From<[T; N]> for SortedSet<T> {
+    fn from(elements: [T; N]) -> Self {
+        elements.into_iter().collect()
+    }
+}
+
+impl<T: Debug> Debug for SortedSet<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_set().entries(self).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,95 @@
+use super::{CHUNK_MAX, SortedMap, SortedSet};
+use crate::random::Random;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
+
+/// Changes by chance of a map of up to `keys` entries, each compared with what a `BTreeMap` does.
+fn compare(seed: u64, keys: u64) {
+    let mut random = Random::new(seed);
+    let mut below = |limit: u64| (random.unit() * limit as f64) as u64;
+    let (mut map, mut model) = (SortedMap::new(), BTreeMap::new());
+    for step in 0..2000u64 {
+        let key = below(keys);
+        match below(8) {
+            0..4 => assert_eq!(map.insert(key, step), model.insert(key, step)),
+            4 => assert_eq!(map.entry(key).or_insert(step), model.entry(key).or_insert(step)),
+            5 => assert_eq!(map.remove(&key), model.remove(&key)),
+            6 if step % 2 == 0 => assert_eq!(map.pop_first(), model.pop_first()),
+            6 => assert_eq!(map.pop_last(), model.pop_last()),
+            _ if step % 500 == 7 => {
+                map.retain(|key, value| (key + *value) % 3 > 0);
+                model.retain(|key, value| (key + *value) % 3 > 0);
+            }
+            _ => assert_eq!(map.get_key_value(&key), model.get_key_value(&key)),
+        }
+        if step % 10 == 0 {
+            agree(&mut map, &mut model, below(keys), below(keys));
+        }
+    }
+}
+
+/// Both hold the same, forwards and backwards, whole and between two keys.
+fn agree(map: &mut SortedMap<u64, u64>, model: &mut BTreeMap<u64, u64>, one: u64, other: u64) {
+    assert!(map.chunks.iter().all(|chunk| (1..=CHUNK_MAX).contains(&chunk.len())));
+    assert_eq!((map.len(), map.is_empty()), (model.len(), model.is_empty()));
+    assert!(map.iter().eq(model.iter()) && map.iter().rev().eq(model.iter().rev()));
+    assert!(map.iter_mut().rev().eq(model.iter_mut().rev()));
+    assert!(map.values().eq(model.values()) && map.keys().rev().eq(model.keys().rev()));
+    assert!(map.clone().into_iter().eq(model.clone()));
+    assert!(map.first_key_value() == model.first_key_value());
+    assert!(map.last_key_value() == model.last_key_value());
+    let (low, high) = (one.min(other), one.max(other));
+    assert!(map.range(low..high).eq(model.range(low..high)));
+    assert!(map.range(low..=high).rev().eq(model.range(low..=high).rev()));
+    assert!(map.range(..high).eq(model.range(..high)));
+    let after = (Bound::Excluded(low), Bound::Unbounded);
+    assert!(map.range(after).eq(model.range(after)));
+    assert!(map.range_mut(low..=high).eq(model.range_mut(low..=high)));
+    assert_eq!(map.range(high + 1..low).next(), None, "nothing is between");
+    let mut again: SortedMap<u64, u64> = model.iter().rev().map(|(k, v)| (*k, *v)).collect();
+    assert_eq!(*map, again, "whatever way it was made");
+    again.insert(u64::MAX, 0);
+    assert_ne!(*map, again);
+}
+
+#[test]
+fn a_map_does_what_a_tree_does() {
+    for (seed, keys) in [(1, 4), (2, 100), (3, 1000), (4, 5000)] {
+        compare(seed, keys);
+    }
+}
+
+#[test]
+fn what_comes_in_order_fills_whole_chunks() {
+    let map: SortedMap<usize, ()> = (0..10 * CHUNK_MAX).map(|n| (n, ())).collect();
+    assert!(map.chunks.iter().all(|chunk| chunk.len() == CHUNK_MAX));
+}
+
+#[test]
+fn what_is_left_of_a_large_map_is_put_together() {
+    let mut map: SortedMap<usize, ()> = (0..100 * CHUNK_MAX).map(|n| (n, ())).collect();
+    (0..100 * CHUNK_MAX)
+        .rev()
+        .filter(|n| n % CHUNK_MAX > 0)
+        .for_each(|n| assert!(map.remove(&n).is_some()));
+    assert_eq!(map.len(), 100);
+    assert!(map.chunks.len() < 10, "{} chunks", map.chunks.len());
+}
+
+#[test]
+fn a_set_does_what_a_tree_does() {
+    let of = |step: usize| (0..1000).step_by(step);
+    let (twos, threes): (SortedSet<_>, SortedSet<_>) = (of(2).collect(), of(3).collect());
+    let (even, third): (BTreeSet<_>, BTreeSet<_>) = (of(2).collect(), of(3).collect());
+    assert!(twos.difference(&threes).eq(even.difference(&third)));
+    assert!(twos.intersection(&threes).eq(even.intersection(&third)));
+    assert!(twos.range(10..100).eq(even.range(10..100)));
+    assert_eq!((twos.first(), twos.last(), twos.len()), (even.first(), even.last(), 500));
+    let mut set = twos.clone();
+    assert!(!set.insert(4) && set.insert(5) && set.remove(&5) && !set.remove(&5));
+    assert_eq!(set, twos);
+    assert_eq!(set.pop_first(), Some(0));
+    set.retain(|n| n % 3 == 0);
+    assert!(set.into_iter().eq(even.intersection(&third).copied().skip(1)));
+    assert_eq!(format!("{:?}", SortedSet::from([2, 1])), "{1, 2}");
+}
