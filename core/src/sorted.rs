@@ -6,11 +6,17 @@
 //! Python's `sortedcontainers`, so that an insertion into a large map moves a chunk and not all of
 //! it.
 
+mod iter;
+mod set;
+
+pub use iter::{Iter, IterMut, Keys};
+pub use set::SortedSet;
+
 use std::borrow::Borrow;
 use std::fmt::{self, Debug};
 use std::iter::Flatten;
 use std::ops::{Bound, Index, RangeBounds};
-use std::{mem, slice, vec};
+use std::{mem, vec};
 
 /// Entries of a chunk at most.
 const CHUNK_MAX: usize = 64;
@@ -24,7 +30,7 @@ pub struct SortedMap<K, V> {
 }
 
 /// The chunk of an entry, and its place therein.
-type Position = (usize, usize);
+type EntryPosition = (usize, usize);
 
 impl<K: PartialEq, V: PartialEq> PartialEq for SortedMap<K, V> {
     fn eq(&self, other: &Self) -> bool {
@@ -138,7 +144,7 @@ impl<K, V> SortedMap<K, V> {
         Some(self.remove_at((last, self.chunks[last].len() - 1)))
     }
 
-    fn between(&self, from: Position, to: Position) -> Iter<'_, K, V> {
+    fn between(&self, from: EntryPosition, to: EntryPosition) -> Iter<'_, K, V> {
         let chunk = |at: usize| self.chunks.get(at).map_or(&[][..], Vec::as_slice);
         if from.0 >= to.0 {
             let end = if from.0 == to.0 { to.1.max(from.1) } else { from.1 };
@@ -152,11 +158,11 @@ impl<K, V> SortedMap<K, V> {
         }
     }
 
-    fn at(&self, (chunk, at): Position) -> &(K, V) {
+    fn at(&self, (chunk, at): EntryPosition) -> &(K, V) {
         &self.chunks[chunk][at]
     }
 
-    fn insert_at(&mut self, (mut chunk, mut at): Position, key: K, value: V) -> &mut V {
+    fn insert_at(&mut self, (mut chunk, mut at): EntryPosition, key: K, value: V) -> &mut V {
         if self.chunks.is_empty() {
             self.chunks.reserve_exact(1);
             self.chunks.push(Vec::new());
@@ -176,7 +182,7 @@ impl<K, V> SortedMap<K, V> {
         &mut chunk[at].1
     }
 
-    fn remove_at(&mut self, (chunk, at): Position) -> (K, V) {
+    fn remove_at(&mut self, (chunk, at): EntryPosition) -> (K, V) {
         self.len -= 1;
         let entry = self.chunks[chunk].remove(at);
         let rest = self.chunks[chunk].len();
@@ -193,7 +199,7 @@ impl<K, V> SortedMap<K, V> {
 
 impl<K: Ord, V> SortedMap<K, V> {
     /// Where the entry is, or where it would be put.
-    fn position<Q: Ord + ?Sized>(&self, key: &Q) -> Result<Position, Position>
+    fn position<Q: Ord + ?Sized>(&self, key: &Q) -> Result<EntryPosition, EntryPosition>
     where
         K: Borrow<Q>,
     {
@@ -207,7 +213,7 @@ impl<K: Ord, V> SortedMap<K, V> {
     }
 
     /// Where the entries within these bounds begin, and where they end.
-    fn bounds<Q: Ord + ?Sized>(&self, range: &impl RangeBounds<Q>) -> (Position, Position)
+    fn bounds<Q: Ord + ?Sized>(&self, range: &impl RangeBounds<Q>) -> (EntryPosition, EntryPosition)
     where
         K: Borrow<Q>,
     {
@@ -281,9 +287,9 @@ impl<K: Ord, V> SortedMap<K, V> {
     }
 
     /// The entry of this key, which may be vacant.
-    pub fn entry(&mut self, key: K) -> Entry<'_, K, V> {
+    pub fn entry(&mut self, key: K) -> SortedEntry<'_, K, V> {
         let position = self.position(&key);
-        Entry { map: self, key, position }
+        SortedEntry { map: self, key, position }
     }
 
     /// The entries within these bounds, in order.
@@ -314,13 +320,13 @@ impl<K: Ord, V> SortedMap<K, V> {
 }
 
 /// The entry of one key in a [`SortedMap`].
-pub struct Entry<'a, K, V> {
+pub struct SortedEntry<'a, K, V> {
     map: &'a mut SortedMap<K, V>,
     key: K,
-    position: Result<Position, Position>,
+    position: Result<EntryPosition, EntryPosition>,
 }
 
-impl<'a, K: Ord, V> Entry<'a, K, V> {
+impl<'a, K: Ord, V> SortedEntry<'a, K, V> {
     /// The value; where there is none, this one is inserted.
     pub fn or_insert(self, value: V) -> &'a mut V {
         self.or_insert_with(|| value)
@@ -340,90 +346,6 @@ impl<'a, K: Ord, V> Entry<'a, K, V> {
         V: Default,
     {
         self.or_insert_with(V::default)
-    }
-}
-
-/// The entries of a [`SortedMap`], in order.
-pub struct Iter<'a, K, V> {
-    front: slice::Iter<'a, (K, V)>,
-    chunks: slice::Iter<'a, Vec<(K, V)>>,
-    back: slice::Iter<'a, (K, V)>,
-}
-
-impl<K, V> Clone for Iter<'_, K, V> {
-    fn clone(&self) -> Self {
-        let Iter { front, chunks, back } = self;
-        Iter { front: front.clone(), chunks: chunks.clone(), back: back.clone() }
-    }
-}
-
-impl<'a, K, V> Iterator for Iter<'a, K, V> {
-    type Item = (&'a K, &'a V);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some((key, value)) = self.front.next() {
-                return Some((key, value));
-            }
-            match self.chunks.next() {
-                Some(chunk) => self.front = chunk.iter(),
-                None => return self.back.next().map(|(key, value)| (key, value)),
-            }
-        }
-    }
-}
-
-impl<K, V> DoubleEndedIterator for Iter<'_, K, V> {
-    fn next_back(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some((key, value)) = self.back.next_back() {
-                return Some((key, value));
-            }
-            match self.chunks.next_back() {
-                Some(chunk) => self.back = chunk.iter(),
-                None => return self.front.next_back().map(|(key, value)| (key, value)),
-            }
-        }
-    }
-}
-
-/// The entries of a [`SortedMap`], in order, with values that may be changed.
-pub struct IterMut<'a, K, V>(Flatten<slice::IterMut<'a, Vec<(K, V)>>>);
-
-impl<'a, K, V> Iterator for IterMut<'a, K, V> {
-    type Item = (&'a K, &'a mut V);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        self.0.next().map(|(key, value)| (&*key, value))
-    }
-}
-
-impl<K, V> DoubleEndedIterator for IterMut<'_, K, V> {
-    fn next_back(&mut self) -> Option<Self::Item> {
-        self.0.next_back().map(|(key, value)| (&*key, value))
-    }
-}
-
-/// The keys of a [`SortedMap`], in order.
-pub struct Keys<'a, K, V>(Iter<'a, K, V>);
-
-impl<K, V> Clone for Keys<'_, K, V> {
-    fn clone(&self) -> Self {
-        Keys(self.0.clone())
-    }
-}
-
-impl<'a, K, V> Iterator for Keys<'a, K, V> {
-    type Item = &'a K;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        self.0.next().map(|(key, _)| key)
-    }
-}
-
-impl<K, V> DoubleEndedIterator for Keys<'_, K, V> {
-    fn next_back(&mut self) -> Option<Self::Item> {
-        self.0.next_back().map(|(key, _)| key)
     }
 }
 
@@ -487,163 +409,6 @@ impl<K: Ord + Borrow<Q>, Q: Ord + ?Sized, V> Index<&Q> for SortedMap<K, V> {
 impl<K: Debug, V: Debug> Debug for SortedMap<K, V> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_map().entries(self).finish()
-    }
-}
-
-/// A set in order.
-#[derive(Clone, PartialEq, Eq)]
-pub struct SortedSet<T>(SortedMap<T, ()>);
-
-impl<T> Default for SortedSet<T> {
-    fn default() -> Self {
-        SortedSet::new()
-    }
-}
-
-impl<T> SortedSet<T> {
-    /// An empty set, which holds no memory.
-    #[must_use]
-    pub const fn new() -> Self {
-        SortedSet(SortedMap::new())
-    }
-
-    /// The number of elements.
-    #[must_use]
-    pub const fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Whether there is no element.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
-    /// Removes all elements.
-    pub fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    /// All elements in order.
-    pub fn iter(&self) -> Keys<'_, T, ()> {
-        self.0.keys()
-    }
-
-    /// Keeps the elements of which this is true.
-    pub fn retain(&mut self, mut is_kept: impl FnMut(&T) -> bool) {
-        self.0.retain(|element, ()| is_kept(element));
-    }
-
-    /// The lowest element.
-    #[must_use]
-    pub fn first(&self) -> Option<&T> {
-        self.0.first_key_value().map(|(element, ())| element)
-    }
-
-    /// The highest element.
-    #[must_use]
-    pub fn last(&self) -> Option<&T> {
-        self.0.last_key_value().map(|(element, ())| element)
-    }
-
-    /// Removes the lowest element.
-    pub fn pop_first(&mut self) -> Option<T> {
-        self.0.pop_first().map(|(element, ())| element)
-    }
-}
-
-impl<T: Ord> SortedSet<T> {
-    /// Adds an element; false where it was there before.
-    pub fn insert(&mut self, element: T) -> bool {
-        self.0.insert(element, ()).is_none()
-    }
-
-    /// Removes an element; false where it was not there.
-    pub fn remove<Q: Ord + ?Sized>(&mut self, element: &Q) -> bool
-    where
-        T: Borrow<Q>,
-    {
-        self.0.remove(element).is_some()
-    }
-
-    /// Whether this element is in the set.
-    pub fn contains<Q: Ord + ?Sized>(&self, element: &Q) -> bool
-    where
-        T: Borrow<Q>,
-    {
-        self.0.contains_key(element)
-    }
-
-    /// The element as it stands in the set.
-    pub fn get<Q: Ord + ?Sized>(&self, element: &Q) -> Option<&T>
-    where
-        T: Borrow<Q>,
-    {
-        self.0.get_key_value(element).map(|(element, ())| element)
-    }
-
-    /// The elements within these bounds, in order.
-    pub fn range<Q: Ord + ?Sized>(&self, range: impl RangeBounds<Q>) -> Keys<'_, T, ()>
-    where
-        T: Borrow<Q>,
-    {
-        Keys(self.0.range(range))
-    }
-
-    /// The elements that are not in the other set, in order.
-    pub fn difference<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a T> {
-        self.iter().filter(|element| !other.contains(element))
-    }
-
-    /// The elements that are also in the other set, in order.
-    pub fn intersection<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = &'a T> {
-        self.iter().filter(|element| other.contains(element))
-    }
-}
-
-impl<T> IntoIterator for SortedSet<T> {
-    type Item = T;
-    type IntoIter = vec::IntoIter<T>;
-
-    fn into_iter(self) -> Self::IntoIter {
-        self.0.into_keys().collect::<Vec<T>>().into_iter()
-    }
-}
-
-impl<'a, T> IntoIterator for &'a SortedSet<T> {
-    type Item = &'a T;
-    type IntoIter = Keys<'a, T, ()>;
-
-    fn into_iter(self) -> Self::IntoIter {
-        self.iter()
-    }
-}
-
-impl<T: Ord> Extend<T> for SortedSet<T> {
-    fn extend<I: IntoIterator<Item = T>>(&mut self, elements: I) {
-        for element in elements {
-            self.insert(element);
-        }
-    }
-}
-
-impl<T: Ord> FromIterator<T> for SortedSet<T> {
-    fn from_iter<I: IntoIterator<Item = T>>(elements: I) -> Self {
-        let mut set = SortedSet::new();
-        set.extend(elements);
-        set
-    }
-}
-
-impl<T: Ord, const N: usize> From<[T; N]> for SortedSet<T> {
-    fn from(elements: [T; N]) -> Self {
-        elements.into_iter().collect()
-    }
-}
-
-impl<T: Debug> Debug for SortedSet<T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_set().entries(self).finish()
     }
 }
 
