@@ -27,6 +27,7 @@ use self::types::{ClaimRecord, GlobalNameMessage, NameClaim};
 use crate::contract::codec;
 use crate::net::wire::Refusals;
 use crate::sorted::{SortedMap, SortedSet};
+use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, NodeName, ObjectName};
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -493,47 +494,16 @@ impl Machine for GlobalNames {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        // Who claims nothing has nothing to keep, and costs a slow line nothing.
-        let own = (!self.own.is_empty() && !self.peers.is_empty()).then_some(self.alive_at);
-        let others = self.peers.values().filter(|peer| !peer.open || !peer.claims.is_empty());
-        let lapses = others.map(|peer| peer.heard + self.config.lease);
-        let turns = self.vacant.values().copied();
-        lapses.chain(turns).chain(own).chain(self.settles).min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        if self.settles.is_some_and(|at| now >= at) {
-            self.settle(now);
-        }
-        if now >= self.alive_at {
-            self.alive_at = now + self.config.lease / 4;
-            if !self.own.is_empty() {
-                let sum = self.sum;
-                self.tell_everybody(&GlobalNameMessage::Alive { sum });
-            }
-        }
-        let lapsed = |peer: &Peer| now >= peer.heard + self.config.lease;
-        let gone: Vec<_> = self.peers.iter().filter(|(_, peer)| lapsed(peer)).collect();
-        let gone: Vec<_> = gone.into_iter().map(|(node, peer)| (node.clone(), peer.open)).collect();
-        for (node, open) in gone {
-            match self.peers.get_mut(&node).filter(|_| open) {
-                // It may speak again; then its sum differs, and it is asked.
-                Some(peer) => {
-                    peer.heard = now;
-                    self.clear(&node, now);
-                }
-                None => self.handle_left(&node, now),
-            }
-        }
-        let due = self.vacant.iter().filter(|(_, due)| now >= **due);
-        let due: Vec<_> = due.map(|(name, _)| name.clone()).collect();
-        for name in due {
-            self.take(&name);
-        }
+        self.fire_due(now);
     }
 }
 
 #[cfg(test)]
 mod tests;
+mod timers;
 mod types;
 mod unmet;

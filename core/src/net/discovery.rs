@@ -17,6 +17,7 @@
 use super::wire::Refusals;
 use crate::contract::codec;
 use crate::sorted::{SortedMap, SortedSet};
+use crate::timer::Timers;
 use crate::{Instant, Machine, NodeName};
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
@@ -412,31 +413,14 @@ impl Machine for Discovery {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let ends = self.neighbours.values().filter_map(|known| self.ends(known));
-        ends.chain(self.tell_at).chain([self.repeat_at]).min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        if now >= self.repeat_at || self.tell_at.is_some_and(|at| now >= at) {
-            (self.tell_at, self.repeat_at) = (None, now + self.config.repeat);
-            self.tell();
-        }
-        self.failed.retain(|_, until| now < *until);
-        let over = |known: &KnownNeighbour| self.ends(known).is_some_and(|end| now >= end);
-        let gone: Vec<_> = self.neighbours.iter().filter(|(_, known)| over(known)).collect();
-        let gone: Vec<_> = gone
-            .into_iter()
-            .map(|(key, known)| (key.clone(), known.address.clone(), known.origin))
-            .collect();
-        for ((domain, node), address, origin) in gone {
-            self.neighbours.remove(&(domain, node.clone()));
-            if origin == Origin::Tried {
-                self.fail(domain, address, now);
-            }
-            self.outputs.push_back(DiscoveryOutput::Disconnect { domain, node });
-        }
+        self.fire_due(now);
     }
 }
 
 #[cfg(test)]
 mod tests;
+mod timers;

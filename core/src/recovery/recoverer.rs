@@ -12,12 +12,14 @@
 use super::supervision::GiveUpReason;
 use super::{Ladder, Plan, RecoveryAction};
 use crate::sorted::SortedMap;
+use crate::timer::Timers;
 use crate::{Fault, FaultId, FaultKind, FaultLocation, Instant, Machine, NodeName};
 use std::collections::VecDeque;
 
 mod safe_state;
 #[cfg(test)]
 mod tests;
+mod timers;
 mod types;
 
 use self::safe_state::Standstill;
@@ -501,56 +503,10 @@ impl Machine for Recoverer {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let cases = self.cases.values().map(|case| match case.progress {
-            Progress::Waiting { due } | Progress::Acting { due } => due,
-        });
-        let symptoms = self.symptoms.values().filter_map(|symptom| symptom.due);
-        let idle = self.engaged.values().filter(|engaged| engaged.orders == 0);
-        let idle = idle.map(|engaged| engaged.idle_since + self.limits.idle);
-        cases.chain(symptoms).chain(idle).min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        let due = |case: &Case| match case.progress {
-            Progress::Waiting { due } | Progress::Acting { due } => due <= now,
-        };
-        let due_cases: Vec<(FaultLocation, Progress)> = (self.cases.iter())
-            .filter(|(_, case)| due(case))
-            .map(|(place, case)| (place.clone(), case.progress))
-            .collect();
-        for (place, progress) in due_cases {
-            match progress {
-                Progress::Waiting { .. } => self.give_order(&place, now),
-                Progress::Acting { .. } => {
-                    let case = &self.cases[&place];
-                    let step = &case.ladder.steps()[case.rung];
-                    let reason = format!("{} was not done within {:?}", step.measure, step.within);
-                    // What comes too late is not waited for: it shows when the next attempt finds
-                    // the child well.
-                    let number = case.order;
-                    self.close_order(number, now);
-                    self.climb(&place, reason, now);
-                }
-            }
-        }
-        let passed: Vec<FaultId> = (self.symptoms.iter())
-            .filter(|(_, symptom)| symptom.due.is_some_and(|due| due <= now))
-            .map(|(&id, _)| id)
-            .collect();
-        for id in passed {
-            let symptom = self.symptoms.remove(&id).expect("a symptom that was just looked at");
-            self.treat(symptom.fault, now);
-            if !self.is_open(id) {
-                self.release_symptoms(&[id], now);
-            }
-        }
-        let idle =
-            |engaged: &Engaged| engaged.orders == 0 && engaged.idle_since + self.limits.idle <= now;
-        let (released, kept) =
-            std::mem::take(&mut self.engaged).into_iter().partition(|(_, engaged)| idle(engaged));
-        self.engaged = kept;
-        let released: SortedMap<RecoveryAction, Engaged> = released;
-        let release = released.into_keys().map(|measure| RecovererOutput::Release { measure });
-        self.outputs.extend(release);
+        self.fire_due(now);
     }
 }

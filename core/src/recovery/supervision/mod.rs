@@ -28,6 +28,7 @@ mod child;
 mod steps;
 #[cfg(test)]
 mod tests;
+mod timers;
 mod vocabulary;
 
 pub use child::{ChildState, ChildStatus, ReplacementCause};
@@ -35,6 +36,7 @@ pub use vocabulary::{CallId, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::sorted::{SortedMap, SortedSet};
+use crate::timer::Timers;
 use crate::{Incarnation, Instant, Machine, ObjectName};
 use budget::Budget;
 use child::{ChildKey, ChildPhase, ChildTarget, SupervisedChild};
@@ -556,22 +558,11 @@ impl Machine for Supervisor {
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let dues = self.timed.iter().filter_map(|key| self.children[key].due());
-        dues.chain(self.budget.next_release()).min()
+        self.next_due()
     }
 
     fn handle_timeout(&mut self, now: Instant) {
-        let due = |key: &&ChildKey| self.children[key].due().is_some_and(|due| due <= now);
-        let overdue: Vec<ChildKey> = self.timed.iter().filter(due).copied().collect();
-        for key in overdue {
-            self.handle_overdue(key, now);
-        }
-        let released = self.budget.release(now);
-        if self.budget.is_shared() && !released.is_empty() {
-            self.grant_all(now);
-        } else {
-            released.into_iter().for_each(|key| self.grant(key, now));
-        }
+        self.fire_due(now);
         self.advance(now);
     }
 }
