@@ -45,9 +45,9 @@ pub enum FaultKind {
     NameTaken,
     /// A commander is gone without giving its actuator back, and none has claimed it since.
     CommanderGone,
-    /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it
+    /// A whole node is in the safe state: its safe outputs were applied, and nothing of it
     /// serves.
-    NodeAtRest,
+    NodeInSafeState,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
     Unreplicated,
     /// A service went on without a part of its state for which callers had been answered: no node
@@ -109,7 +109,7 @@ impl FaultKind {
         FaultKind::NodeFaulty,
         FaultKind::NameTaken,
         FaultKind::CommanderGone,
-        FaultKind::NodeAtRest,
+        FaultKind::NodeInSafeState,
         FaultKind::Unreplicated,
         FaultKind::StateLost,
         FaultKind::ServiceUnavailable,
@@ -139,7 +139,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "B15",
             FaultKind::NameTaken => "B16",
             FaultKind::CommanderGone => "B17",
-            FaultKind::NodeAtRest => "B18",
+            FaultKind::NodeInSafeState => "B18",
             FaultKind::Unreplicated => "B19",
             FaultKind::StateLost => "B20",
             FaultKind::ServiceUnavailable => "B21",
@@ -170,7 +170,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "node faulty",
             FaultKind::NameTaken => "name taken",
             FaultKind::CommanderGone => "commander gone",
-            FaultKind::NodeAtRest => "node at rest",
+            FaultKind::NodeInSafeState => "node in safe state",
             FaultKind::Unreplicated => "service unreplicated",
             FaultKind::StateLost => "state lost",
             FaultKind::ServiceUnavailable => "service unavailable",
@@ -194,7 +194,7 @@ impl FaultKind {
             | FaultKind::NodeLost
             | FaultKind::RestartStorm
             | FaultKind::NodeFaulty
-            | FaultKind::NodeAtRest
+            | FaultKind::NodeInSafeState
             | FaultKind::StateLost
             | FaultKind::CrashLoop => Severity::Critical,
             _ => Severity::Error,
@@ -260,7 +260,7 @@ pub struct Fault {
     /// How bad it is.
     pub severity: Severity,
     /// Where it is.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
     /// Which incarnation of the place it struck.
     pub incarnation: Incarnation,
     /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
@@ -277,7 +277,7 @@ pub struct Fault {
 impl fmt::Display for Fault {
     /// As in `error: hang of module1:arm: a handler of Drive keeps its thread`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} of {}", self.severity, self.kind, self.place)?;
+        write!(f, "{}: {} of {}", self.severity, self.kind, self.location)?;
         match self.detail.as_str() {
             "" => Ok(()),
             detail => write!(f, ": {detail}"),
@@ -291,7 +291,7 @@ impl Fault {
     /// It does for an object: a component that was restarted is as good as new. A link or a node is
     /// repaired only when it is there again, whatever path the traffic takes meanwhile.
     pub fn is_repaired_by_recovery(&self) -> bool {
-        matches!(self.place, FaultLocation::Object(_))
+        matches!(self.location, FaultLocation::Object(_))
     }
 
     /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
@@ -300,7 +300,7 @@ impl Fault {
             id: FaultId(0),
             severity: Severity::Critical,
             kind,
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation: Incarnation::FIRST,
             detail,
             found_at,

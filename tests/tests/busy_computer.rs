@@ -57,7 +57,7 @@ fn used() -> Duration {
 }
 
 fn is_computers(entry: &FaultEntry) -> bool {
-    entry.fault.kind == FaultKind::Overload && entry.fault.place.to_string() == "m"
+    entry.fault.kind == FaultKind::Overload && entry.fault.location.to_string() == "m"
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn a_computer_that_has_no_time_is_the_root_of_an_overload_and_no_component_is() 
         assert!(standing.all(is_computers), "{record:#?}");
         for name in ["safety", "fast"] {
             let table = node.table().await;
-            let row = table.iter().find(|row| row.place.to_string() == format!("m:{name}"));
+            let row = table.iter().find(|row| row.location.to_string() == format!("m:{name}"));
             assert_eq!(row.expect("it is watched").incarnation, Incarnation(1), "{name}");
         }
         drop(load);

@@ -141,8 +141,8 @@ impl ActuatorTable {
         drop(gone);
     }
 
-    /// The node comes to rest: every lease ends now, and none is granted before it goes to work
-    /// again.
+    /// The node enters the safe state: every lease ends now, and none is granted before it goes to
+    /// work again.
     pub(crate) fn rest(&self) {
         self.rests.store(true, SeqCst);
         let now = platform::now();

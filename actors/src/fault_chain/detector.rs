@@ -53,10 +53,10 @@ impl DetectorActor {
             FaultNotice::Found(fault) => {
                 self.await_confirmation(number, self.found.send(FaultFound { fault }), context)
             }
-            FaultNotice::Cleared { id, place } => {
+            FaultNotice::Cleared { id, location } => {
                 self.await_confirmation(
                     number,
-                    self.cleared.send(FaultCleared { id, place }),
+                    self.cleared.send(FaultCleared { id, location }),
                     context,
                 );
             }

@@ -45,8 +45,8 @@ impl NotifierActor {
             (FaultNotice::Found(fault), _) => {
                 await_confirmation(port, number, door.recover.send(Recover { fault }), context);
             }
-            (FaultNotice::Cleared { id, place }, Some(stand_down)) => {
-                let sent = stand_down.send(CancelRecovery { id, place });
+            (FaultNotice::Cleared { id, location }, Some(stand_down)) => {
+                let sent = stand_down.send(CancelRecovery { id, location });
                 await_confirmation(port, number, sent, context);
             }
             (FaultNotice::Cleared { .. }, None) => {
@@ -125,8 +125,8 @@ impl Handler<FaultCleared> for NotifierActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: FaultCleared, context: &mut Context<Self>) -> Confirmed {
-        let FaultCleared { id, place } = message;
-        self.machine.handle_notice(FaultNotice::Cleared { id, place }, platform::now());
+        let FaultCleared { id, location } = message;
+        self.machine.handle_notice(FaultNotice::Cleared { id, location }, platform::now());
         self.drive(context);
         Confirmed
     }

@@ -62,7 +62,7 @@ pub struct JournalEntry {
     /// How bad it is: `warning`, `error` or `critical`; `note` for the end of a node.
     pub severity: String,
     /// Where it is.
-    pub place: String,
+    pub location: String,
     /// Which incarnation of the place it struck last.
     pub incarnation: u64,
     /// The particulars.
@@ -132,7 +132,7 @@ impl fmt::Display for JournalStatus {
 /// # Examples
 /// ```no_run
 /// for entry in blastema::journal::read("/var/lib/robot/faults.db".as_ref())? {
-///     println!("{} {} {}: {}", entry.found_at, entry.place, entry.kind, entry.status);
+///     println!("{} {} {}: {}", entry.found_at, entry.location, entry.kind, entry.status);
 /// }
 /// # Ok::<(), blastema::journal::ReadError>(())
 /// ```
@@ -219,7 +219,7 @@ fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
         code,
         kind: row.get("kind")?,
         severity: row.get("severity")?,
-        place: row.get("place")?,
+        location: row.get("place")?,
         incarnation: unsigned(row.get("incarnation")?),
         detail: row.get("detail")?,
         count: unsigned(row.get("count")?),

@@ -284,7 +284,7 @@ fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::
         fault.kind.code(),
         fault.kind.text(),
         fault.severity.to_string(),
-        fault.place.to_string(),
+        fault.location.to_string(),
         number(fault.incarnation.0),
         shortened(&fault.detail),
         fault.count,

@@ -214,7 +214,7 @@ impl SampledComponents {
     pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
         let glances = self.glances();
         for row in rows {
-            let FaultLocation::Object(address) = &row.place else { continue };
+            let FaultLocation::Object(address) = &row.location else { continue };
             let Some(glance) = glances.get(&address.object).filter(|_| address.node == *node)
             else {
                 continue;

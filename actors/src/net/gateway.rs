@@ -349,7 +349,7 @@ impl GatewayActor {
         };
         // A node is believed about its own objects and links. What it thinks of other nodes, or of
         // ours, is no reason to do anything here: everybody sees that for itself.
-        let theirs = match &fault.place {
+        let theirs = match &fault.location {
             FaultLocation::Object(address) => NodeId::of(&address.node) == peer,
             FaultLocation::Link { node, .. } => NodeId::of(node) == peer,
             FaultLocation::Node(_) => false,

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
 /// Under which name nodes tell each other their votes. It is no object that others can see.
-const PLACE: &str = "net/isolation";
+const OBJECT: &str = "net/isolation";
 
 /// One node tells another its votes. The bytes are the machine's.
 #[derive(Clone, Debug, Event)]
@@ -56,8 +56,8 @@ impl IsolationControl {
         // This node's own votes do not go this way.
         let service_fn = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
         let port = ContractPort::of_peers(service_fn, Arc::new(BallotBox(wardens.clone())));
-        let place = ObjectName::new(PLACE).expect("a name of letters");
-        wardens.told.registry.register_hidden(place, port);
+        let object = ObjectName::new(OBJECT).expect("a name of letters");
+        wardens.told.registry.register_hidden(object, port);
         wardens
     }
 
@@ -110,7 +110,7 @@ impl IsolationControl {
         for output in outputs {
             match output {
                 IsolationOutput::Tell { to, message } => {
-                    let sender = self.told.registry.sender::<Votes>(&format!("{to}:{PLACE}"));
+                    let sender = self.told.registry.sender::<Votes>(&format!("{to}:{OBJECT}"));
                     if let Ok(sender) = sender {
                         // Who cannot be told now is told when its session begins.
                         let _ = sender.tell(Votes { message: message.into() });

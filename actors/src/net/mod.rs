@@ -205,7 +205,7 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (identity, place) = ((node.clone(), incarnation), arbiter.as_ref());
+    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
 
     let (numbers, fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -217,7 +217,7 @@ pub(crate) fn start(
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
             |context: &mut Context<_>| DiscoveryActor::new(wiring, context.address().recipient());
-        guardian.start(named("discovery"), place, make)
+        guardian.start(named("discovery"), on_arbiter, make)
     });
     if discovery.is_none() {
         peer_messages::register_sink(named("discovery"), &environment.registry);
@@ -228,12 +228,12 @@ pub(crate) fn start(
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
     let told = (environment.nodes.clone(), own_isolation.clone());
     let make = router::RouterActor::maker(identity.clone(), told, faults);
-    let router = guardian.start(named("router"), place, make);
+    let router = guardian.start(named("router"), on_arbiter, make);
 
     let told = (environment.own_faults("sessions"), environment.nodes.clone());
     let to_router = (router.clone().recipient(), identity.clone(), told);
     let timeout = environment.session_timeout;
-    let sessions = guardian.start(named("sessions"), place, move |_| {
+    let sessions = guardian.start(named("sessions"), on_arbiter, move |_| {
         let (router, (node, incarnation), faults) = to_router;
         sessions::SessionsActor::new((node, incarnation), timeout, router, faults)
     });
@@ -253,7 +253,7 @@ pub(crate) fn start(
     let (kept_out, told) = (router.clone().recipient(), wardens.clone());
     let make =
         gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), kept_out, told);
-    let gateway = guardian.start(named("gateway"), place, make);
+    let gateway = guardian.start(named("gateway"), on_arbiter, make);
     doors.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn StubFactory> = doors.clone();
@@ -278,8 +278,8 @@ pub(crate) fn start(
             discovery: told.clone().map(|told| (domains.len(), told)),
             faults,
         };
-        let address =
-            guardian.start(name.clone(), place, move |_| links::LinksActor::new(wiring, links));
+        let address = guardian
+            .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
         domains.extend(told.map(|_| NetworkLinks {
             learn: address.clone().recipient(),
             forget: address.clone().recipient(),

@@ -40,7 +40,7 @@ pub(crate) struct ActorMessageReceived {
 /// Writes letters, and takes those of its like.
 pub(crate) struct PeerChannel {
     registry: Registry,
-    place: ObjectName,
+    object: ObjectName,
     senders: BTreeMap<NodeName, Sender<ActorMessage>>,
     slot: Arc<Slot>,
 }
@@ -55,7 +55,7 @@ struct Slot {
 impl PeerChannel {
     /// Letters to and from this place, which is called the same on every node.
     pub(crate) fn at(
-        place: ObjectName,
+        object: ObjectName,
         registry: &Registry,
         reader: Recipient<ActorMessageReceived>,
     ) -> Self {
@@ -63,14 +63,14 @@ impl PeerChannel {
         let slot = Arc::new(Slot { reader, unread, dropped });
         let skeleton: Arc<dyn Skeleton> = slot.clone();
         registry
-            .register_hidden(place.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
-        PeerChannel { registry: registry.clone(), place, senders: BTreeMap::new(), slot }
+            .register_hidden(object.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
+        PeerChannel { registry: registry.clone(), object, senders: BTreeMap::new(), slot }
     }
 
     /// Sends one. It is dropped where the node takes none now.
     pub(crate) fn send(&mut self, to: &NodeName, bytes: &Bytes) {
         if !self.senders.contains_key(to) {
-            let address = format!("{to}:{}", self.place);
+            let address = format!("{to}:{}", self.object);
             let Ok(sender) = self.registry.sender::<ActorMessage>(&address) else { return };
             if self.senders.len() >= SENDERS_MAX {
                 self.senders.pop_first();
@@ -92,8 +92,8 @@ impl PeerChannel {
 
 /// Drops messages that no actor of this node reads, so that their sender gets no error for an
 /// unknown object.
-pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
-    registry.register_hidden(place, ContractPort::of_skeleton::<ActorMessage>(Arc::new(Discard)));
+pub(crate) fn register_sink(object: ObjectName, registry: &Registry) {
+    registry.register_hidden(object, ContractPort::of_skeleton::<ActorMessage>(Arc::new(Discard)));
 }
 
 struct Discard;

@@ -337,8 +337,8 @@ impl Handler<Reroute> for RouterActor {
     type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
-        let Reroute { place } = message;
-        let node = match place {
+        let Reroute { location } = message;
+        let node = match location {
             FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
             other => {
                 let error = format!("the node behind {other} is not known");

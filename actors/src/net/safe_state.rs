@@ -1,7 +1,7 @@
 //! Who of the nodes is in the safe state: this one tells all others, and hears it of them.
 //!
-//! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without
-//! this its peers would find out only by what does not come.
+//! A node in the safe state stays on the network: it forwards packets, answers who it is, and
+//! votes. Without this its peers would find out only by what does not come.
 
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::registry::Registry;
@@ -42,7 +42,7 @@ pub(crate) struct SafeStateRecipients {
 /// Tells, and hears.
 pub(crate) struct SafeStateActor {
     letters: PeerChannel,
-    /// Why this node is at rest, as all peers were told; nothing where it was never at rest.
+    /// Why this node is in the safe state, as reported to all peers; `None` if it never was.
     said: Option<Option<String>>,
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
@@ -130,7 +130,7 @@ impl Handler<ActorMessageReceived> for SafeStateActor {
         self.letters.read_one();
         let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
         let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {
-            Ok(Some(reason)) => NodeCondition::AtRest { reason },
+            Ok(Some(reason)) => NodeCondition::InSafeState { reason },
             Ok(None) => NodeCondition::AtWork,
             Err(error) => return warn!(%node, %error, "what it says of its rest cannot be read"),
         };

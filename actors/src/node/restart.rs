@@ -14,7 +14,7 @@ pub enum RestartError {
     /// Only a node in the safe state is restarted. A component of one that runs is restarted by
     /// [`Node::restart_child`].
     #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
-    NotAtRest {
+    NotInSafeState {
         /// How it is.
         state: NodeState,
     },
@@ -101,7 +101,7 @@ impl Node {
     /// counted on.
     ///
     /// # Errors
-    /// [`RestartError::NotAtRest`] unless the node is in the safe state;
+    /// [`RestartError::NotInSafeState`] unless the node is in the safe state;
     /// [`RestartError::ThreadsHang`] where that would not help; [`RestartError::GaveUp`] where it
     /// entered the safe state again, when all components have ended.
     pub async fn restart(&self) -> Result<(), RestartError> {
@@ -111,8 +111,12 @@ impl Node {
         }
         match self.0.restart.send(RestartRoot).await {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(RestartRefused::NotAtRest(NodeState::Stopped))) => Err(RestartError::ShutDown),
-            Ok(Err(RestartRefused::NotAtRest(state))) => Err(RestartError::NotAtRest { state }),
+            Ok(Err(RestartRefused::NotInSafeState(NodeState::Stopped))) => {
+                Err(RestartError::ShutDown)
+            }
+            Ok(Err(RestartRefused::NotInSafeState(state))) => {
+                Err(RestartError::NotInSafeState { state })
+            }
             Ok(Err(RestartRefused::GaveUp(reason))) => Err(RestartError::GaveUp { reason }),
             // The controller ends with the node's threads.
             Ok(Err(RestartRefused::ShutDown)) | Err(_) => Err(RestartError::ShutDown),

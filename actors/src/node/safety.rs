@@ -64,7 +64,8 @@ impl Shared {
     fn apply_outputs(&self, cause: &str) -> &'static str {
         let actuators = self.environment.actuators();
         let now = platform::now();
-        let fault = Fault::of_node(self.name.clone(), FaultKind::NodeAtRest, cause.into(), now);
+        let fault =
+            Fault::of_node(self.name.clone(), FaultKind::NodeInSafeState, cause.into(), now);
         let mut applied = self.chain.safe_outputs.rest(&fault);
         actuators.rest();
         let mut left = self.chain.callbacks.limit().unwrap_or_default();

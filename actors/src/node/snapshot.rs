@@ -86,7 +86,7 @@ impl NodeSnapshot {
         let (state, reason) = match &self.state {
             NodeState::Starting => ("starting", None),
             NodeState::Running => ("running", None),
-            NodeState::InSafeState { reason } => ("at rest", Some(reason)),
+            NodeState::InSafeState { reason } => ("in safe state", Some(reason)),
             NodeState::Stopped => ("stopped", None),
         };
         let faults = self.faults.as_ref();
@@ -126,7 +126,7 @@ fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
 
 fn object(row: &MonitorRow) -> Value {
     json!({
-        "location": row.place.to_string(),
+        "location": row.location.to_string(),
         "kind": match row.kind {
             ObjectKind::Component => "component",
             ObjectKind::Middleware => "middleware",
@@ -277,7 +277,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
         "code": fault.kind.code(),
         "kind": fault.kind.to_string(),
         "severity": fault.severity.to_string(),
-        "location": fault.place.to_string(),
+        "location": fault.location.to_string(),
         "incarnation": fault.incarnation.0,
         "detail": fault.detail,
         "count": fault.count,

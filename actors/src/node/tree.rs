@@ -216,7 +216,7 @@ impl SupervisorSpec {
     /// Makes the supervisors and gives them their children. Nothing is started yet.
     pub(super) fn prepare(
         self,
-        place: &TreeEnvironment<'_>,
+        tree_environment: &TreeEnvironment<'_>,
         tree: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
@@ -226,9 +226,11 @@ impl SupervisorSpec {
         for entry in self.children {
             match entry {
                 Entry::Component(spec, restart) => {
-                    let prepared =
-                        PreparedComponent { restart, ..spec.prepare(place.environment)? };
-                    let rules = prepared.rules(place.plan);
+                    let prepared = PreparedComponent {
+                        restart,
+                        ..spec.prepare(tree_environment.environment)?
+                    };
+                    let rules = prepared.rules(tree_environment.plan);
                     let PreparedComponent { child, depends_on, .. } = prepared;
                     let name = child.name().clone();
                     let facts = ComponentFacts { name, depends_on, restart };
@@ -237,7 +239,7 @@ impl SupervisorSpec {
                 }
                 Entry::Supervisor(spec) => {
                     let kept = spec.kept;
-                    let child = spec.prepare(place, tree)?;
+                    let child = spec.prepare(tree_environment, tree)?;
                     children.push((Box::new(child), kept));
                 }
             }
@@ -246,12 +248,13 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            monitor: place.monitor.clone().recipient(),
-            states: place.monitor.clone().recipient(),
-            isolation: place.monitor.clone().recipient(),
-            directory: place.directory.clone(),
+            monitor: tree_environment.monitor.clone().recipient(),
+            states: tree_environment.monitor.clone().recipient(),
+            isolation: tree_environment.monitor.clone().recipient(),
+            directory: tree_environment.directory.clone(),
         };
-        let supervisor = SupervisorActor::start(place.guardian, place.arbiter, setup);
+        let supervisor =
+            SupervisorActor::start(tree_environment.guardian, tree_environment.arbiter, setup);
         tree.supervisors.push((supervisor.name().clone(), supervisor.pings()));
         Ok(supervisor)
     }

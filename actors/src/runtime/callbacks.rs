@@ -103,8 +103,8 @@ enum CallStage {
     Returned,
 }
 
-/// Calls of one kind that wait: no more than components and actuators come to rest at once, or
-/// than fit into the queues of components that end.
+/// Calls of one kind that wait: no more than components and actuators enter the safe state at once,
+/// or than fit into the queues of components that end.
 #[derive(Default)]
 struct Queue {
     waiting: VecDeque<Job>,

@@ -29,7 +29,7 @@ pub(super) struct ListenerEntry<E> {
     /// The number of the first event that it gets here.
     pub(super) since: u64,
     /// Names the component to the watch while its condition and its handler run.
-    pub(super) place: Cell<Option<ActivitySlotRef>>,
+    pub(super) activity_slot: Cell<Option<ActivitySlotRef>>,
     pub(super) listener: Box<dyn EventListener<E>>,
 }
 
@@ -50,7 +50,7 @@ pub(super) trait EventListener<E> {
         entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef>;
     /// Where the component is.
-    fn place(&self) -> Option<ActivitySlotRef>;
+    fn activity_slot(&self) -> Option<ActivitySlotRef>;
     /// Brings what it consists of nearer to the processor, while the one before it is served.
     fn call_up(&self);
     /// It took long over an event.
@@ -89,25 +89,25 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef> {
         let mut event = Some(event);
-        let place = self.with_executor(|executor| {
-            let place = executor.place();
-            pulse.run(Some(place.index));
+        let activity_slot = self.with_executor(|executor| {
+            let activity_slot = executor.activity_slot();
+            pulse.run(Some(activity_slot.index));
             if executor.is_free()
                 && let Some(event) = event.take()
             {
                 executor.serve_at_once(&mut envelope::seal_event(event, at));
             }
-            place
+            activity_slot
         });
         // One that has gone meanwhile has brought along what is not served here.
         if let Some(event) = event.filter(|_| entry.is_present()) {
             self.cell.queue_event(event, at);
         }
-        place
+        activity_slot
     }
 
-    fn place(&self) -> Option<ActivitySlotRef> {
-        self.with_executor(|executor| executor.place())
+    fn activity_slot(&self) -> Option<ActivitySlotRef> {
+        self.with_executor(|executor| executor.activity_slot())
     }
 
     #[inline]

@@ -405,10 +405,10 @@ impl<E: Event> Hub<E> {
             return Progress::Done;
         }
         reached.store(entry.number, Relaxed);
-        if entry.only_if.is_some() || entry.place.get().is_none() {
-            entry.place.set(entry.listener.place());
+        if entry.only_if.is_some() || entry.activity_slot.get().is_none() {
+            entry.activity_slot.set(entry.listener.activity_slot());
         }
-        self.pulse.run(entry.place.get().map(|place| place.index));
+        self.pulse.run(entry.activity_slot.get().map(|activity_slot| activity_slot.index));
         while let Some(posted) = batch.events.get(begun.load(Relaxed)) {
             step(begun);
             // It gets the earlier ones from the hub that it left.
@@ -417,7 +417,7 @@ impl<E: Event> Hub<E> {
             }
             if entry.only_if.as_ref().is_none_or(|wanted| self.is_wanted(entry, wanted, posted)) {
                 let event = posted.event.clone();
-                entry.place.set(entry.listener.take(event, posted.at, &self.pulse, entry));
+                entry.activity_slot.set(entry.listener.take(event, posted.at, &self.pulse, entry));
             }
             if self.pulse.is_fenced() {
                 // The handler that kept the thread has returned.
@@ -441,7 +441,7 @@ impl<E: Event> Hub<E> {
         wanted: &EventFilter<E>,
         posted: &Posted<E>,
     ) -> bool {
-        let stamp = entry.place.get().map(|place| place.stamp);
+        let stamp = entry.activity_slot.get().map(|activity_slot| activity_slot.stamp);
         let beside = stamp.is_some_and(|stamp| stamp.is_busy());
         match stamp {
             Some(stamp) if beside => stamp.run_condition(true),
@@ -458,7 +458,7 @@ impl<E: Event> Hub<E> {
     fn condition_ends(&self, entry: &ListenerEntry<E>, beside: bool) {
         self.shared.undecided.store(false, Relaxed);
         self.runs.set(Runs::Other);
-        match entry.place.get().map(|place| place.stamp) {
+        match entry.activity_slot.get().map(|activity_slot| activity_slot.stamp) {
             Some(stamp) if beside => stamp.run_condition(false),
             Some(stamp) => stamp.step(),
             None => {}

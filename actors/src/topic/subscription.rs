@@ -84,7 +84,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             present: self.present.clone(),
             number,
             since,
-            place: Cell::new(None),
+            activity_slot: Cell::new(None),
             listener: Box::new(Resident { cell: cell.clone(), executor: RefCell::default() }),
         });
         drop(newcomers);

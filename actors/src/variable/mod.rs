@@ -272,7 +272,7 @@ impl<V: Variable> VariableWatch<V> {
 #[must_use = "nothing is written before commit()"]
 pub struct Transaction {
     writes: Vec<WriteEntry>,
-    place: Option<(Sender<VariableRequest>, Option<NodeName>)>,
+    target: Option<(Sender<VariableRequest>, Option<NodeName>)>,
     wrong: Option<DeliveryError>,
 }
 
@@ -299,8 +299,8 @@ impl Transaction {
         if_revision: Option<u64>,
     ) -> Self {
         let node = &variable.node;
-        let place = self.place.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
-        if place.1 != *node {
+        let target = self.target.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
+        if target.1 != *node {
             let reason = format!("{variable:?} is on another node: write there separately");
             self.wrong.get_or_insert(DeliveryError::CheckFailed { reason });
         }
@@ -325,7 +325,7 @@ impl Transaction {
         if let Some(why) = self.wrong {
             return Err(why);
         }
-        let Some((sender, _)) = self.place else {
+        let Some((sender, _)) = self.target else {
             return Err(DeliveryError::CheckFailed { reason: "nothing is to be written".into() });
         };
         let asked =

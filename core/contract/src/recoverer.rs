@@ -35,5 +35,5 @@ pub struct CancelRecovery {
     /// The fault's number in its finder's record.
     pub id: FaultId,
     /// Where it was.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
 }

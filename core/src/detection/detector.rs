@@ -174,7 +174,7 @@ impl Seen {
 
 /// Where and when something was seen.
 struct Scene {
-    place: FaultLocation,
+    location: FaultLocation,
     incarnation: Incarnation,
     at: Instant,
 }
@@ -226,9 +226,9 @@ impl Detector {
             return;
         }
         self.last_number = number;
-        let Observation { place, incarnation, finding, seen_at } = observation;
-        let scene = Scene { place, incarnation, at: seen_at };
-        match scene.place.clone() {
+        let Observation { location, incarnation, finding, seen_at } = observation;
+        let scene = Scene { location, incarnation, at: seen_at };
+        match scene.location.clone() {
             FaultLocation::Object(address) => self.judge_object(&address.object, scene, finding),
             FaultLocation::Link { .. } => self.judge_link(scene, finding),
             FaultLocation::Node(_) => self.judge_node(scene, finding),
@@ -301,7 +301,7 @@ impl Detector {
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
-        let known = self.chronicle.standing(&scene.place, &kind);
+        let known = self.chronicle.standing(&scene.location, &kind);
         let incarnation = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
@@ -368,14 +368,14 @@ impl Detector {
             Cause::Known(cause) | Cause::Behind(cause) => Some(self.chronicle.root(cause)),
             Cause::Above => {
                 self.explicable.insert(id);
-                self.needs.root_above(&scene.place, &self.chronicle)
+                self.needs.root_above(&scene.location, &self.chronicle)
             }
         };
         let fault = Fault {
             id,
             severity: kind.severity(),
             kind,
-            place: scene.place.clone(),
+            location: scene.location.clone(),
             incarnation: scene.incarnation,
             detail,
             found_at: scene.at,
@@ -403,14 +403,14 @@ impl Detector {
         if !is_down(&entry.fault) {
             return;
         }
-        let place = entry.fault.place.clone();
+        let location = entry.fault.location.clone();
         let root = self.chronicle.root(id);
         let since = at - (Instant::ORIGIN + self.limits.hindsight);
-        let is_behind = |fault: &Fault| match &fault.place {
+        let is_behind = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => self.behind.get(&address.object) == Some(&id),
             _ => false,
         };
-        let users = self.needs.users_of(&place);
+        let users = self.needs.users_of(&location);
         let explained: Vec<FaultId> = self
             .chronicle
             .all_standing()
@@ -420,7 +420,7 @@ impl Detector {
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.explicable.contains(&fault.id)
-                    && (is_behind(fault) || users.contain(&fault.place))
+                    && (is_behind(fault) || users.contain(&fault.location))
             })
             .map(|fault| fault.id)
             .collect();
@@ -442,7 +442,7 @@ impl Detector {
 
     /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
-        if let Some(id) = self.chronicle.standing(&scene.place, kind) {
+        if let Some(id) = self.chronicle.standing(&scene.location, kind) {
             self.repair(id, scene.at);
             self.withdraw(id, scene.at);
         }
@@ -450,7 +450,7 @@ impl Detector {
 
     /// These faults of the place that match; their causes are away, and service is restored if so.
     fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, restored: bool) {
-        let standing = self.chronicle.standing_at(&scene.place);
+        let standing = self.chronicle.standing_at(&scene.location);
         let over: Vec<FaultId> = standing.filter(|f| is_over(f)).map(|fault| fault.id).collect();
         for id in over {
             if restored {
@@ -464,10 +464,10 @@ impl Detector {
     /// A fault is over, and those who were told of it do not know yet.
     fn withdraw(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.chronicle.entry(id) else { return };
-        let place = entry.fault.place.clone();
+        let location = entry.fault.location.clone();
         let waits = |notice: &FaultNotice| notice.id() == id;
         if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
-            self.hand_over(FaultNotice::Cleared { id, place }, at);
+            self.hand_over(FaultNotice::Cleared { id, location }, at);
         }
     }
 

@@ -127,7 +127,7 @@ impl MonitoredObject {
     fn opinion(&self) -> Opinion {
         match self.end {
             Some(LastExit::Died) => Opinion::Failed,
-            Some(LastExit::Stopped | LastExit::Finalized) => Opinion::AtRest,
+            Some(LastExit::Stopped | LastExit::Finalized) => Opinion::Stopped,
             None if self.silent || self.current().is_some() => Opinion::Failed,
             None if self.suspect => Opinion::Suspect,
             None if self.last_sign.is_none() => Opinion::Unheard,
@@ -136,7 +136,7 @@ impl MonitoredObject {
     }
 
     /// The row of the table, but for what only the watchdog and the ping monitor know.
-    pub(super) fn row(&self, place: FaultLocation, now: Instant) -> MonitorRow {
+    pub(super) fn row(&self, location: FaultLocation, now: Instant) -> MonitorRow {
         MonitorRow {
             incarnation: self.incarnation,
             state: self.state,
@@ -150,7 +150,7 @@ impl MonitoredObject {
                 .map(|(during, since)| CurrentHandler { during, age: now - since }),
             isolated: self.isolated,
             note: self.remarks.as_ref().and_then(|remarks| Some(remarks.notes.last()?.1.clone())),
-            ..MonitorRow::blank(place, self.kind)
+            ..MonitorRow::blank(location, self.kind)
         }
     }
 }

@@ -35,20 +35,20 @@ impl FaultLog {
     pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
         let full = self.entries.len() >= self.capacity;
         let dropped = if full { self.make_room() } else { None };
-        let (scope, kind, id) = (scope(&fault.place), fault.kind.clone(), fault.id);
+        let (scope, kind, id) = (scope(&fault.location), fault.kind.clone(), fault.id);
         self.latches.insert((scope, kind), id);
         self.entries.insert(id, FaultEntry::new(fault));
         dropped
     }
 
     /// The fault of this kind that stands at this place.
-    pub fn standing(&self, place: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
-        self.latches.get(&(scope(place), kind.clone())).copied()
+    pub fn standing(&self, location: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
+        self.latches.get(&(scope(location), kind.clone())).copied()
     }
 
     /// Every fault that stands at this place, in the order of their kinds.
-    pub fn standing_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        let scope = scope(place);
+    pub fn standing_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
+        let scope = scope(location);
         // The first kind of the list: all latches of the place follow.
         let first = (scope.clone(), FaultKind::Panic);
         self.latches
@@ -65,7 +65,7 @@ impl FaultLog {
     /// Whether this fault still stands, given up or not.
     pub fn stands(&self, id: FaultId) -> bool {
         self.entries.get(&id).is_some_and(|entry| {
-            self.latches.get(&(scope(&entry.fault.place), entry.fault.kind.clone())) == Some(&id)
+            self.latches.get(&(scope(&entry.fault.location), entry.fault.kind.clone())) == Some(&id)
         })
     }
 
@@ -83,7 +83,7 @@ impl FaultLog {
     pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         entry.repaired_at = Some(at);
-        let latch = (scope(&entry.fault.place), entry.fault.kind.clone());
+        let latch = (scope(&entry.fault.location), entry.fault.kind.clone());
         if self.latches.get(&latch) == Some(&id) {
             self.latches.remove(&latch);
         }
@@ -123,8 +123,8 @@ impl FaultLog {
 }
 
 /// A place as latches know it: a link is the same whether or not its neighbour is known yet.
-fn scope(place: &FaultLocation) -> FaultLocation {
-    match place.clone() {
+fn scope(location: &FaultLocation) -> FaultLocation {
+    match location.clone() {
         FaultLocation::Link { node, link, .. } => {
             FaultLocation::Link { node, link, neighbour: None }
         }
@@ -150,12 +150,12 @@ mod tests {
         }
     }
 
-    fn fault(id: u64, place: FaultLocation, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
+    fn fault(id: u64, location: FaultLocation, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
         Fault {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
-            place,
+            location,
             incarnation: Incarnation::FIRST,
             detail: String::new(),
             found_at: Instant::from_millis(id),
@@ -205,11 +205,11 @@ mod tests {
     #[test]
     fn each_root_is_read_before_its_symptoms_and_symptoms_follow_their_root() {
         let mut chronicle = FaultLog::new(8);
-        let place = |name| FaultLocation::Node(node(name));
-        chronicle.open(fault(1, place("symptom"), FaultKind::Silence, Some(3)));
-        chronicle.open(fault(2, place("other"), FaultKind::Silence, None));
-        chronicle.open(fault(3, place("root"), FaultKind::Panic, None));
-        chronicle.open(fault(4, place("deeper"), FaultKind::Silence, Some(1)));
+        let location = |name| FaultLocation::Node(node(name));
+        chronicle.open(fault(1, location("symptom"), FaultKind::Silence, Some(3)));
+        chronicle.open(fault(2, location("other"), FaultKind::Silence, None));
+        chronicle.open(fault(3, location("root"), FaultKind::Panic, None));
+        chronicle.open(fault(4, location("deeper"), FaultKind::Silence, Some(1)));
 
         assert_eq!(ids(&chronicle.read()), [2, 3, 1, 4]);
         assert_eq!(chronicle.root(FaultId(4)), FaultId(3));

@@ -308,8 +308,8 @@ impl Monitor {
             return;
         }
         let news = self.around.handle_link(node, link, neighbour, condition, now);
-        if let Some(PeerChange { place, incarnation, finding }) = news {
-            self.observe(place, incarnation, finding, now);
+        if let Some(PeerChange { location, incarnation, finding }) = news {
+            self.observe(location, incarnation, finding, now);
         }
     }
 
@@ -327,8 +327,8 @@ impl Monitor {
             return;
         }
         match self.around.handle_node(node, incarnation, condition, now) {
-            Ok(Some(PeerChange { place, incarnation, finding })) => {
-                self.observe(place, incarnation, finding, now);
+            Ok(Some(PeerChange { location, incarnation, finding })) => {
+                self.observe(location, incarnation, finding, now);
             }
             Ok(None) => {}
             Err(_) => self.stale += 1,
@@ -468,7 +468,7 @@ impl Monitor {
 
     fn observe(
         &mut self,
-        place: FaultLocation,
+        location: FaultLocation,
         incarnation: Incarnation,
         finding: Finding,
         now: Instant,
@@ -477,7 +477,7 @@ impl Monitor {
             return;
         }
         // One rank for all: the detector is told things in the order in which they happened.
-        self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
+        self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
     }
 
     /// Acts on what the pings has found.
@@ -514,7 +514,7 @@ impl Monitor {
                     self.observe_object(&object, incarnation, Finding::Spoke, now);
                 }
             }
-            Opinion::Unheard | Opinion::AtRest => {}
+            Opinion::Unheard | Opinion::Stopped => {}
         }
     }
 }

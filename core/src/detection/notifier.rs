@@ -278,7 +278,7 @@ mod tests {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
-            place: FaultLocation::Node(node("x")),
+            location: FaultLocation::Node(node("x")),
             incarnation: Incarnation::FIRST,
             detail: String::new(),
             found_at: at(0),
@@ -288,7 +288,7 @@ mod tests {
     }
 
     fn cleared(id: u64) -> FaultNotice {
-        FaultNotice::Cleared { id: FaultId(id), place: FaultLocation::Node(node("x")) }
+        FaultNotice::Cleared { id: FaultId(id), location: FaultLocation::Node(node("x")) }
     }
 
     fn notifier(ports: &[RecovererPort]) -> Notifier {

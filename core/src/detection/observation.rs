@@ -9,7 +9,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {
     /// Where.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
     /// In which incarnation; zero for a link.
     pub incarnation: Incarnation,
     /// What.
@@ -200,8 +200,8 @@ pub enum NodeCondition {
     },
     /// It is isolated no longer.
     Admitted,
-    /// It says that it has enter the safe state: it can be reached, and nothing of it serves.
-    AtRest {
+    /// It reports that it is in the safe state: it can be reached, and nothing of it serves.
+    InSafeState {
         /// Why.
         reason: String,
     },

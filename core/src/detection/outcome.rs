@@ -75,7 +75,7 @@ pub enum FaultNotice {
         /// Which.
         id: FaultId,
         /// Where it was.
-        place: FaultLocation,
+        location: FaultLocation,
     },
 }
 

@@ -15,7 +15,7 @@ pub(super) struct PeerTable {
 
 /// Something that was not known before.
 pub(super) struct PeerChange {
-    pub(super) place: FaultLocation,
+    pub(super) location: FaultLocation,
     pub(super) incarnation: Incarnation,
     pub(super) finding: Finding,
 }
@@ -90,9 +90,9 @@ impl PeerTable {
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
-            let (place, incarnation) =
+            let (location, incarnation) =
                 (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
-            return Some(PeerChange { place, incarnation, finding: Finding::Link(condition) });
+            return Some(PeerChange { location, incarnation, finding: Finding::Link(condition) });
         }
         let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
             (LinkCondition::Down { reason: before }, LinkCondition::Down { reason }) => {
@@ -103,7 +103,7 @@ impl PeerTable {
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
-        let place = FaultLocation::Link {
+        let location = FaultLocation::Link {
             node: node.clone(),
             link: link.clone(),
             neighbour: neighbour.clone(),
@@ -113,7 +113,7 @@ impl PeerTable {
         let is_change = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_change.then_some(PeerChange { place, incarnation: Incarnation::default(), finding })
+        is_change.then_some(PeerChange { location, incarnation: Incarnation::default(), finding })
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
@@ -130,11 +130,11 @@ impl PeerTable {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
-        use NodeCondition::{Admitted, AtRest, AtWork, Isolated, Offends};
+        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
             return Ok(self.handle_conduct(node, condition));
         }
-        if let AtRest { .. } | AtWork = condition {
+        if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
         }
         let before = self.nodes.get(&node);
@@ -188,7 +188,7 @@ impl PeerTable {
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation,
             finding,
         }))
@@ -206,7 +206,11 @@ impl PeerTable {
         seen.isolated = isolated;
         let is_change = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_change.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding })
+        is_change.then_some(PeerChange {
+            location: FaultLocation::Node(node),
+            incarnation,
+            finding,
+        })
     }
 
     /// What a node says of itself: another one, or this.
@@ -218,7 +222,7 @@ impl PeerTable {
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
         let rest = match &condition {
-            NodeCondition::AtRest { reason } => Some(reason.clone()),
+            NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
         };
         // Who says so is here.
@@ -237,7 +241,7 @@ impl PeerTable {
         seen.rest = rest;
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation,
             finding,
         }))
@@ -251,7 +255,7 @@ impl PeerTable {
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
                 LinkCondition::Down { reason } => {
                     let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
-                    (if left { Opinion::AtRest } else { Opinion::Failed }, Some(reason))
+                    (if left { Opinion::Stopped } else { Opinion::Failed }, Some(reason))
                 }
             };
             let (node, link, neighbour) = (node.clone(), link.clone(), seen.neighbour.clone());
@@ -267,11 +271,11 @@ impl PeerTable {
                 PeerStatus::Here => (Opinion::Trusted, None),
                 PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
-                PeerStatus::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
+                PeerStatus::Left => (Opinion::Stopped, Some("it has left in order".to_owned())),
             };
             let (opinion, note) = match (&seen.standing, &seen.rest) {
                 (PeerStatus::Here, Some(reason)) => {
-                    (Opinion::AtRest, Some(format!("in the safe state: {reason}")))
+                    (Opinion::Stopped, Some(format!("in the safe state: {reason}")))
                 }
                 _ => (opinion, note),
             };
@@ -327,8 +331,9 @@ mod tests {
                 let change = report(&to, None);
 
                 assert_eq!(change.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange { place: FaultLocation::Link { neighbour, .. }, .. }) =
-                    change
+                if let Some(PeerChange {
+                    location: FaultLocation::Link { neighbour, .. }, ..
+                }) = change
                 {
                     assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
                 }
@@ -426,7 +431,7 @@ mod tests {
         let mut around = PeerTable::default();
         move |incarnation, condition| {
             let change = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::Stopped);
             (change.map(|change| change.is_some()), rests)
         }
     }
@@ -434,13 +439,13 @@ mod tests {
     #[test]
     fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
      {
-        use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
+        use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
         let mut told = rest_told_of();
         let mut told = |incarnation, condition| {
             let (change, rests) = told(incarnation, condition);
             (change.expect("no incarnation is over"), rests)
         };
-        let rest = || AtRest { reason: "it panics".into() };
+        let rest = || InSafeState { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
 
         assert_eq!(told(5, Reachable), (true, false));
@@ -459,9 +464,9 @@ mod tests {
 
     #[test]
     fn that_an_incarnation_rests_which_another_one_has_followed_is_no_news() {
-        use NodeCondition::{AtRest, AtWork, Lost, Reachable};
+        use NodeCondition::{AtWork, InSafeState, Lost, Reachable};
         let mut told = rest_told_of();
-        let rest = || AtRest { reason: "it panics".into() };
+        let rest = || InSafeState { reason: "it panics".into() };
 
         // Of an unknown incarnation.
         assert_eq!(told(0, Lost { reason: "no path".into() }), (Ok(true), false));
@@ -508,6 +513,6 @@ mod tests {
         let shown = |row: &MonitorRow| (row.opinion, row.last_sign.map(|age| age.as_millis()));
         assert_eq!(shown(&rows[0]), (Opinion::Failed, Some(100)));
         assert_eq!(shown(&rows[1]), (Opinion::Trusted, Some(40)));
-        assert_eq!((rows[0].place.to_string(), around.len()), ("a -eth- b".into(), 2));
+        assert_eq!((rows[0].location.to_string(), around.len()), ("a -eth- b".into(), 2));
     }
 }

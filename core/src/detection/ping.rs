@@ -88,12 +88,12 @@ impl Asked {
             Opinion::Suspect => {
                 Some(asked + self.pull.within.saturating_mul(self.pull.tolerance.max(1)))
             }
-            Opinion::Failed | Opinion::AtRest => None,
+            Opinion::Failed | Opinion::Stopped => None,
         }
     }
 
     fn due(&self) -> Option<Instant> {
-        let question = (!self.open && self.opinion != Opinion::AtRest).then_some(self.next);
+        let question = (!self.open && self.opinion != Opinion::Stopped).then_some(self.next);
         [question, self.verdict_due()].into_iter().flatten().min()
     }
 }
@@ -134,7 +134,7 @@ impl PingMonitor {
     /// An object has answered. Answers of older incarnations do not count.
     pub fn handle_answer(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
         let Some(asked) = self.asked.get_mut(object) else { return };
-        if progress.incarnation < asked.incarnation || asked.opinion == Opinion::AtRest {
+        if progress.incarnation < asked.incarnation || asked.opinion == Opinion::Stopped {
             return self.handle_unanswered(object, now);
         }
         if progress.incarnation > asked.incarnation {
@@ -185,7 +185,7 @@ impl PingMonitor {
             && incarnation >= asked.incarnation
         {
             let fresh = Asked::new(asked.pull, incarnation, now);
-            *asked = Asked { look: asked.look, opinion: Opinion::AtRest, ..fresh };
+            *asked = Asked { look: asked.look, opinion: Opinion::Stopped, ..fresh };
             schedule(&mut self.looks, object, asked);
         }
     }
@@ -221,7 +221,7 @@ impl PingMonitor {
                 silence: asked.unanswered.map_or(Duration::ZERO, |since| now - since),
             }));
         }
-        if !asked.open && asked.opinion != Opinion::AtRest && asked.next <= now {
+        if !asked.open && asked.opinion != Opinion::Stopped && asked.next <= now {
             asked.open = true;
             asked.unanswered = asked.unanswered.or(Some(now));
             asked.next = now + asked.pull.interval;

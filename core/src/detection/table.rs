@@ -16,7 +16,7 @@ use std::time::Duration;
 #[non_exhaustive]
 pub struct MonitorRow {
     /// What the row is about.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
     /// What kind of thing that is.
     pub kind: ObjectKind,
     /// Which incarnation everything else in the row is about; zero for a link.
@@ -56,9 +56,9 @@ pub struct MonitorRow {
 
 impl MonitorRow {
     /// A row of which nothing is known yet.
-    pub fn blank(place: FaultLocation, kind: ObjectKind) -> Self {
+    pub fn blank(location: FaultLocation, kind: ObjectKind) -> Self {
         MonitorRow {
-            place,
+            location,
             kind,
             incarnation: Incarnation::default(),
             state: None,
@@ -84,7 +84,7 @@ impl MonitorRow {
 /// | trusted | its signs of life come | nothing |
 /// | suspect | a sign is overdue, or it waits behind another component that hangs | it is counted and shown |
 /// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
-/// | at rest | its incarnation ended as it should | nothing |
+/// | stopped | its incarnation ended as it should | nothing |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Opinion {
     /// Never heard in this incarnation.
@@ -96,7 +96,7 @@ pub enum Opinion {
     /// It is dead, or as good as dead.
     Failed,
     /// It was stopped; nothing is expected of it.
-    AtRest,
+    Stopped,
 }
 
 impl fmt::Display for Opinion {
@@ -106,7 +106,7 @@ impl fmt::Display for Opinion {
             Opinion::Trusted => "trusted",
             Opinion::Suspect => "suspect",
             Opinion::Failed => "failed",
-            Opinion::AtRest => "at rest",
+            Opinion::Stopped => "stopped",
         })
     }
 }

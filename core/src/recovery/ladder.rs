@@ -80,7 +80,7 @@ pub struct LadderStep {
 
 /// Measures in the order in which they are tried.
 ///
-/// A ladder that is exhausted ends in safe state, whether or not that is its last rung.
+/// A ladder that is exhausted ends in the safe state, whether or not that is its last rung.
 ///
 /// ```
 /// use blastema_core::recovery::{Ladder, RecoveryAction};

@@ -146,7 +146,7 @@ impl Default for Plan {
             // The actuator's node has applied the safe outputs already.
             FaultKind::CommanderGone => observe.clone(),
             // A user, or the application, brings it back.
-            FaultKind::NodeAtRest => observe.clone(),
+            FaultKind::NodeInSafeState => observe.clone(),
             // Who starts its process again is for the robot's service manager to say.
             FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
@@ -194,8 +194,8 @@ impl Plan {
     }
 
     /// The answer that the recoverer of `node` has to a kind of fault at a place.
-    pub fn answer(&self, node: &NodeName, kind: &FaultKind, place: &FaultLocation) -> &Ladder {
-        match place {
+    pub fn answer(&self, node: &NodeName, kind: &FaultKind, location: &FaultLocation) -> &Ladder {
+        match location {
             FaultLocation::Object(address) if address.node == *node => {
                 self.answer_for(kind, Some(&address.object))
             }
@@ -314,7 +314,7 @@ fn check_ladder(
         kind,
         FaultKind::NodeLost
             | FaultKind::NodeFaulty
-            | FaultKind::NodeAtRest
+            | FaultKind::NodeInSafeState
             | FaultKind::CrashLoop
             | FaultKind::NodePaused
     );
@@ -422,8 +422,8 @@ mod tests {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default();
 
-        let place = FaultLocation::Node(node.clone());
-        let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
+        let location = FaultLocation::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &location);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }
@@ -433,8 +433,8 @@ mod tests {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default().on(FaultKind::Overload, Ladder::first(RecoveryAction::SafeStop));
 
-        let place = FaultLocation::Node(node.clone());
-        let ladder = plan.answer(&node, &FaultKind::Overload, &place);
+        let location = FaultLocation::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Overload, &location);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }

@@ -216,7 +216,7 @@ async fn tell_faults(node: Node) {
     while let Some(event) = events.next().await {
         let turn = format!("{:?}", event.turn).to_lowercase();
         let turn = turn.split([' ', '{']).next().unwrap_or_default().to_owned();
-        say(&format!("fault {turn} {} at {}", event.fault.kind, event.fault.place));
+        say(&format!("fault {turn} {} at {}", event.fault.kind, event.fault.location));
     }
 }
 

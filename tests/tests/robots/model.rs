@@ -71,8 +71,8 @@ impl Evidence {
 
     /// The faults of this object.
     fn faults<'a>(&'a self, object: &str) -> impl Iterator<Item = &'a FaultEntry> {
-        let place = format!("robot:{object}");
-        self.record.entries.iter().filter(move |entry| entry.fault.place.to_string() == place)
+        let location = format!("robot:{object}");
+        self.record.entries.iter().filter(move |entry| entry.fault.location.to_string() == location)
     }
 
     /// Milliseconds since the first line of the ledger; before it, less than none.
@@ -312,8 +312,8 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
         if fault.symptom_of.is_some() {
             continue;
         }
-        let place = fault.place.to_string();
-        let object = place.strip_prefix("robot:").unwrap_or(&place);
+        let location = fault.location.to_string();
+        let object = location.strip_prefix("robot:").unwrap_or(&location);
         let at = |part: usize| {
             evidence
                 .causes(part)
@@ -330,7 +330,7 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
             None => {
                 let of_group = groups.iter().filter(|(name, _)| name == object);
                 let mut parts = of_group.flat_map(|(_, parts)| parts);
-                place == "robot" || parts.any(|part| at(*part).next().is_some())
+                location == "robot" || parts.any(|part| at(*part).next().is_some())
             }
         };
         if !explained {
@@ -432,7 +432,7 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
     for (part, answer) in evidence.answers.iter().enumerate() {
         let name = evidence.name(part);
         let row =
-            evidence.table.iter().find(|row| row.place.to_string() == format!("robot:{name}"));
+            evidence.table.iter().find(|row| row.location.to_string() == format!("robot:{name}"));
         if evidence.is_away(part) {
             let standing = evidence.standing(part);
             let is_seen = row.is_some() || standing.is_some();
@@ -492,8 +492,8 @@ fn rounds(evidence: &Evidence, out: &mut Vec<String>) {
     for (part, plan) in evidence.robot.parts.iter().enumerate() {
         let Some(hz) = plan.rate_hz.filter(|_| evidence.is_running(part)) else { continue };
         // One that hangs may be left alone in its isolation.
-        let place = format!("robot:{}", plan.name);
-        let row = evidence.table.iter().find(|row| row.place.to_string() == place);
+        let location = format!("robot:{}", plan.name);
+        let row = evidence.table.iter().find(|row| row.location.to_string() == location);
         if evidence.robot.clock != Clock::Virtual
             || row.is_some_and(|row| is_isolated(evidence, row))
         {

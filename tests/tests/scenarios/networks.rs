@@ -193,10 +193,10 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
     }
     robot.module1.advance(1000 * MS).await;
 
-    let place = "module1 -ethernet- module2";
-    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
-    assert!(matches!(fault.place, FaultLocation::Link { .. }));
-    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    let location = "module1 -ethernet- module2";
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, location).await;
+    assert!(matches!(fault.location, FaultLocation::Link { .. }));
+    robot.module1.await_recovered(FaultKind::LinkDown, location).await;
     let heard = strings.lines("note");
     let sent: Vec<String> = (0..200).map(|n| format!("laser#1 note {n}")).collect();
     assert_eq!(heard, sent);
@@ -210,10 +210,10 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
 #[blastema_testkit::test]
 async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traffic_is_re_routed() {
     let mut robot = Robot::start(&Strings::default()).await;
-    let place = "module1 -ethernet- module2";
+    let location = "module1 -ethernet- module2";
     robot.cut("ethernet");
-    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
-    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, location).await;
+    robot.module1.await_recovered(FaultKind::LinkDown, location).await;
     robot.module1.advance(60_000 * MS).await;
 
     let entry = async || {
@@ -223,11 +223,11 @@ async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traff
     let out = entry().await;
     assert_eq!(out.status(), FaultStatus::Recovered);
     let recovered = out.recovered_at.expect("the second cable takes over");
-    let last_sign = async |place: &str| {
-        let row = robot.module1.row(place).await;
+    let last_sign = async |location: &str| {
+        let row = robot.module1.row(location).await;
         row.last_sign.expect("it gave one").as_millis()
     };
-    assert!(last_sign(place).await >= 60_000, "no hello comes over it");
+    assert!(last_sign(location).await >= 60_000, "no hello comes over it");
     assert!(last_sign("module2").await < 1_000, "hellos come over the other one");
 
     robot.mend("ethernet");
@@ -235,7 +235,7 @@ async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traff
     let repaired = entry().await;
     assert_eq!((repaired.status(), repaired.recovered_at), (FaultStatus::Closed, Some(recovered)));
     assert!(repaired.repaired_after() > repaired.recovered_after(), "{repaired:?}");
-    assert!(last_sign(place).await < 1_000);
+    assert!(last_sign(location).await < 1_000);
 }
 
 #[blastema_testkit::test]
@@ -321,7 +321,7 @@ impl RecoveryStrategy for TakeOver {
         order: &RecoveryOrder,
         _: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.place));
+        self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.location));
         Ok(RecoveryDone::default())
     }
 }

@@ -13,8 +13,8 @@ use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A node that comes to rest when a component needs more than one restart, and whom its outputs
-/// were called for.
+/// A node that enters the safe state when a component needs more than one restart, and whom its
+/// outputs were called for.
 fn robot(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
     let applied: Arc<Mutex<Vec<Fault>>> = Arc::default();
     let outputs = applied.clone();
@@ -39,7 +39,7 @@ async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
     let record = node.faults().await;
     let standing =
         record.entries.into_iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
-    standing.map(|entry| (entry.fault.kind, entry.fault.place.to_string())).collect()
+    standing.map(|entry| (entry.fault.kind, entry.fault.location.to_string())).collect()
 }
 
 fn networked(builder: NodeBuilder, own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
@@ -88,9 +88,9 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
 
     // And that is no mystery there.
     let record = peer.faults().await;
-    let told = record.entries.iter().find(|entry| entry.fault.kind == FaultKind::NodeAtRest);
+    let told = record.entries.iter().find(|entry| entry.fault.kind == FaultKind::NodeInSafeState);
     let told = told.expect("its peers are told");
-    assert_eq!(told.fault.place.to_string(), "module1");
+    assert_eq!(told.fault.location.to_string(), "module1");
     assert!(told.fault.detail.contains("motors needed more than 1 restarts"), "{told:?}");
     assert_eq!(told.status(), blastema::FaultStatus::Open);
 
@@ -98,7 +98,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
     peer.advance(500 * MS).await;
     assert_eq!(standing(&peer).await, []);
     assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.kind), Ok(()));
-    peer.await_fault(FaultKind::NodeAtRest, "module1").await;
+    peer.await_fault(FaultKind::NodeInSafeState, "module1").await;
 }
 
 #[blastema_testkit::test]
@@ -112,7 +112,7 @@ async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_incarnation_is_at
     let peer = TestNode::start(networked(peer, "module2", "module1", &medium)).await;
     assert!(peer.connected("module1", 2000 * MS).await);
     peer.advance(500 * MS).await;
-    assert_eq!(standing(&peer).await, [(FaultKind::NodeAtRest, "module1".to_owned())]);
+    assert_eq!(standing(&peer).await, [(FaultKind::NodeInSafeState, "module1".to_owned())]);
 
     resting.shutdown().await;
     let (builder, _) = robot(&strings);
@@ -161,7 +161,7 @@ async fn only_a_node_at_rest_is_restarted() {
     let (builder, _) = robot(&strings);
     let node = TestNode::start(builder).await;
     let refused = node.restart().await;
-    assert_eq!(refused, Err(RestartError::NotAtRest { state: NodeState::Running }));
+    assert_eq!(refused, Err(RestartError::NotInSafeState { state: NodeState::Running }));
     assert_eq!(incarnation(&node, "lamp").await, 1);
 
     bring_to_rest(&node).await;

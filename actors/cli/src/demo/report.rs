@@ -53,7 +53,7 @@ pub(crate) struct FaultRow {
     pub(crate) fault: &'static str,
     /// Where.
     #[serde(rename = "where")]
-    pub(crate) place: String,
+    pub(crate) location: String,
     /// The fault as reported by the middleware.
     pub(crate) named: Option<ReportedFault>,
     /// From the fault to its detection.
@@ -89,7 +89,7 @@ pub(crate) struct ReportedFault {
     pub(crate) text: String,
     /// Where.
     #[serde(rename = "where")]
-    pub(crate) place: String,
+    pub(crate) location: String,
     /// The particulars.
     pub(crate) detail: String,
 }
@@ -99,7 +99,7 @@ impl From<&FaultNote> for ReportedFault {
         ReportedFault {
             code: note.kind.code().to_owned(),
             text: note.kind.text().to_owned(),
-            place: note.place.to_string(),
+            location: note.location.to_string(),
             detail: note.detail.clone(),
         }
     }

@@ -28,7 +28,7 @@ impl Chain {
         let bench = Bench::new();
         let root = bench.serving(SupervisorRules::default(), &["laser", "arm"]).await;
         let (outcomes, node) = (Probe::start(), Probe::start());
-        let router = Probe::replying(|Reroute { place }| match place {
+        let router = Probe::replying(|Reroute { location }| match location {
             FaultLocation::Node(_) => Err("no other way leads there".into()),
             _ => Ok(RecoveryDone::default()),
         });
@@ -74,7 +74,7 @@ impl Chain {
     }
 
     async fn recover(&self, fault: Fault) {
-        if let (FaultKind::Panic, FaultLocation::Object(address)) = (&fault.kind, &fault.place) {
+        if let (FaultKind::Panic, FaultLocation::Object(address)) = (&fault.kind, &fault.location) {
             self.bench.script.dies(address.object.as_str());
         }
         let confirmed = self.recoverer.send(Recover { fault }).await;
@@ -123,7 +123,7 @@ impl RecoveryStrategy for Homing {
             1 => panic!("the gripper is open"),
             2 => std::future::pending().await,
             3 => Err("still not there".into()),
-            _ => tools.reset(&order.fault.place).await,
+            _ => tools.reset(&order.fault.location).await,
         }
     }
 }
@@ -202,12 +202,12 @@ fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
         let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
 
         let down = fault(1, FaultKind::LinkDown, "laser", 1);
-        chain.recover(Fault { place: link.clone(), ..down.clone() }).await;
+        chain.recover(Fault { location: link.clone(), ..down.clone() }).await;
         assert_eq!(chain.told_until("1 recovered").await, ["1 reroute", "1 recovered"]);
-        assert_eq!(chain.router.expect().await.place, link);
+        assert_eq!(chain.router.expect().await.location, link);
 
         let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
-        chain.recover(Fault { place: there, ..lost }).await;
+        chain.recover(Fault { location: there, ..lost }).await;
         assert_eq!(
             chain.told_until("2 observe").await,
             ["2 reroute", "2 reroute failed: no other way leads there", "2 observe"]
@@ -221,8 +221,8 @@ fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
         let chain = Chain::built_in().await;
         let contained = "given up: contained by isolate; service is not restored";
         for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
-            let place = FaultLocation::Node(NodeName::new(node).expect("a good name"));
-            let fault = Fault { place, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
+            let location = FaultLocation::Node(NodeName::new(node).expect("a good name"));
+            let fault = Fault { location, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
             chain.recover(fault).await;
             let told = chain.told_until(&format!("{id} {last}")).await;
             assert_eq!(told[0], format!("{id} isolate"), "{told:?}");

@@ -53,7 +53,7 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 ///         order: &RecoveryOrder,
 ///         tools: &StrategyContext,
 ///     ) -> Result<RecoveryDone, RecoveryFailed> {
-///         tools.isolate(&order.fault.place).await?;
+///         tools.isolate(&order.fault.location).await?;
 ///         tools.restart(&order.fault).await
 ///     }
 /// }

@@ -145,15 +145,15 @@ impl<C: Component> ComponentExecutor<C> {
         };
         let exited = DeferredReport::Exited(incarnation);
         // A replacement's own reports come after the end of the incarnation that it replaces.
-        let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
-        let place = place.unwrap_or(self.outbox.len());
+        let position = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
+        let position = position.unwrap_or(self.outbox.len());
         // It is told when the turn is over: the replacement's first reply does not wait for that.
         // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
         // to be told before it, such as why the component could not go on.
-        record.exits.settle(incarnation, supervisor, place == 0);
+        record.exits.settle(incarnation, supervisor, position == 0);
         self.pulse.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
-        self.outbox.splice(place..place, [exited].into_iter().chain(child));
+        self.outbox.splice(position..position, [exited].into_iter().chain(child));
     }
 
     /// The incarnation ends without a panic, its hooks done.

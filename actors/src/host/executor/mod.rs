@@ -165,7 +165,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.slot.stamp.begin_incarnation(self.state.incarnation.0);
         self.state.token.mute(record.is_isolated());
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
-        let placement = CurrentPlacement { arbiter, slot: self.place(), token };
+        let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
         self.schedule.begin(record.limits.interval, self.state.timers.clone());
         self.slot.stamp.run_every(record.limits.interval);
@@ -177,7 +177,7 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     #[inline]
-    pub(crate) fn place(&self) -> ActivitySlotRef {
+    pub(crate) fn activity_slot(&self) -> ActivitySlotRef {
         ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
     }
 

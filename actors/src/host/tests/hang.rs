@@ -160,8 +160,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
         let here = NodeName::new("here").unwrap();
-        let place = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
-        let mut row = MonitorRow::blank(place, ObjectKind::Component);
+        let location = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
+        let mut row = MonitorRow::blank(location, ObjectKind::Component);
         row.incarnation = Incarnation(1);
         site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
         let CurrentHandler { during, .. } = row.current.unwrap();

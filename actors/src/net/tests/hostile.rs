@@ -156,12 +156,12 @@ fn what_is_of_the_past_is_told_and_held_against_absent_for_others_may_repeat_it(
 fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
     paused(async {
         let (_robot, [left, right, middle]) = three().await;
-        let tell = |place: FaultLocation| {
+        let tell = |location: FaultLocation| {
             let name = NodeName::new("left").unwrap();
             let kind = FaultKind::NodeFaulty;
             let fault = Fault::of_node(name, kind, "it floods".into(), platform::now());
             let port = right.net.recoverer_of(&NodeName::new("left").unwrap());
-            async move { port.send(Recover { fault: Fault { place, ..fault } }).await }
+            async move { port.send(Recover { fault: Fault { location, ..fault } }).await }
         };
         let object = |text: &str| FaultLocation::Object(text.parse().unwrap());
         let others = [
@@ -170,8 +170,8 @@ fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
             object("left:acc"),
             object("middle:acc"),
         ];
-        for place in others {
-            let told = tell(place);
+        for location in others {
+            let told = tell(location);
             let (told, ()) = tokio::join!(told, advance(100 * MS));
             told.expect("it is not repeated");
         }

@@ -62,7 +62,7 @@ fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
             id: FaultId(1),
             kind: FaultKind::Panic,
             severity: Severity::Error,
-            place: FaultLocation::Object("left:acc".parse().unwrap()),
+            location: FaultLocation::Object("left:acc".parse().unwrap()),
             incarnation: Incarnation(1),
             detail: "boom".into(),
             found_at: platform::now(),
@@ -71,7 +71,7 @@ fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
         };
 
         port.send(Recover { fault: fault.clone() }).await.unwrap();
-        assert_eq!(right.faults.expect().await.fault.place, fault.place);
+        assert_eq!(right.faults.expect().await.fault.location, fault.location);
 
         robot.cut("ethernet/left");
         robot.cut("ieee1394/left");

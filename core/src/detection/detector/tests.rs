@@ -28,7 +28,7 @@ fn node(name: &str) -> NodeName {
 
 /// A place as it is written: `arm` is an object here, `n:arm` one there, `-eth-n` a link to n, `@n`
 /// a node.
-fn place(text: &str) -> FaultLocation {
+fn location(text: &str) -> FaultLocation {
     if let Some(name) = text.strip_prefix('@') {
         return FaultLocation::Node(node(name));
     }
@@ -65,8 +65,8 @@ impl Bench {
 
     fn see(&mut self, text: &str, incarnation: Incarnation, finding: Finding) {
         self.number += 1;
-        let (place, seen_at) = (place(text), self.now);
-        let observation = Observation { place, incarnation, finding, seen_at };
+        let (location, seen_at) = (location(text), self.now);
+        let observation = Observation { location, incarnation, finding, seen_at };
         self.detector.handle_observed(self.number, observation, self.now);
     }
 

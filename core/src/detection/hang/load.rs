@@ -250,8 +250,8 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for &slot in &self.awake {
-            let place = self.components.get_mut(slot as usize).and_then(Option::as_mut);
-            let Some(component) = place.and_then(ComponentEntry::awake_mut) else { continue };
+            let entry = self.components.get_mut(slot as usize).and_then(Option::as_mut);
+            let Some(component) = entry.and_then(ComponentEntry::awake_mut) else { continue };
             let Some(episode) = component.overload.take_if(is_over) else { continue };
             let Some(reading) = component.reading else { continue };
             if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
@@ -261,8 +261,8 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for victim in free {
-            let place = self.components.get_mut(victim as usize).and_then(Option::as_mut);
-            if let Some(component) = place.and_then(ComponentEntry::awake_mut)
+            let entry = self.components.get_mut(victim as usize).and_then(Option::as_mut);
+            if let Some(component) = entry.and_then(ComponentEntry::awake_mut)
                 && component.silence == Silence::Told
             {
                 (component.silence, component.alive_since) = (Silence::Void, now);

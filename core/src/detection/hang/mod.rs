@@ -157,8 +157,8 @@ impl HangDetector {
 
     /// It is no longer.
     pub fn handle_leave(&mut self, slot: SlotId) {
-        let place = self.components.get_mut(slot as usize);
-        let Some(component) = place.and_then(Option::take) else { return };
+        let entry = self.components.get_mut(slot as usize);
+        let Some(component) = entry.and_then(Option::take) else { return };
         let JudgedComponent { object, arbiter, .. } = component.judged();
         if let Some(arbiter) = self.arbiters.get_mut(arbiter) {
             if arbiter.running == Some(slot) {
@@ -367,8 +367,8 @@ impl HangDetector {
 
     /// The components that were judged at the last look: all that are not at rest.
     fn awake(&self) -> impl Iterator<Item = (SlotId, &ComponentRecord)> + '_ {
-        let place = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
-        self.awake.iter().filter_map(move |slot| Some((*slot, place(*slot)?)))
+        let entry = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
+        self.awake.iter().filter_map(move |slot| Some((*slot, entry(*slot)?)))
     }
 
     /// Looks at all components. One that rests costs the comparison of its mark.
@@ -383,8 +383,8 @@ impl HangDetector {
         let busy: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         awake.clear();
-        for (slot, place) in (0..).zip(components) {
-            let Some(watched) = place else { continue };
+        for (slot, entry) in (0..).zip(components) {
+            let Some(watched) = entry else { continue };
             let id = watched.judged().arbiter;
             let is_busy = busy.contains(&id);
             if let ComponentEntry::Resting { mark, .. } = watched

@@ -156,8 +156,8 @@ impl Monitor {
     }
 
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
-        let place = FaultLocation::Node(self.node.clone());
-        self.observe(place, Incarnation::default(), Finding::Node(condition), now);
+        let location = FaultLocation::Node(self.node.clone());
+        self.observe(location, Incarnation::default(), Finding::Node(condition), now);
         self.settle(now);
     }
 

@@ -47,7 +47,7 @@ fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
     while let Some(output) = monitor.poll_output() {
         match output {
             MonitorOutput::Observe { number, observation } => {
-                seen.push(format!("{} {}", observation.place, name(&observation.finding)));
+                seen.push(format!("{} {}", observation.location, name(&observation.finding)));
                 monitor.handle_confirmed(number, at(millis));
             }
             MonitorOutput::Ask { object } => seen.push(format!("ask {object}")),
@@ -72,7 +72,7 @@ fn run(monitor: &mut Monitor, until: u64) -> Vec<(u64, String)> {
 }
 
 fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
-    let is_it = |row: &MonitorRow| row.place.to_string() == name;
+    let is_it = |row: &MonitorRow| row.location.to_string() == name;
     monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
 }
 
@@ -350,7 +350,7 @@ fn an_incarnation_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
     for (exit, state, opinion) in [
         (panicked(), Lifecycle::Fatal, Opinion::Failed),
         (ExitReason::Aborted, Lifecycle::Fatal, Opinion::Failed),
-        (ExitReason::Stopped, Lifecycle::Finalized, Opinion::AtRest),
+        (ExitReason::Stopped, Lifecycle::Finalized, Opinion::Stopped),
     ] {
         let mut monitor = watched(Liveness::Guard);
         monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));

@@ -28,11 +28,11 @@ impl Recoverer {
 
     fn stand_still(&mut self, standstill: Standstill, now: Instant) {
         self.standstill = Some(standstill);
-        let rests = |place: &&FaultLocation| matches!(place, FaultLocation::Object(_));
-        let places: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
-        for place in places {
-            let told = self.cases[&place].given_up;
-            for fault in &self.close(&place, now) {
+        let rests = |location: &&FaultLocation| matches!(location, FaultLocation::Object(_));
+        let locations: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
+        for location in locations {
+            let told = self.cases[&location].given_up;
+            for fault in &self.close(&location, now) {
                 self.give_up_hung(fault);
                 if !told {
                     self.tell_rest(fault, standstill);

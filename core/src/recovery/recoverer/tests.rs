@@ -21,12 +21,12 @@ fn at(object: &str) -> FaultLocation {
     FaultLocation::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
 }
 
-fn fault(id: u64, kind: FaultKind, place: FaultLocation, incarnation: u64) -> Fault {
+fn fault(id: u64, kind: FaultKind, location: FaultLocation, incarnation: u64) -> Fault {
     Fault {
         id: FaultId(id),
         severity: kind.severity(),
         kind,
-        place,
+        location,
         incarnation: Incarnation(incarnation),
         detail: String::new(),
         found_at: Instant::ORIGIN,
@@ -66,7 +66,10 @@ impl Rig {
             said.push(match action {
                 RecovererOutput::CarryOut(order) => {
                     let RecoveryOrder { number, measure, fault, attempt, .. } = order;
-                    format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
+                    format!(
+                        "#{number} {measure} {} against {}, {attempt}",
+                        fault.location, fault.kind
+                    )
                 }
                 RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
                     FaultResolution::Decided { .. } | FaultResolution::Failed { .. } => continue,
@@ -84,7 +87,7 @@ impl Rig {
                 },
                 RecovererOutput::Release { measure } => format!("release {measure}"),
                 RecovererOutput::GiveUpLife { fault } => {
-                    format!("give up {} {}", fault.place, fault.incarnation)
+                    format!("give up {} {}", fault.location, fault.incarnation)
                 }
                 RecovererOutput::LastResort { fault, reason } => {
                     format!("last resort for {}: {reason}", fault.id.0)
@@ -509,19 +512,19 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
 /// to a final outcome in bounded time.
 #[test]
 fn every_fault_is_settled_whatever_the_strategies_do() {
-    let places = [
+    let locations = [
         at("arm"),
         FaultLocation::Node(NodeName::new("there").expect("a good name")),
         FaultLocation::Link { node: node(), link: "ethernet".into(), neighbour: None },
     ];
     for kind in FaultKind::BUILT_IN {
-        for place in &places {
+        for location in &locations {
             for answers in 0..81 {
                 let mut rig = Rig::new();
                 let mut open = vec![1, 2];
                 let second = FaultKind::BUILT_IN[answers % 15].clone();
-                rig.machine.handle_fault(fault(1, kind.clone(), place.clone(), 1), rig.now);
-                rig.machine.handle_fault(fault(2, second, place.clone(), 1), rig.now);
+                rig.machine.handle_fault(fault(1, kind.clone(), location.clone(), 1), rig.now);
+                rig.machine.handle_fault(fault(2, second, location.clone(), 1), rig.now);
                 let mut answers = answers;
                 for _ in 0..60 {
                     while let Some(action) = rig.machine.poll_output() {
@@ -549,7 +552,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                         rig.machine.handle_timeout(due);
                     }
                 }
-                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {place}");
+                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {location}");
             }
         }
     }

@@ -99,7 +99,7 @@ pub enum RecovererOutput {
         /// The fault's number in its finder's record.
         fault: FaultId,
         /// Where it is.
-        place: FaultLocation,
+        location: FaultLocation,
         /// What became of it.
         settled: FaultResolution,
     },
@@ -115,7 +115,7 @@ pub enum RecovererOutput {
         /// Its hang.
         fault: Fault,
     },
-    /// Not even safe stop could be carried out: the whole node is to come to rest.
+    /// Not even safe stop could be carried out: the whole node enters the safe state.
     LastResort {
         /// What could not be contained.
         fault: Fault,

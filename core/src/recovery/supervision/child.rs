@@ -56,7 +56,7 @@ pub enum ChildState {
     Stopping,
     /// Its incarnation has ended, and the recoverer has not yet said what is to be done.
     Failed,
-    /// It was put in safe state.
+    /// It was put in the safe state.
     Resting,
     /// Its end was final, as its rules say.
     Finished,

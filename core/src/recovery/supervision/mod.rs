@@ -347,7 +347,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child is to be put in safe state.
+    /// The child is to be put in the safe state.
     pub fn handle_rest(
         &mut self,
         name: &ObjectName,

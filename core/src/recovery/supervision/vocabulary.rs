@@ -39,8 +39,8 @@ pub enum GiveUpReason {
         /// The deadline of its rules.
         limit: Duration,
     },
-    /// It is in safe state; a person, not a fault, brings it back.
-    #[error("it is in safe state")]
+    /// It is in the safe state; a person, not a fault, brings it back.
+    #[error("it is in the safe state")]
     Resting,
     /// Its end was final.
     #[error("it is not restarted: its end was final, as its rules say")]

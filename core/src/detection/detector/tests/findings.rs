@@ -26,17 +26,21 @@ fn everything_on_the_list_is_found_under_its_kind() {
             FaultKind::LinkDegraded,
         ),
         ("@n", lost(), FaultKind::NodeLost),
-        ("@n", Finding::Node(NodeCondition::AtRest { reason: reason() }), FaultKind::NodeAtRest),
+        (
+            "@n",
+            Finding::Node(NodeCondition::InSafeState { reason: reason() }),
+            FaultKind::NodeInSafeState,
+        ),
         (
             "arm",
             Finding::Declared { kind: FaultKind::Custom("X1".into()), detail: reason() },
             FaultKind::Custom("X1".into()),
         ),
     ];
-    for (place, finding, kind) in cases {
+    for (location, finding, kind) in cases {
         let mut bench = Bench::new();
 
-        bench.see(place, ONE, finding.clone());
+        bench.see(location, ONE, finding.clone());
 
         assert_eq!(bench.said(), ["Found 1", "+1"], "{finding:?}");
         let fault = bench.fault(1);
@@ -74,10 +78,10 @@ fn what_is_no_fault_is_not_recorded() {
         ("-eth-n", Finding::Link(LinkCondition::Up)),
         ("@n", Finding::Node(NodeCondition::Reachable)),
     ];
-    for (place, finding) in harmless {
+    for (location, finding) in harmless {
         let mut bench = Bench::new();
 
-        bench.see(place, ONE, finding.clone());
+        bench.see(location, ONE, finding.clone());
 
         assert_eq!(bench.said(), [""; 0], "{finding:?}");
     }
@@ -120,15 +124,15 @@ fn each_fault_that_goes_by_itself_is_cleared_by_what_says_so() {
         ),
         ("@n", lost(), Finding::Node(NodeCondition::Reachable)),
     ];
-    for (place, fault, end) in cases {
+    for (location, fault, end) in cases {
         let mut bench = Bench::new();
-        bench.see(place, ONE, fault.clone());
+        bench.see(location, ONE, fault.clone());
         bench.said();
 
-        bench.see(place, ONE, end);
+        bench.see(location, ONE, end);
 
         assert_eq!(bench.said(), ["Cleared 1", "-1"], "{fault:?}");
-        bench.see(place, ONE, fault.clone());
+        bench.see(location, ONE, fault.clone());
         assert_eq!(bench.said(), ["Found 2", "+2"], "{fault:?}");
     }
 }

@@ -211,7 +211,7 @@ fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
 fn that_a_node_is_at_rest_stands_until_it_works_again_leaves_or_begins_anew() {
     for over in [NodeCondition::AtWork, NodeCondition::Left, NodeCondition::Restarted] {
         let mut bench = Bench::new();
-        let rest = || Finding::Node(NodeCondition::AtRest { reason: "it panics".into() });
+        let rest = || Finding::Node(NodeCondition::InSafeState { reason: "it panics".into() });
         bench.see("@n", Incarnation(9), rest());
         bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Reachable));
         assert_eq!(bench.said(), ["Found 1", "+1"], "{over:?}");
@@ -285,7 +285,7 @@ proptest! {
                 prop_assert_eq!(entry.stands(), bench.detector.chronicle.stands(fault.id));
                 if entry.stands() {
                     let kind = fault.kind.clone();
-                    prop_assert!(standing.insert((fault.place.clone(), kind)));
+                    prop_assert!(standing.insert((fault.location.clone(), kind)));
                 }
                 if let Some(root) = fault.symptom_of {
                     prop_assert_ne!(root, fault.id);

@@ -182,7 +182,7 @@ fn who_is_silent_because_the_computer_has_no_time_is_a_symptom_of_the_node() {
     bench.see("@m", ONE, Finding::Node(overloaded));
     assert_eq!(bench.said(), ["Found 1", "+1"]);
     let fault = bench.fault(1);
-    assert_eq!((fault.kind, fault.place), (FaultKind::Overload, place("@m")));
+    assert_eq!((fault.kind, fault.location), (FaultKind::Overload, location("@m")));
     assert!(fault.detail.contains("83 %"), "{}", fault.detail);
 
     bench.see("safety", ONE, silent());
