@@ -73,7 +73,7 @@ pub(crate) trait Skeleton: Send + Sync {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError>;
 
@@ -94,7 +94,7 @@ pub(crate) trait Skeleton: Send + Sync {
     fn declare(&self, kind: FaultKind, detail: String);
 
     /// What was declared of the object is over.
-    fn mend(&self, _kind: FaultKind) {}
+    fn clear_fault(&self, _kind: FaultKind) {}
 
     /// Whether the object is at work, so that what is delivered is served at once.
     fn is_at_work(&self) -> bool {
@@ -265,12 +265,12 @@ pub struct NameTaken {
 
 struct Entry {
     ports: BTreeMap<&'static str, ContractPort>,
-    mortal: Arc<dyn Watchable>,
+    watchable: Arc<dyn Watchable>,
 }
 
 impl Entry {
     fn kind(&self) -> &'static str {
-        if self.mortal.component_type().is_some() { "a component" } else { "a service" }
+        if self.watchable.component_type().is_some() { "a component" } else { "a service" }
     }
 
     fn not_served(&self, object: &ObjectName, contract: &str) -> DeliveryError {
@@ -371,14 +371,14 @@ impl Registry {
         &self,
         name: &ObjectName,
         ports: BTreeMap<&'static str, ContractPort>,
-        mortal: Arc<dyn Watchable>,
+        watchable: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
         let known = inner.objects.get(name).map(Entry::kind);
         if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
             return Err(NameTaken { name: name.clone(), by });
         }
-        inner.objects.insert(name.clone(), Entry { ports, mortal });
+        inner.objects.insert(name.clone(), Entry { ports, watchable });
         inner.revision += 1;
         Ok(())
     }
@@ -513,14 +513,14 @@ impl Registry {
 
     /// The cell of the component of this name.
     pub(crate) fn cell(&self, object: &ObjectName) -> Option<Arc<dyn Any + Send + Sync>> {
-        let mortal = self.lock().objects.get(object)?.mortal.clone();
-        mortal.cell()
+        let watchable = self.lock().objects.get(object)?.watchable.clone();
+        watchable.cell()
     }
 
     /// The type of the component of this name.
     pub(crate) fn component_type(&self, object: &ObjectName) -> Option<&'static str> {
         let inner = self.lock();
-        inner.objects.get(object).and_then(|entry| entry.mortal.component_type())
+        inner.objects.get(object).and_then(|entry| entry.watchable.component_type())
     }
 
     /// Puts a fault into the object of this name.
@@ -528,9 +528,9 @@ impl Registry {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));
-        let mortal = entry.ok_or_else(|| inner.misspelt(name))?.mortal.clone();
+        let watchable = entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone();
         drop(inner);
-        mortal.inject(injection);
+        watchable.inject(injection);
         Ok(())
     }
 
@@ -538,11 +538,11 @@ impl Registry {
     /// live.
     pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) {
         let inner = self.lock();
-        let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
+        let watchable = inner.objects.get(&object).map(|entry| entry.watchable.clone());
         let deaths = inner.deaths.clone();
         drop(inner);
-        let unknown = match mortal {
-            Some(mortal) => return mortal.watch(watcher),
+        let unknown = match watchable {
+            Some(watchable) => return watchable.watch(watcher),
             None => deaths.watch(&object, watcher),
         };
         if let Some(watcher) = unknown {

@@ -127,7 +127,7 @@ impl Lease {
     }
 
     /// How it stands at `now`.
-    pub fn standing(&self, now: Instant) -> LeaseStatus {
+    pub fn status(&self, now: Instant) -> LeaseStatus {
         match &self.state {
             State::Free => LeaseStatus::Free,
             State::Held { commander, due } => LeaseStatus::Held {
@@ -309,12 +309,12 @@ mod tests {
         let commander = who("planner", 1);
         let (now, left) = (ms(40), SPAN - Duration::from_millis(40));
         let held = LeaseStatus::Held { commander: commander.clone(), epoch, left };
-        assert_eq!(lease.standing(now), held);
+        assert_eq!(lease.status(now), held);
         lease.handle_timeout(ms(100));
-        assert_eq!(lease.standing(ms(100)), LeaseStatus::Settling { commander });
+        assert_eq!(lease.status(ms(100)), LeaseStatus::Settling { commander });
         lease.handle_applied(true, ms(101));
         lease.handle_cut_off_returned();
-        assert_eq!(lease.standing(ms(102)), LeaseStatus::Free);
+        assert_eq!(lease.status(ms(102)), LeaseStatus::Free);
     }
 
     #[test]

@@ -134,12 +134,12 @@ impl World {
                     self.orders.remove(&child);
                     self.present.remove(&child);
                 }
-                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
                     assert_eq!(self.strategy, Strategy::OneForOne);
                     assert!(order.times > 0 && order.times <= self.intensity);
                     self.orders.insert(child);
                 }
-                SupervisorOutput::StandingOrder { child, order: None } => {
+                SupervisorOutput::RestartGrant { child, order: None } => {
                     self.orders.remove(&child);
                 }
                 SupervisorOutput::Recovered { call, child, incarnation } => {

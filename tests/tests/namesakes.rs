@@ -101,9 +101,7 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
         assert_eq!(locations, ["arm:net/router", "arm:net/router"]);
         assert!(of_first.detail.contains("kept out; end it"), "{}", of_first.detail);
         assert!(of_second.detail.contains("give it another name"), "{}", of_second.detail);
-        assert!(
-            second.sessions().await.iter().all(|session| session.standing.incarnation.is_none())
-        );
+        assert!(second.sessions().await.iter().all(|session| session.status.incarnation.is_none()));
 
         // Callers on that node get the reason why there is no answer.
         let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");

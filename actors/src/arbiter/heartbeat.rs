@@ -52,7 +52,7 @@ thread_local! {
 /// fence goes up may still land: to be strict would cost every message a lock.
 #[inline]
 pub(crate) fn send_refusal() -> Option<DeliveryError> {
-    let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
+    let gate = HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.gate.load(Relaxed)));
     match gate.unwrap_or(0) {
         0 => None,
         MUTED => Some(DeliveryError::SenderIsolated),
@@ -62,13 +62,14 @@ pub(crate) fn send_refusal() -> Option<DeliveryError> {
 
 /// The slot of the component that runs on this thread.
 pub(crate) fn running_here() -> Option<u32> {
-    HERE.try_with(|here| here.get().and_then(|pulse| pulse.running())).ok().flatten()
+    HERE.try_with(|here| here.get().and_then(|heartbeat| heartbeat.running())).ok().flatten()
 }
 
 /// The time to the precision of the beat.
 #[inline]
 pub(crate) fn coarse_now() -> Instant {
-    let beaten = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.time.load(Relaxed)));
+    let beaten =
+        HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.time.load(Relaxed)));
     match beaten.unwrap_or(0) {
         0 => platform::now(),
         nanos => Instant::from_nanos(nanos),
@@ -108,12 +109,12 @@ impl ArbiterHeartbeat {
     /// # Panics
     /// Outside of an actix arbiter.
     pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
-        let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
-        Unwinding::note_here(&pulse.unwinding);
-        if let Some(beat) = pulse.clone().start_beating() {
+        let heartbeat = HERE.with(|here| here.get_or_init(Arc::default).clone());
+        Unwinding::note_here(&heartbeat.unwinding);
+        if let Some(beat) = heartbeat.clone().start_beating() {
             actix_rt::spawn(beat);
         }
-        pulse
+        heartbeat
     }
 
     /// Gives this fresh thread, whose runtime is its own, a heartbeat that another one reads
@@ -269,33 +270,33 @@ mod tests {
 
     #[test]
     fn a_fence_is_lifted_by_the_beat_unless_the_arbiter_is_lost() {
-        let pulse = ArbiterHeartbeat::default();
-        assert!(!pulse.lose(), "only a fenced arbiter can be lost");
-        pulse.fence();
-        assert!(pulse.is_fenced() && !pulse.is_lost());
+        let heartbeat = ArbiterHeartbeat::default();
+        assert!(!heartbeat.lose(), "only a fenced arbiter can be lost");
+        heartbeat.fence();
+        assert!(heartbeat.is_fenced() && !heartbeat.is_lost());
 
-        pulse.beat(Instant::from_millis(1));
-        assert!(!pulse.is_fenced());
+        heartbeat.beat(Instant::from_millis(1));
+        assert!(!heartbeat.is_fenced());
 
-        pulse.fence();
-        assert!(pulse.lose());
-        assert!(!pulse.lose(), "once");
-        pulse.beat(Instant::from_millis(2));
-        assert!(pulse.is_fenced() && pulse.is_lost());
+        heartbeat.fence();
+        assert!(heartbeat.lose());
+        assert!(!heartbeat.lose(), "once");
+        heartbeat.beat(Instant::from_millis(2));
+        assert!(heartbeat.is_fenced() && heartbeat.is_lost());
     }
 
     #[test]
     fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
         paused(async {
             assert_eq!(send_refusal(), None);
-            let pulse = ArbiterHeartbeat::enrol_here();
-            pulse.mute(true);
+            let heartbeat = ArbiterHeartbeat::enrol_here();
+            heartbeat.mute(true);
             assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
-            pulse.fence();
+            heartbeat.fence();
             assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            pulse.mute(false);
+            heartbeat.mute(false);
             assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            pulse.lift();
+            heartbeat.lift();
             assert_eq!(send_refusal(), None);
         });
     }
@@ -305,10 +306,10 @@ mod tests {
         for _ in 0..2 {
             assert!(!ArbiterHeartbeat::beats_here());
             paused(async {
-                let pulse = ArbiterHeartbeat::enrol_here();
-                let before = pulse.beats();
+                let heartbeat = ArbiterHeartbeat::enrol_here();
+                let before = heartbeat.beats();
                 advance(Duration::from_millis(100)).await;
-                assert!((9..=11).contains(&(pulse.beats() - before)));
+                assert!((9..=11).contains(&(heartbeat.beats() - before)));
                 assert!(platform::now() - coarse_now() <= HEARTBEAT_INTERVAL);
                 assert!(now() > Instant::ORIGIN && ArbiterHeartbeat::beats_here());
             });

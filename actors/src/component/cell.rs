@@ -162,11 +162,11 @@ impl CellCore {
     /// An incarnation is in its place. False if a later one has begun elsewhere, whose place stays
     /// known.
     pub(crate) fn enter(&self, incarnation: Incarnation, placement: CurrentPlacement) -> bool {
-        let mut standing = lock(&self.state);
+        let mut status = lock(&self.state);
         let is_newest = incarnation >= self.incarnation();
         if is_newest {
             self.set_incarnation(incarnation);
-            standing.arbiter = Some(placement);
+            status.arbiter = Some(placement);
         }
         is_newest
     }
@@ -176,25 +176,25 @@ impl CellCore {
     }
 
     pub(crate) fn set_state(&self, state: Lifecycle) {
-        let mut standing = lock(&self.state);
-        standing.state = state;
+        let mut status = lock(&self.state);
+        status.state = state;
         // Between two hooks that wait for a device, the component may be initialized.
         if state != Lifecycle::Initialized {
-            standing.unavailable = None;
+            status.unavailable = None;
         }
     }
 
     /// A hook has failed because what it needs is not there yet.
     pub(crate) fn set_unavailable(&self, reason: &str) {
-        let mut standing = lock(&self.state);
-        let since = standing.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
-        standing.unavailable = Some(Box::new((since, reason.to_owned())));
+        let mut status = lock(&self.state);
+        let since = status.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
+        status.unavailable = Some(Box::new((since, reason.to_owned())));
     }
 
     /// What the component waits for, and for how long it has.
     fn unavailable(&self) -> Option<Unavailable> {
-        let standing = lock(&self.state);
-        let (since, reason) = *standing.unavailable.clone()?;
+        let status = lock(&self.state);
+        let (since, reason) = *status.unavailable.clone()?;
         Some(Unavailable { reason, lasts: platform::now() - since })
     }
 
@@ -217,12 +217,12 @@ impl CellCore {
     /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler
     /// had may block there when it is dropped. Its guard reports it where it catches it before.
     pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
-        let pulse = &placement.arbiter.pulse;
-        if pulse.running() != Some(placement.slot.index) || pulse.is_here() {
+        let heartbeat = &placement.arbiter.heartbeat;
+        if heartbeat.running() != Some(placement.slot.index) || heartbeat.is_here() {
             return;
         }
-        if let Some(PanicRecord { text, at }) = pulse.unwinding() {
-            let during = label::name(placement.slot.stamp.read().during);
+        if let Some(PanicRecord { text, at }) = heartbeat.unwinding() {
+            let during = label::name(placement.slot.activity.read().during);
             self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
     }
@@ -299,9 +299,9 @@ impl CellCore {
 
     /// What the component had declared is over.
     pub(crate) fn clear(&self, kind: FaultKind) {
-        if let Some(mended) = &self.environment.reports.mended {
+        if let Some(cleared) = &self.environment.reports.cleared {
             let (object, incarnation) = (self.name.clone(), self.incarnation());
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 
@@ -431,7 +431,7 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         let queued = self.queue.depth();
         let posted_at = match queued {
             0 => None,
-            _ => self.queue.with_oldest(|mail| mail.brief().posted_at),
+            _ => self.queue.with_oldest(|envelope| envelope.header().posted_at),
         };
         let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
         QueueReading { queued, oldest }
@@ -571,7 +571,7 @@ impl<C: Component> ComponentCell<C> {
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
         if let Some(oldest) = self.queue.push_with(message, seal)? {
-            self.return_mail(oldest, DeliveryError::Full);
+            self.return_envelope(oldest, DeliveryError::Full);
         }
         Ok(())
     }

@@ -177,7 +177,7 @@ impl<C: Component> Context<C> {
     #[inline]
     pub fn alive(&self) {
         if !self.cell.record.injected.is_silent() {
-            self.state.stamp.give_sign();
+            self.state.activity.give_sign();
         }
     }
 

@@ -63,7 +63,7 @@ impl From<Instant> for Times {
 }
 
 pub(crate) trait Envelope<C: Component> {
-    fn brief(&self) -> EnvelopeHeader;
+    fn header(&self) -> EnvelopeHeader;
     /// Whether the caller has stopped waiting for the reply.
     fn is_void(&self) -> bool;
     fn id(&self) -> Option<MessageId>;
@@ -122,7 +122,7 @@ where
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn brief(&self) -> EnvelopeHeader {
+    fn header(&self) -> EnvelopeHeader {
         EnvelopeHeader {
             contract: TypeId::of::<M>(),
             name: M::NAME,

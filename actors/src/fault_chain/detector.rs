@@ -122,7 +122,7 @@ impl Actor for DetectorActor {
 
 impl Supervised for DetectorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.machine = self.machine.clone().reborn(platform::now());
+        self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
     }
 }

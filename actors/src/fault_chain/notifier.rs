@@ -105,7 +105,7 @@ impl Actor for NotifierActor {
 
 impl Supervised for NotifierActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.machine = self.machine.clone().reborn(platform::now());
+        self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
     }
 }

@@ -137,7 +137,7 @@ impl Child for Scripted {
         self.call(if isolated { "isolate" } else { "admit" });
     }
 
-    fn standing_order(&mut self, order: Option<RestartGrant>) {
+    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
         self.call(if order.is_some() { "order" } else { "withdraw" });
     }
 }

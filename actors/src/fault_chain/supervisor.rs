@@ -244,9 +244,9 @@ impl MachineActor for SupervisorActor {
                     self.isolation.do_send(IsolationReported { object, isolated });
                 }
             }
-            SupervisorOutput::StandingOrder { child, order } => {
+            SupervisorOutput::RestartGrant { child, order } => {
                 if let Some(child) = self.child(&child) {
-                    child.standing_order(order);
+                    child.set_restart_grant(order);
                 }
             }
             SupervisorOutput::Recovered { call, child, incarnation } => {
@@ -586,7 +586,7 @@ impl Child for SupervisorChild {
         self.address.do_send(IsolateAll { isolated });
     }
 
-    fn standing_order(&mut self, _: Option<RestartGrant>) {
+    fn set_restart_grant(&mut self, _: Option<RestartGrant>) {
         // The guardian restarts it by reflex; it needs no permission.
     }
 }

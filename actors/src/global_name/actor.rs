@@ -43,7 +43,7 @@ pub(crate) struct GlobalNamesSetup {
     pub(crate) registry: Registry,
     pub(crate) names: GlobalNameTable,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 /// A name that is claimed here.
@@ -59,7 +59,7 @@ pub(crate) struct GlobalNamesActor {
     setup: GlobalNamesSetup,
     machine: GlobalNames,
     wake: WakeTimer,
-    letters: PeerChannel,
+    channel: PeerChannel,
     own: BTreeMap<ObjectName, Own>,
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
@@ -95,11 +95,11 @@ impl GlobalNamesActor {
             GlobalNamesActor {
                 machine: GlobalNames::new(config(&setup), platform::now()),
                 wake: WakeTimer::default(),
-                letters: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
+                channel: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
                 own: BTreeMap::new(),
                 peers: BTreeMap::new(),
                 complaints: RefusalAlarms::default(),
-                faults: FaultReporter::of("claims", setup.faults.clone(), setup.mended.clone()),
+                faults: FaultReporter::of("claims", setup.faults.clone(), setup.cleared.clone()),
                 lost: ActiveAlarms::default(),
                 without: UnmetClaims::default(),
                 said: None,
@@ -147,12 +147,12 @@ impl GlobalNamesActor {
     }
 
     /// Some names are not lost any more. Of those who go without, it is said again.
-    fn mend(&mut self) {
+    fn clear(&mut self) {
         self.said = None;
         if self.without.text().is_some() {
             self.say_who_goes_without();
         } else if self.lost.iter().next().is_none() {
-            self.faults.mend(FaultKind::NameTaken);
+            self.faults.clear(FaultKind::NameTaken);
         }
     }
 
@@ -163,7 +163,7 @@ impl GlobalNamesActor {
                 self.said = Some(text.clone());
                 self.declare(FaultKind::NameTaken, text);
             }
-            None if self.said.take().is_some() => self.mend(),
+            None if self.said.take().is_some() => self.clear(),
             Some(_) | None => {}
         }
     }
@@ -172,7 +172,7 @@ impl GlobalNamesActor {
     fn has_its_name(&mut self, name: ObjectName, number: u64) {
         self.without.handle_end(&name, number);
         if self.lost.clear(&(name, number)) {
-            self.mend();
+            self.clear();
         }
         self.say_who_goes_without();
     }
@@ -200,10 +200,10 @@ impl GlobalNamesActor {
             }
         }
         if self.complaints.take_over(now) {
-            self.faults.mend(FaultKind::CheckFailed);
+            self.faults.clear(FaultKind::CheckFailed);
         }
         if !self.lost.take_over(now).is_empty() {
-            self.mend();
+            self.clear();
         }
     }
 }
@@ -241,7 +241,7 @@ impl Supervised for GlobalNamesActor {
             own.push((wanted.clone(), epoch));
         }
         self.setup.names.forget_all();
-        self.machine = GlobalNames::reborn(config(&self.setup), own, now);
+        self.machine = GlobalNames::restarted(config(&self.setup), own, now);
         for (node, incarnation) in self.peers.values() {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
@@ -263,7 +263,7 @@ impl MachineActor for GlobalNamesActor {
 
     fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {
         match output {
-            GlobalNamesOutput::Send { to, message } => self.letters.send(&to, &message),
+            GlobalNamesOutput::Send { to, message } => self.channel.send(&to, &message),
             GlobalNamesOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
@@ -376,7 +376,7 @@ impl Handler<ActorMessageReceived> for GlobalNamesActor {
     type Result = ();
 
     fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
-        self.letters.read_one();
+        self.channel.read_one();
         if let Some((node, _)) = self.peers.get(&letter.from) {
             self.machine.handle_message(node, &letter.bytes, platform::now());
             self.drive(context);
@@ -413,51 +413,51 @@ mod tests {
             registry: Registry::default(),
             names: names.clone(),
             faults: None,
-            mended: None,
+            cleared: None,
         }
     }
 
     #[test]
     fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
         paused(async {
-            let (declared, mended) =
+            let (declared, cleared) =
                 (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
-            let (faults, over) = (Some(declared.recipient()), Some(mended.recipient()));
+            let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
             let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { faults, mended: over, ..setup(&names) };
+            let setup = GlobalNamesSetup { faults, cleared: over, ..setup(&names) };
             let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
             names.claim_unattended(wanted(), 98);
             assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             drop(claim);
             names.claim_unattended(wanted(), 99);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
             // The next incarnation of the one that was refused.
             names.claim_unattended(wanted(), 98);
 
-            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
     }
 
     #[test]
     fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
         paused(async {
-            let mended = Probe::<DeclaredFaultCleared>::start();
+            let cleared = Probe::<DeclaredFaultCleared>::start();
             let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { mended: Some(mended.recipient()), ..setup(&names) };
+            let setup = GlobalNamesSetup { cleared: Some(cleared.recipient()), ..setup(&names) };
             let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
             names.claim_unattended(wanted(), 98);
             names.claim_unattended(wanted(), 99);
 
             names.withdraw(&wanted().name, 98);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
 
-            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
     }
 

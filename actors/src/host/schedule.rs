@@ -219,10 +219,10 @@ impl<C: Component> ScheduledWork<C> {
         }
         let now = platform::now();
         for id in self.timers.take_new() {
-            let mode = self.timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+            let mode = self.timers.active.borrow().get(&id.0).map(|timer| timer.mode);
             let Some(TimerMode::Once(delay) | TimerMode::Every(delay)) = mode else { continue };
             let entry = self.planned().enter(now + delay, DueWork::Timer(id));
-            if let Some(timer) = self.timers.standing.borrow_mut().get_mut(&id.0) {
+            if let Some(timer) = self.timers.active.borrow_mut().get_mut(&id.0) {
                 timer.entry = Some(entry);
             }
         }
@@ -271,8 +271,8 @@ impl<C: Component> ScheduledWork<C> {
     /// one. One that is repeated is entered again here, and not when it falls due: what cannot be
     /// kept costs nothing but the calls that are made.
     pub(crate) fn lift(&mut self, id: TimerId) -> Option<(TimerAction<C>, u32)> {
-        let mut standing = self.timers.standing.borrow_mut();
-        let timer = standing.get_mut(&id.0)?;
+        let mut active = self.timers.active.borrow_mut();
+        let timer = active.get_mut(&id.0)?;
         let mut missed = 0;
         if let (TimerMode::Every(every), Some(at)) = (timer.mode, timer.due.take()) {
             let next = next_tick(at, every, platform::now());
@@ -286,15 +286,15 @@ impl<C: Component> ScheduledWork<C> {
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
     pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
-        let mut standing = self.timers.standing.borrow_mut();
-        match standing.get_mut(&id.0) {
+        let mut active = self.timers.active.borrow_mut();
+        match active.get_mut(&id.0) {
             Some(timer) if matches!(timer.mode, TimerMode::Every(_)) => {
                 timer.action = Some(action);
                 return;
             }
-            _ => drop(standing.remove(&id.0)),
+            _ => drop(active.remove(&id.0)),
         }
-        drop(standing);
+        drop(active);
         self.tidy();
     }
 
@@ -303,7 +303,7 @@ impl<C: Component> ScheduledWork<C> {
         let ScheduledWork { work, timers, .. } = std::mem::take(self);
         let tasks = work.and_then(|work| work.tasks).into_iter().flatten();
         let tasks = tasks.map(|spawned| spawned.task);
-        let actions = timers.standing.take().into_values().filter_map(|timer| timer.action);
+        let actions = timers.active.take().into_values().filter_map(|timer| timer.action);
         (tasks.collect(), actions.collect())
     }
 }
@@ -331,8 +331,8 @@ impl Work {
         for entry in cancelled.iter().flatten() {
             self.schedule.remove(entry);
         }
-        let standing = timers.standing.borrow();
-        let is_over = |id: &TimerId| !standing.contains_key(&id.0);
+        let active = timers.active.borrow();
+        let is_over = |id: &TimerId| !active.contains_key(&id.0);
         self.due.retain(|work| !matches!(work, DueWork::Timer(id) if is_over(id)));
     }
 
@@ -392,8 +392,8 @@ impl Work {
                 }
             }
             DueWork::Timer(id) => {
-                let mut standing = timers.standing.borrow_mut();
-                let Some(timer) = standing.get_mut(&id.0) else { return };
+                let mut active = timers.active.borrow_mut();
+                let Some(timer) = active.get_mut(&id.0) else { return };
                 (timer.entry, timer.due) = (None, Some(at));
             }
             DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {

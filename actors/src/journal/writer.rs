@@ -224,7 +224,7 @@ impl Handler<Wrote> for JournalActor {
         match message {
             Wrote::Done { whole } => {
                 if whole && std::mem::replace(&mut self.failed, false) {
-                    self.reports.mend(JOURNAL);
+                    self.reports.clear(JOURNAL);
                 }
             }
             Wrote::Failed(reason) => self.fail(&reason, context),

@@ -186,13 +186,13 @@ fn table() -> MutexGuard<'static, ActivityTable> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ActivitySlotRef {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) activity: &'static ActivityRecord,
 }
 
 /// A place in the table; given back when dropped, which an executor that hangs does not do.
 pub(crate) struct ActivitySlot {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) activity: &'static ActivityRecord,
 }
 
 impl ActivitySlot {
@@ -207,21 +207,21 @@ impl ActivitySlot {
             let fresh = (0..CHUNK).map(|_| ActivityRecord::default()).collect::<Vec<_>>();
             table.chunks.push(Vec::leak(fresh));
         }
-        ActivitySlot { index, stamp: &table.chunks[chunk][place] }
+        ActivitySlot { index, activity: &table.chunks[chunk][place] }
     }
 }
 
 impl Drop for ActivitySlot {
     fn drop(&mut self) {
-        let stamp = self.stamp;
-        stamp.incarnation.store(0, Relaxed);
-        stamp.speaks.store(false, Relaxed);
-        stamp.condition.store(false, Relaxed);
-        stamp.tasks.store(false, Relaxed);
-        stamp.allowance.store(0, Relaxed);
-        stamp.interval.store(0, Relaxed);
-        if stamp.is_busy() {
-            stamp.step();
+        let activity = self.activity;
+        activity.incarnation.store(0, Relaxed);
+        activity.speaks.store(false, Relaxed);
+        activity.condition.store(false, Relaxed);
+        activity.tasks.store(false, Relaxed);
+        activity.allowance.store(0, Relaxed);
+        activity.interval.store(0, Relaxed);
+        if activity.is_busy() {
+            activity.step();
         }
         table().free.push(self.index);
     }
@@ -234,27 +234,27 @@ mod tests {
     #[test]
     fn a_stamp_is_odd_while_something_is_in_service() {
         let slot = ActivitySlot::claim();
-        assert!(!slot.stamp.is_busy());
+        assert!(!slot.activity.is_busy());
 
-        slot.stamp.begin(7);
-        assert!(slot.stamp.is_busy());
-        assert_eq!(slot.stamp.read().during, 7);
+        slot.activity.begin(7);
+        assert!(slot.activity.is_busy());
+        assert_eq!(slot.activity.read().during, 7);
 
-        slot.stamp.step();
-        assert!(!slot.stamp.is_busy());
+        slot.activity.step();
+        assert!(!slot.activity.is_busy());
     }
 
     #[test]
     fn a_slot_that_is_given_back_is_at_rest() {
         let slot = ActivitySlot::claim();
-        slot.stamp.begin_incarnation(3);
-        slot.stamp.begin(1);
-        slot.stamp.expect_signs(true);
-        let stamp = slot.stamp;
+        slot.activity.begin_incarnation(3);
+        slot.activity.begin(1);
+        slot.activity.expect_signs(true);
+        let activity = slot.activity;
 
         drop(slot);
 
-        let reading = stamp.read();
+        let reading = activity.read();
         assert!(
             reading.turn.is_multiple_of(2) || reading.incarnation != 3,
             "or it was claimed meanwhile"
@@ -265,10 +265,10 @@ mod tests {
     fn slots_beyond_one_chunk_are_places_of_their_own() {
         let slots: Vec<ActivitySlot> = (0..=CHUNK).map(|_| ActivitySlot::claim()).collect();
         for (at, slot) in slots.iter().enumerate() {
-            slot.stamp.begin_incarnation(at as u64 + 1);
+            slot.activity.begin_incarnation(at as u64 + 1);
         }
         for (at, slot) in slots.iter().enumerate() {
-            assert_eq!(slot.stamp.read().incarnation, at as u64 + 1);
+            assert_eq!(slot.activity.read().incarnation, at as u64 + 1);
         }
     }
 }

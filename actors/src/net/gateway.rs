@@ -94,7 +94,7 @@ pub(super) struct GatewayActor {
     notices: BTreeMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
-    kept_out: u64,
+    of_isolated: u64,
     /// Room that what is being served takes, until it is passed on.
     credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
@@ -164,7 +164,7 @@ impl GatewayActor {
             past: BTreeMap::new(),
             notices: BTreeMap::new(),
             next: 0,
-            kept_out: 0,
+            of_isolated: 0,
             credit: None,
             leaving: false,
             revision: None,
@@ -248,8 +248,8 @@ impl GatewayActor {
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                let postmark = MessageMetadata { id, age, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, postmark, reply_to, context);
+                let metadata = MessageMetadata { id, age, until, from: Some(peer) };
+                self.serve((peer, binding), &payload, metadata, reply_to, context);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -322,7 +322,7 @@ impl GatewayActor {
         let Some(known) = self.peers.get_mut(&peer) else { return };
         let differed = known.begin(session, incarnation);
         if differed && self.peers.values().all(|peer| peer.differences().is_empty()) {
-            self.wiring.faults.mend(FaultKind::ContractMismatch);
+            self.wiring.faults.clear(FaultKind::ContractMismatch);
         }
     }
 
@@ -491,7 +491,7 @@ impl Supervised for GatewayActor {
         self.skeletons.clear();
         self.notices.clear();
         self.credit = None;
-        self.exchange = self.exchange.reborn(&why);
+        self.exchange = self.exchange.restarted(&why);
         self.naming = NodeDirectory::default();
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));

@@ -272,7 +272,7 @@ impl LinksActor {
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.complaints.take_over(now) {
-            self.wiring.faults.mend(FaultKind::CheckFailed);
+            self.wiring.faults.clear(FaultKind::CheckFailed);
         }
     }
 
@@ -316,7 +316,7 @@ impl LinksActor {
     /// The link has another neighbour, or is no more.
     fn forget_namesake(&mut self, number: LinkId) {
         if self.namesakes.remove(&number) && self.namesakes.is_empty() {
-            self.wiring.faults.mend(FaultKind::NameTaken);
+            self.wiring.faults.clear(FaultKind::NameTaken);
         }
     }
 

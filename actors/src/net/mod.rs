@@ -148,14 +148,14 @@ pub(crate) struct NetEnvironment {
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
     pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
 }
 
 impl NetEnvironment {
     fn own_faults(&self, object: &str) -> FaultReporter {
-        FaultReporter::of(object, self.faults.clone(), self.mended.clone())
+        FaultReporter::of(object, self.faults.clone(), self.cleared.clone())
     }
 }
 
@@ -250,9 +250,9 @@ pub(crate) fn start(
         begin_anew: sessions.clone().recipient(),
     };
     let wardens = Arc::new(OnceLock::new());
-    let (kept_out, told) = (router.clone().recipient(), wardens.clone());
+    let (set_isolation, told) = (router.clone().recipient(), wardens.clone());
     let make =
-        gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), kept_out, told);
+        gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), set_isolation, told);
     let gateway = guardian.start(named("gateway"), on_arbiter, make);
     doors.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));

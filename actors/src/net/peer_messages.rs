@@ -120,13 +120,13 @@ impl Skeleton for Slot {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         let read = codec::decode::<ActorMessage>(message)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
         let delivered = read.and_then(|letter| {
-            let Some(from) = postmark.from else {
+            let Some(from) = metadata.from else {
                 return Err(DeliveryError::Unknown { name: "the node that writes".to_owned() });
             };
             if self.unread.fetch_add(1, Relaxed) >= UNREAD_MAX {

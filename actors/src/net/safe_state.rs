@@ -41,7 +41,7 @@ pub(crate) struct SafeStateRecipients {
 
 /// Tells, and hears.
 pub(crate) struct SafeStateActor {
-    letters: PeerChannel,
+    channel: PeerChannel,
     /// Why this node is in the safe state, as reported to all peers; `None` if it never was.
     said: Option<Option<String>>,
     /// Nodes that a session is open with.
@@ -59,8 +59,8 @@ impl SafeStateActor {
         let RestSetup { registry, nodes } = setup;
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
-            let letters = PeerChannel::at(super::named("rest"), &registry, reader);
-            SafeStateActor { letters, said: None, peers: BTreeMap::new(), nodes }
+            let channel = PeerChannel::at(super::named("rest"), &registry, reader);
+            SafeStateActor { channel, said: None, peers: BTreeMap::new(), nodes }
         };
         let body = guardian.start(super::named("rest"), arbiter, make);
         SafeStateRecipients {
@@ -77,7 +77,7 @@ impl SafeStateActor {
         let shortened = shortened.map(|text| text.chars().take(REASON_MAX / 4).collect::<String>());
         let mut bytes = Vec::new();
         if codec::encode_bounded(&shortened, LETTER_MAX, &mut bytes).is_ok() {
-            self.letters.send(node, &bytes.into());
+            self.channel.send(node, &bytes.into());
         }
     }
 }
@@ -127,7 +127,7 @@ impl Handler<ActorMessageReceived> for SafeStateActor {
     type Result = ();
 
     fn handle(&mut self, letter: ActorMessageReceived, _: &mut Context<Self>) {
-        self.letters.read_one();
+        self.channel.read_one();
         let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
         let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {
             Ok(Some(reason)) => NodeCondition::InSafeState { reason },

@@ -168,7 +168,7 @@ impl SessionsActor {
             self.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.complaints.take_over(now) {
-            self.faults.mend(FaultKind::CheckFailed);
+            self.faults.clear(FaultKind::CheckFailed);
         }
     }
 
@@ -405,7 +405,7 @@ impl Handler<ReadSessions> for SessionsActor {
         let row = |(id, session): (NodeId, &Session)| {
             Some(SessionRow {
                 node: self.peers.get(&id)?.node.clone(),
-                standing: session.standing(),
+                status: session.status(),
                 // The gateway knows.
                 differences: Vec::new(),
             })

@@ -189,22 +189,22 @@ fn link(row: &LinkRow) -> Value {
 }
 
 fn session(row: &SessionRow) -> Value {
-    let (standing, counters) = (&row.standing, &row.standing.counters);
+    let (status, counters) = (&row.status, &row.status.counters);
     json!({
         "node": row.node.as_str(),
-        "state": standing.state.to_string(),
-        "incarnation": standing.incarnation.map(|incarnation| incarnation.0),
-        "round_trip_ms": millis(standing.round_trip),
-        "unacknowledged": standing.unacknowledged,
-        "in_flight": standing.in_flight,
-        "window": standing.window,
+        "state": status.state.to_string(),
+        "incarnation": status.incarnation.map(|incarnation| incarnation.0),
+        "round_trip_ms": millis(status.round_trip),
+        "unacknowledged": status.unacknowledged,
+        "in_flight": status.in_flight,
+        "window": status.window,
         "sent": counters.sent,
         "retransmitted": counters.retransmitted,
         "duplicates": counters.duplicates,
         "superseded": counters.superseded,
         "incomplete": counters.incomplete,
         "returned": counters.returned,
-        "refused": standing.refusals.total(),
+        "refused": status.refusals.total(),
         "differences": row.differences,
     })
 }
@@ -237,7 +237,7 @@ fn service(row: &ServiceRow) -> Value {
 }
 
 fn actuator(row: &ActuatorRow) -> Value {
-    let (state, commander, lease) = match &row.standing {
+    let (state, commander, lease) = match &row.status {
         LeaseStatus::Free => ("free", None, None),
         LeaseStatus::Held { commander, epoch, left } => {
             ("held", Some(commander), Some((*epoch, *left)))

@@ -238,7 +238,7 @@ impl Callbacks {
     /// What was declared of `object` is over.
     pub(crate) fn clear(&self, object: &ObjectName) {
         if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
-            reports.mend(object.as_str());
+            reports.clear(object.as_str());
         }
     }
 

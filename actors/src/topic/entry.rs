@@ -46,7 +46,7 @@ pub(super) trait EventListener<E> {
         &self,
         event: E,
         at: Times,
-        pulse: &ArbiterHeartbeat,
+        heartbeat: &ArbiterHeartbeat,
         entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef>;
     /// Where the component is.
@@ -85,13 +85,13 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         &self,
         event: E,
         at: Times,
-        pulse: &ArbiterHeartbeat,
+        heartbeat: &ArbiterHeartbeat,
         entry: &ListenerEntry<E>,
     ) -> Option<ActivitySlotRef> {
         let mut event = Some(event);
         let activity_slot = self.with_executor(|executor| {
             let activity_slot = executor.activity_slot();
-            pulse.run(Some(activity_slot.index));
+            heartbeat.run(Some(activity_slot.index));
             if executor.is_free()
                 && let Some(event) = event.take()
             {

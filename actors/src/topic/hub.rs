@@ -125,7 +125,7 @@ pub(super) struct Hub<E: Event> {
     pub(super) newcomers: RefCell<Vec<ListenerEntry<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
-    pulse: Arc<ArbiterHeartbeat>,
+    heartbeat: Arc<ArbiterHeartbeat>,
     budget: TurnBudget,
     /// What is handed out now, and which entry has its turn.
     batch: RefCell<Option<Batch<E>>>,
@@ -196,7 +196,7 @@ impl<E: Event> Topic<E> {
             entries: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
-            pulse: ArbiterHeartbeat::enrol_here(),
+            heartbeat: ArbiterHeartbeat::enrol_here(),
             budget: TurnBudget::default(),
             batch: RefCell::new(None),
             turn_of: Cell::new(0),
@@ -288,7 +288,7 @@ async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
         }
         hub.budget.begin();
         let polled = hub.turn(cx);
-        hub.pulse.run(None);
+        hub.heartbeat.run(None);
         hub.budget.end(cx.waker());
         polled
     })
@@ -408,7 +408,7 @@ impl<E: Event> Hub<E> {
         if entry.only_if.is_some() || entry.activity_slot.get().is_none() {
             entry.activity_slot.set(entry.listener.activity_slot());
         }
-        self.pulse.run(entry.activity_slot.get().map(|activity_slot| activity_slot.index));
+        self.heartbeat.run(entry.activity_slot.get().map(|activity_slot| activity_slot.index));
         while let Some(posted) = batch.events.get(begun.load(Relaxed)) {
             step(begun);
             // It gets the earlier ones from the hub that it left.
@@ -417,12 +417,17 @@ impl<E: Event> Hub<E> {
             }
             if entry.only_if.as_ref().is_none_or(|wanted| self.is_wanted(entry, wanted, posted)) {
                 let event = posted.event.clone();
-                entry.activity_slot.set(entry.listener.take(event, posted.at, &self.pulse, entry));
+                entry.activity_slot.set(entry.listener.take(
+                    event,
+                    posted.at,
+                    &self.heartbeat,
+                    entry,
+                ));
             }
-            if self.pulse.is_fenced() {
+            if self.heartbeat.is_fenced() {
                 // The handler that kept the thread has returned.
-                self.pulse.lift();
-                if self.pulse.is_lost() {
+                self.heartbeat.lift();
+                if self.heartbeat.is_lost() {
                     return Progress::Lost;
                 }
             }
@@ -441,11 +446,11 @@ impl<E: Event> Hub<E> {
         wanted: &EventFilter<E>,
         posted: &Posted<E>,
     ) -> bool {
-        let stamp = entry.activity_slot.get().map(|activity_slot| activity_slot.stamp);
-        let beside = stamp.is_some_and(|stamp| stamp.is_busy());
-        match stamp {
-            Some(stamp) if beside => stamp.run_condition(true),
-            Some(stamp) => stamp.begin(self.condition),
+        let activity = entry.activity_slot.get().map(|activity_slot| activity_slot.activity);
+        let beside = activity.is_some_and(|activity| activity.is_busy());
+        match activity {
+            Some(activity) if beside => activity.run_condition(true),
+            Some(activity) => activity.begin(self.condition),
             None => {}
         }
         self.runs.set(Runs::Condition { beside });
@@ -458,9 +463,9 @@ impl<E: Event> Hub<E> {
     fn condition_ends(&self, entry: &ListenerEntry<E>, beside: bool) {
         self.shared.undecided.store(false, Relaxed);
         self.runs.set(Runs::Other);
-        match entry.activity_slot.get().map(|activity_slot| activity_slot.stamp) {
-            Some(stamp) if beside => stamp.run_condition(false),
-            Some(stamp) => stamp.step(),
+        match entry.activity_slot.get().map(|activity_slot| activity_slot.activity) {
+            Some(activity) if beside => activity.run_condition(false),
+            Some(activity) => activity.step(),
             None => {}
         }
     }

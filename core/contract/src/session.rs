@@ -181,7 +181,7 @@ pub struct SessionRow {
     /// With whom.
     pub node: NodeName,
     /// How it stands.
-    pub standing: SessionStatus,
+    pub status: SessionStatus,
     /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since
     /// the session began, sixteen at most.
     pub differences: Vec<String>,

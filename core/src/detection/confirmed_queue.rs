@@ -171,7 +171,7 @@ impl<T: Clone> ConfirmedQueue<T> {
     /// Sends what is under way again: for a body that has lost its open deliveries. The lost try
     /// counts, so that an item that kills its own sender is given up as well.
     #[must_use]
-    pub fn reborn(mut self, now: Instant) -> Self {
+    pub fn restarted(mut self, now: Instant) -> Self {
         self.outputs.clear();
         if let Some(flight) = &mut self.flight {
             flight.due = now;
@@ -411,7 +411,7 @@ mod tests {
         handover.hand(0, "b", at(0));
         delivered(&mut handover);
 
-        let mut handover = handover.reborn(at(5));
+        let mut handover = handover.restarted(at(5));
 
         assert_eq!(delivered(&mut handover), [(1, "a")]);
         assert_eq!(handover.pending(), 2);

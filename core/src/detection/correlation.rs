@@ -83,11 +83,12 @@ impl DependencyIndex {
     pub(super) fn root_above(
         &self,
         location: &FaultLocation,
-        chronicle: &FaultLog,
+        fault_log: &FaultLog,
     ) -> Option<FaultId> {
         let needs = self.needs_of(location);
-        let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));
-        down.filter(|fault| fault.location != *location).map(|fault| chronicle.root(fault.id)).min()
+        let down =
+            needs.iter().flat_map(|need| fault_log.open_faults_at(need)).filter(|f| is_down(f));
+        down.filter(|fault| fault.location != *location).map(|fault| fault_log.root(fault.id)).min()
     }
 
     /// Who here cannot work without `location`, directly or through others.

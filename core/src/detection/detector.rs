@@ -43,7 +43,7 @@ pub struct Detector {
     isolated: BTreeSet<ObjectName>,
     /// Who stands still behind which hang.
     behind: BTreeMap<ObjectName, FaultId>,
-    chronicle: FaultLog,
+    fault_log: FaultLog,
     /// Faults that may turn out to be symptoms.
     explicable: BTreeSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
@@ -52,7 +52,7 @@ pub struct Detector {
     /// which were only told, and those whose next incarnation is on its way already.
     unhanded: BTreeSet<FaultId>,
     reminders: DecisionTimeouts,
-    conduct: OffenceWindow,
+    offences: OffenceWindow,
     crash_loops: CrashLoops,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
@@ -202,12 +202,12 @@ impl Detector {
             may_end: BTreeSet::new(),
             isolated: BTreeSet::new(),
             behind: BTreeMap::new(),
-            chronicle: FaultLog::new(limits.record),
+            fault_log: FaultLog::new(limits.record),
             explicable: BTreeSet::new(),
             handed: BTreeSet::new(),
             unhanded: BTreeSet::new(),
             reminders: DecisionTimeouts::default(),
-            conduct: OffenceWindow::new(limits.offences, limits.offences_period),
+            offences: OffenceWindow::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
             pause: None,
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
@@ -238,7 +238,7 @@ impl Detector {
 
     /// The recoverer tells what becomes of a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
@@ -278,7 +278,7 @@ impl Detector {
 
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
-        self.chronicle.read()
+        self.fault_log.read()
     }
 
     /// Where an object stands in its incarnation, as the detector has followed it.
@@ -294,21 +294,21 @@ impl Detector {
     /// A detector that knows the same plain facts, for a body that was struck in the middle of an
     /// input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
-        Detector { handover: self.handover.reborn(now), ..self }
+    pub fn restarted(self, now: Instant) -> Self {
+        Detector { handover: self.handover.restarted(now), ..self }
     }
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
-        let known = self.chronicle.standing(&scene.location, &kind);
-        let incarnation = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
+        let known = self.fault_log.open_fault(&scene.location, &kind);
+        let incarnation = known.and_then(|id| Some(self.fault_log.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
             Some(id) if is_behind || !self.unhanded.remove(&id) => {
                 if self.handed.contains(&id) && incarnation < Some(scene.incarnation) {
                     // What was done about it has not helped.
-                    let fault = self.chronicle.entry(id).expect("it stands").fault.clone();
+                    let fault = self.fault_log.entry(id).expect("it stands").fault.clone();
                     let due = scene.at + self.limits.decision;
                     self.reminders.set(id, DecisionTimeout { due, sent: 0 });
                     self.hand_over(FaultNotice::Found(fault), scene.at);
@@ -329,7 +329,7 @@ impl Detector {
         let due = scene.at + self.limits.decision;
         self.reminders.set(id, DecisionTimeout { due, sent: 0 });
         self.handed.insert(id);
-        let fault = self.chronicle.entry(id).expect("it was just recorded").fault.clone();
+        let fault = self.fault_log.entry(id).expect("it was just recorded").fault.clone();
         self.hand_over(FaultNotice::Found(fault), scene.at);
         self.explain_by(id, scene.at);
         id
@@ -338,7 +338,7 @@ impl Detector {
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
     /// incarnation.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
-        let Some(entry) = self.chronicle.entry_mut(id) else { return false };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
         if another && entry.given_up.is_some() {
             return false;
@@ -365,10 +365,10 @@ impl Detector {
         let id = FaultId(self.last_id);
         let symptom_of = match cause {
             Cause::Itself => None,
-            Cause::Known(cause) | Cause::Behind(cause) => Some(self.chronicle.root(cause)),
+            Cause::Known(cause) | Cause::Behind(cause) => Some(self.fault_log.root(cause)),
             Cause::Above => {
                 self.explicable.insert(id);
-                self.needs.root_above(&scene.location, &self.chronicle)
+                self.needs.root_above(&scene.location, &self.fault_log)
             }
         };
         let fault = Fault {
@@ -382,7 +382,7 @@ impl Detector {
             symptom_of,
             count: 1,
         };
-        if let Some(dropped) = self.chronicle.open(fault.clone()) {
+        if let Some(dropped) = self.fault_log.open(fault.clone()) {
             self.explicable.remove(&dropped);
             self.handed.remove(&dropped);
             self.unhanded.remove(&dropped);
@@ -399,12 +399,12 @@ impl Detector {
     /// A root was found: what was found shortly before, and is explained by it, becomes its
     /// symptom.
     fn explain_by(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         if !is_down(&entry.fault) {
             return;
         }
         let location = entry.fault.location.clone();
-        let root = self.chronicle.root(id);
+        let root = self.fault_log.root(id);
         let since = at - (Instant::ORIGIN + self.limits.hindsight);
         let is_behind = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => self.behind.get(&address.object) == Some(&id),
@@ -412,8 +412,8 @@ impl Detector {
         };
         let users = self.needs.users_of(&location);
         let explained: Vec<FaultId> = self
-            .chronicle
-            .all_standing()
+            .fault_log
+            .all_open()
             .filter(|fault| {
                 fault.symptom_of.is_none()
                     && fault.id != root
@@ -430,7 +430,7 @@ impl Detector {
     /// It has turned out what these are symptoms of, or that they are roots.
     fn explain(&mut self, faults: &[FaultId], root: Option<FaultId>, at: Instant) {
         for id in faults {
-            let Some(entry) = self.chronicle.entry_mut(*id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(*id) else { continue };
             if entry.fault.symptom_of == root {
                 continue;
             }
@@ -442,7 +442,7 @@ impl Detector {
 
     /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
-        if let Some(id) = self.chronicle.standing(&scene.location, kind) {
+        if let Some(id) = self.fault_log.open_fault(&scene.location, kind) {
             self.repair(id, scene.at);
             self.withdraw(id, scene.at);
         }
@@ -450,8 +450,8 @@ impl Detector {
 
     /// These faults of the place that match; their causes are away, and service is restored if so.
     fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, restored: bool) {
-        let standing = self.chronicle.standing_at(&scene.location);
-        let over: Vec<FaultId> = standing.filter(|f| is_over(f)).map(|fault| fault.id).collect();
+        let open_fault = self.fault_log.open_faults_at(&scene.location);
+        let over: Vec<FaultId> = open_fault.filter(|f| is_over(f)).map(|fault| fault.id).collect();
         for id in over {
             if restored {
                 self.recover(id, scene.at);
@@ -463,7 +463,7 @@ impl Detector {
 
     /// A fault is over, and those who were told of it do not know yet.
     fn withdraw(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         let location = entry.fault.location.clone();
         let waits = |notice: &FaultNotice| notice.id() == id;
         if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
@@ -474,7 +474,7 @@ impl Detector {
     /// Service is restored. Of an object that is the repair as well.
     fn recover(&mut self, id: FaultId, at: Instant) {
         self.reminders.cancel(id);
-        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
         if entry.recovered_at.is_some() || !entry.stands() {
             return;
         }
@@ -483,7 +483,7 @@ impl Detector {
         if fault.is_repaired_by_recovery() {
             self.explicable.remove(&id);
             self.unhanded.remove(&id);
-            self.chronicle.repair(id, at);
+            self.fault_log.repair(id, at);
         }
         self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Recovered });
     }
@@ -493,16 +493,16 @@ impl Detector {
         self.reminders.cancel(id);
         self.explicable.remove(&id);
         self.unhanded.remove(&id);
-        let Some(entry) = self.chronicle.entry(id).filter(|entry| entry.stands()) else { return };
+        let Some(entry) = self.fault_log.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
-        self.chronicle.repair(id, at);
+        self.fault_log.repair(id, at);
         self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
     }
 
     /// What is done about a fault.
     fn decide(&mut self, id: FaultId, at: Instant, measure: String) {
         for id in self.sharing_the_outcome_of(id) {
-            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.decided = Some((at, measure.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::Decided { action: measure.clone() };
@@ -515,7 +515,7 @@ impl Detector {
         for id in self.sharing_the_outcome_of(id) {
             self.reminders.cancel(id);
             self.unhanded.remove(&id);
-            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.given_up = Some((at, reason.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::GaveUp { reason: reason.clone() };
@@ -533,7 +533,7 @@ impl Detector {
         if self.unhanded.contains(&id) {
             return self.end_unhanded(id, now);
         }
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         let fault = entry.fault.clone();
         let notice = FaultNotice::Found(fault.clone());
         let progress = self.reminders.progress_towards(notice.rank(), id);
@@ -543,7 +543,7 @@ impl Detector {
         }
         let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
-            let root = self.chronicle.entry(root);
+            let root = self.fault_log.entry(root);
             root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
         };
         if fault.symptom_of.is_some_and(in_hand) {

@@ -278,7 +278,7 @@ impl Monitor {
     }
 
     /// What an object had declared is over.
-    pub fn handle_mended(
+    pub fn handle_declared_fault_cleared(
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
@@ -290,7 +290,7 @@ impl Monitor {
             entry.last_sign = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
-        self.observe_object(object, incarnation, Finding::Mended { kind }, now);
+        self.observe_object(object, incarnation, Finding::Cleared { kind }, now);
         self.settle(now);
     }
 
@@ -382,10 +382,10 @@ impl Monitor {
     /// A monitor that knows the same plain facts, for a body that was struck in the middle of an
     /// input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
+    pub fn restarted(self, now: Instant) -> Self {
         let mut monitor = Monitor {
             pings: PingMonitor::new(),
-            handover: self.handover.reborn(now),
+            handover: self.handover.restarted(now),
             asks: VecDeque::new(),
             ..self
         };

@@ -194,9 +194,9 @@ impl Notifier {
     /// A notifier that knows the same plain facts, for a body that was struck in the middle of an
     /// input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
+    pub fn restarted(self, now: Instant) -> Self {
         let renew = |(port, lane): (RecovererPort, Lane)| {
-            (port, Lane { handover: lane.handover.reborn(now), ..lane })
+            (port, Lane { handover: lane.handover.restarted(now), ..lane })
         };
         let ports = self.ports.into_iter().map(renew).collect();
         let mut notifier = Notifier { ports, outputs: VecDeque::new(), ..self };
@@ -452,7 +452,7 @@ mod tests {
         notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
         handed(&mut notifier, false, at(0));
 
-        let mut notifier = notifier.reborn(at(1));
+        let mut notifier = notifier.restarted(at(1));
 
         let told = handed(&mut notifier, true, at(1));
         assert_eq!(told, ["here +1", "n +1", "here +2", "n +2"]);

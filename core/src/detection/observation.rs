@@ -53,7 +53,7 @@ pub enum Finding {
         detail: String,
     },
     /// What the object had declared is over.
-    Mended {
+    Cleared {
         /// Which.
         kind: FaultKind,
     },

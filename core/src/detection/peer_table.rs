@@ -30,7 +30,7 @@ struct LinkSeen {
 #[derive(Clone, Debug)]
 struct NodeSeen {
     incarnation: Incarnation,
-    standing: PeerStatus,
+    status: PeerStatus,
     last_sign: Option<Instant>,
     restarts: u32,
     /// Who has isolated it, and why.
@@ -53,7 +53,7 @@ impl NodeSeen {
     fn unmet() -> Self {
         NodeSeen {
             incarnation: Incarnation::default(),
-            standing: PeerStatus::Lost("it was not met yet".to_owned()),
+            status: PeerStatus::Lost("it was not met yet".to_owned()),
             last_sign: None,
             restarts: 0,
             isolated: None,
@@ -117,7 +117,7 @@ impl PeerTable {
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
-        self.nodes.get(node).is_some_and(|seen| seen.standing == PeerStatus::Left)
+        self.nodes.get(node).is_some_and(|seen| seen.status == PeerStatus::Left)
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
@@ -132,7 +132,7 @@ impl PeerTable {
     ) -> Result<Option<PeerChange>, Incarnation> {
         use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
-            return Ok(self.handle_conduct(node, condition));
+            return Ok(self.handle_offences(node, condition));
         }
         if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
@@ -147,11 +147,11 @@ impl PeerTable {
             && (incarnation < seen.incarnation
                 || incarnation != seen.incarnation
                     && seen.incarnation != Incarnation::default()
-                    && seen.standing == PeerStatus::Here)
+                    && seen.status == PeerStatus::Here)
         {
             return Err(seen.incarnation);
         }
-        let left = before.is_some_and(|seen| seen.standing == PeerStatus::Left);
+        let left = before.is_some_and(|seen| seen.status == PeerStatus::Left);
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
@@ -168,23 +168,23 @@ impl PeerTable {
             NodeCondition::Reachable | NodeCondition::Restarted => NodeCondition::Reachable,
             gone => gone,
         };
-        let standing = match &condition {
+        let status = match &condition {
             NodeCondition::Lost { reason } => PeerStatus::Lost(reason.clone()),
             NodeCondition::Left => PeerStatus::Left,
             _ => PeerStatus::Here,
         };
-        let known = before.map(|seen| discriminant(&seen.standing));
+        let known = before.map(|seen| discriminant(&seen.status));
         let isolated = before.and_then(|seen| seen.isolated.clone());
         // That an isolated node cannot be reached is as it should be.
-        let is_change = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
-        let here = standing == PeerStatus::Here;
+        let is_change = (restarted || known != Some(discriminant(&status))) && isolated.is_none();
+        let here = status == PeerStatus::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
         // Another incarnation is at work, until it says otherwise.
         let same = before.is_some_and(|seen| seen.incarnation == incarnation);
-        let rest = before.filter(|_| same && !matches!(standing, PeerStatus::Left));
+        let rest = before.filter(|_| same && !matches!(status, PeerStatus::Left));
         let rest = rest.and_then(|seen| seen.rest.clone());
-        let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
+        let seen = NodeSeen { incarnation, status, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
@@ -195,7 +195,7 @@ impl PeerTable {
     }
 
     /// What others think of a node, or what it has done: whatever incarnation of it is known.
-    fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
+    fn handle_offences(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
@@ -228,7 +228,7 @@ impl PeerTable {
         // Who says so is here.
         let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
             incarnation,
-            standing: PeerStatus::Here,
+            status: PeerStatus::Here,
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
@@ -267,13 +267,13 @@ impl PeerTable {
             }
         });
         let nodes = self.nodes.iter().map(move |(node, seen)| {
-            let (opinion, note) = match &seen.standing {
+            let (opinion, note) = match &seen.status {
                 PeerStatus::Here => (Opinion::Trusted, None),
                 PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
                 PeerStatus::Left => (Opinion::Stopped, Some("it has left in order".to_owned())),
             };
-            let (opinion, note) = match (&seen.standing, &seen.rest) {
+            let (opinion, note) = match (&seen.status, &seen.rest) {
                 (PeerStatus::Here, Some(reason)) => {
                     (Opinion::Stopped, Some(format!("in the safe state: {reason}")))
                 }

@@ -118,7 +118,7 @@ impl GlobalNames {
     /// Claims in the place of others of the same incarnation that were lost: with what that
     /// incarnation claims, and under which epochs. What others claim, they are asked when their
     /// sessions are told of again.
-    pub fn reborn(
+    pub fn restarted(
         config: GlobalNamesConfig,
         own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,
         now: Instant,

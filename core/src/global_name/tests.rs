@@ -329,7 +329,7 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
                 own.epoch,
             )
         });
-        let mut restarted = GlobalNames::reborn(claims.config.clone(), own, ms(robot.now));
+        let mut restarted = GlobalNames::restarted(claims.config.clone(), own, ms(robot.now));
         for (other, peer) in &claims.peers {
             restarted.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
         }

@@ -121,7 +121,7 @@ pub struct Isolation {
     judges: IsolationAuthority,
     /// By whom they are about, and whose they are.
     votes: BTreeMap<NodeName, BTreeMap<NodeName, Vote>>,
-    kept_out: BTreeSet<NodeName>,
+    isolated: BTreeSet<NodeName>,
     peers: BTreeSet<NodeName>,
     refused: u64,
     outputs: VecDeque<IsolationOutput>,
@@ -135,7 +135,7 @@ impl Isolation {
             incarnation,
             judges,
             votes: BTreeMap::new(),
-            kept_out: BTreeSet::new(),
+            isolated: BTreeSet::new(),
             peers: BTreeSet::new(),
             refused: 0,
             outputs: VecDeque::new(),
@@ -149,7 +149,7 @@ impl Isolation {
 
     /// Whether nothing is taken from this node.
     pub fn is_isolated(&self, node: &NodeName) -> bool {
-        self.kept_out.contains(node)
+        self.isolated.contains(node)
     }
 
     /// The node of this number, if a session with it is open.
@@ -292,10 +292,10 @@ impl Isolation {
             let isolated = !self.is_isolated(&node);
             let reason = self.reason(&node, isolated);
             if isolated {
-                self.kept_out.insert(node.clone());
+                self.isolated.insert(node.clone());
                 self.votes.values_mut().for_each(|votes| drop(votes.remove(&node)));
             } else {
-                self.kept_out.remove(&node);
+                self.isolated.remove(&node);
             }
             self.outputs.push_back(IsolationOutput::Isolate { node, isolated, reason });
         }
@@ -304,7 +304,7 @@ impl Isolation {
 
     fn misjudged(&self) -> Option<NodeName> {
         let wrong = |node: &&NodeName| self.judge(node) != self.is_isolated(node);
-        self.votes.keys().chain(&self.kept_out).find(wrong).cloned()
+        self.votes.keys().chain(&self.isolated).find(wrong).cloned()
     }
 
     fn judge(&self, node: &NodeName) -> bool {

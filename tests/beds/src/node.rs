@@ -233,7 +233,7 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.sessions().await {
-            let incarnation = format!("{:?}", row.standing.incarnation);
+            let incarnation = format!("{:?}", row.status.incarnation);
             if before.insert(format!("with {}", row.node), incarnation.clone()).as_ref()
                 != Some(&incarnation)
             {

@@ -89,7 +89,7 @@ impl Robot {
         cable.cut(Direction::Both, false);
     }
 
-    fn mend(&self, cable: &str) {
+    fn clear(&self, cable: &str) {
         self.module1.cable(cable).expect("a cable of this name").restore();
     }
 }
@@ -154,9 +154,9 @@ async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_dif
     let other = robot.module1.sender::<OtherDo>("module3:motors").unwrap();
     other.ask(OtherDo { text: "hello".into() }).await.expect_err("it is another contract");
     let before = session().await;
-    assert_eq!(before.standing.state, SessionState::Open);
-    assert_eq!(before.standing.incarnation, Some(robot.module3.incarnation()));
-    assert!(before.standing.round_trip.is_some() && before.standing.window > 0);
+    assert_eq!(before.status.state, SessionState::Open);
+    assert_eq!(before.status.incarnation, Some(robot.module3.incarnation()));
+    assert!(before.status.round_trip.is_some() && before.status.window > 0);
     assert!(
         before.differences.len() == 1 && before.differences[0].contains("test/do"),
         "{before:?}"
@@ -165,16 +165,16 @@ async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_dif
     robot.cut("ieee1394");
     robot.module1.sender("module3:motors").unwrap().tell(Note(1)).unwrap();
     robot.module1.advance(50 * MS).await;
-    let cut = session().await.standing;
+    let cut = session().await.status;
     assert!(cut.unacknowledged > 0 && cut.in_flight > 0, "{cut:?}");
     robot.module1.advance(5000 * MS).await;
-    assert_eq!(session().await.standing.state, SessionState::Away);
+    assert_eq!(session().await.status.state, SessionState::Away);
 
-    robot.mend("ieee1394");
+    robot.clear("ieee1394");
     robot.module1.advance(5000 * MS).await;
     let after = session().await;
-    assert_eq!((after.standing.state, after.standing.unacknowledged), (SessionState::Open, 0));
-    assert!(after.standing.counters.retransmitted > before.standing.counters.retransmitted);
+    assert_eq!((after.status.state, after.status.unacknowledged), (SessionState::Open, 0));
+    assert!(after.status.counters.retransmitted > before.status.counters.retransmitted);
     assert_eq!(after.differences, before.differences, "it is the same incarnation");
 }
 
@@ -202,7 +202,7 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
     assert_eq!(heard, sent);
     robot.module1.expect_no_faults().await;
 
-    robot.mend("ethernet");
+    robot.clear("ethernet");
     robot.module1.advance(2000 * MS).await;
     assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
 }
@@ -230,7 +230,7 @@ async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traff
     assert!(last_sign(location).await >= 60_000, "no hello comes over it");
     assert!(last_sign("module2").await < 1_000, "hellos come over the other one");
 
-    robot.mend("ethernet");
+    robot.clear("ethernet");
     robot.module1.advance(5000 * MS).await;
     let repaired = entry().await;
     assert_eq!((repaired.status(), repaired.recovered_at), (FaultStatus::Closed, Some(recovered)));
@@ -253,7 +253,7 @@ async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_men
         far.kind
     );
 
-    robot.mend("backup");
+    robot.clear("backup");
     robot.module1.advance(3000 * MS).await;
     assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
     assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 1);
@@ -276,8 +276,8 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     robot.cut("backup");
     robot.module2.shutdown().await;
     robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
-    robot.mend("ethernet");
-    robot.mend("backup");
+    robot.clear("ethernet");
+    robot.clear("backup");
     let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
     assert!(gone.message.is_none() || gone.kind != DeliveryError::DeadlinePassed, "{}", gone.kind);
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;

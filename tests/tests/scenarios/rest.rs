@@ -35,11 +35,11 @@ async fn bring_to_rest(node: &TestNode) {
     assert!(matches!(node.state(), NodeState::InSafeState { .. }), "{:?}", node.state());
 }
 
-async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
+async fn open_faults(node: &TestNode) -> Vec<(FaultKind, String)> {
     let record = node.faults().await;
-    let standing =
+    let open_faults =
         record.entries.into_iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
-    standing.map(|entry| (entry.fault.kind, entry.fault.location.to_string())).collect()
+    open_faults.map(|entry| (entry.fault.kind, entry.fault.location.to_string())).collect()
 }
 
 fn networked(builder: NodeBuilder, own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
@@ -96,7 +96,7 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
 
     resting.restart().await.unwrap();
     peer.advance(500 * MS).await;
-    assert_eq!(standing(&peer).await, []);
+    assert_eq!(open_faults(&peer).await, []);
     assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.kind), Ok(()));
     peer.await_fault(FaultKind::NodeInSafeState, "module1").await;
 }
@@ -112,13 +112,13 @@ async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_incarnation_is_at
     let peer = TestNode::start(networked(peer, "module2", "module1", &medium)).await;
     assert!(peer.connected("module1", 2000 * MS).await);
     peer.advance(500 * MS).await;
-    assert_eq!(standing(&peer).await, [(FaultKind::NodeInSafeState, "module1".to_owned())]);
+    assert_eq!(open_faults(&peer).await, [(FaultKind::NodeInSafeState, "module1".to_owned())]);
 
     resting.shutdown().await;
     let (builder, _) = robot(&strings);
     let _next = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
     peer.advance(3000 * MS).await;
-    assert_eq!(standing(&peer).await, []);
+    assert_eq!(open_faults(&peer).await, []);
 }
 
 #[blastema_testkit::test]
@@ -141,7 +141,7 @@ async fn a_node_is_brought_back_from_rest_with_the_next_incarnations_of_its_comp
     lamp.ask(Do(Deed::Nothing)).await.unwrap();
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
-    assert_eq!(standing(&node).await, [], "their next incarnations are at work");
+    assert_eq!(open_faults(&node).await, [], "their next incarnations are at work");
 
     // With a budget of its own, and with outputs that are applied again.
     strike(&node, "motors").await;
@@ -190,7 +190,7 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     assert_eq!(restarted, RestartedChild::Running(blastema::Incarnation(2)));
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
-    assert_eq!(standing(&node).await, []);
+    assert_eq!(open_faults(&node).await, []);
     // No fault follows, also where it is at work.
     for next in 3..10 {
         let restarted = node.restart_child("motors").await.unwrap();

@@ -98,7 +98,7 @@ impl SafeOutputs {
                         Err("the safe outputs were not called")
                     }
                     CallOutcome::ReturnedLate => {
-                        reports.mend(SAFE_OUTPUTS);
+                        reports.clear(SAFE_OUTPUTS);
                         Ok(())
                     }
                 };

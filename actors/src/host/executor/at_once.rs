@@ -33,11 +33,11 @@ impl<C: Component> ComponentExecutor<C> {
     /// runs on the arbiter's hub, which has named the component to the pulse, under its guard and
     /// stamp.
     #[inline]
-    pub(crate) fn serve_at_once(&mut self, mail: &mut impl Envelope<C>) {
+    pub(crate) fn serve_at_once(&mut self, envelope: &mut impl Envelope<C>) {
         let Some(waker) = self.waker.take() else { return };
         let mut cx = task::Context::from_waker(&waker);
         let served = catch_unwind(AssertUnwindSafe(|| {
-            self.begin_message(&mail.brief(), mail);
+            self.begin_message(&envelope.header(), envelope);
             self.advance(&mut cx)
         }));
         if let Err(payload) = served {

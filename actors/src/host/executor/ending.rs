@@ -38,7 +38,7 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     pub(super) fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
-        let during = label::name(self.slot.stamp.read().during);
+        let during = label::name(self.slot.activity.read().during);
         self.died(payload, during);
     }
 
@@ -47,8 +47,8 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
         let exit = Arc::new(ExitReason::Panicked { text, at, during });
-        if self.slot.stamp.is_busy() {
-            self.slot.stamp.step();
+        if self.slot.activity.is_busy() {
+            self.slot.activity.step();
         }
         let incarnation = self.state.incarnation;
         self.state.token.end();
@@ -68,7 +68,7 @@ impl<C: Component> ComponentExecutor<C> {
         match restarted_as {
             Some(next) => {
                 self.cell.record.exits.set_restarted(incarnation, next);
-                self.state = Rc::new(IncarnationState::new(next, self.slot.stamp));
+                self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
                 self.start_failed = false;
                 self.begin_incarnation();
@@ -85,7 +85,7 @@ impl<C: Component> ComponentExecutor<C> {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
-        let contract = label::name(self.slot.stamp.read().during);
+        let contract = label::name(self.slot.activity.read().during);
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);
@@ -151,7 +151,7 @@ impl<C: Component> ComponentExecutor<C> {
         // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
         // to be told before it, such as why the component could not go on.
         record.exits.settle(incarnation, supervisor, position == 0);
-        self.pulse.owe_exits(true);
+        self.heartbeat.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
         self.outbox.splice(position..position, [exited].into_iter().chain(child));
     }
@@ -204,11 +204,13 @@ impl<C: Component> ComponentExecutor<C> {
     /// Drops what was in service, and what it was kept in.
     pub(super) fn dispose_service(&mut self, blame: Blame) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
-        let nests = std::mem::take(&mut self.nests);
+        let slots_in_use = std::mem::take(&mut self.slots_in_use);
         let record = &self.cell.record;
         record.dispose("what it was serving", service, blame);
         // One by one: a second panic while unwinding from the first would end the process.
-        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
+        slots_in_use
+            .into_iter()
+            .for_each(|in_use| record.dispose("what it was serving", in_use, blame));
     }
 
     /// This incarnation was abandoned, and the next one begins or has begun.
@@ -224,11 +226,11 @@ impl<C: Component> ComponentExecutor<C> {
         let present = self.state.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
-        self.pulse.owe_exits(false);
-        if self.pulse.is_lost() {
+        self.heartbeat.owe_exits(false);
+        if self.heartbeat.is_lost() {
             self.arbiter.return_late();
         } else {
-            self.pulse.lift();
+            self.heartbeat.lift();
         }
     }
 
@@ -241,7 +243,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
         // Those that stand on a lost thread have been found, and their supervisors are about to
         // give them up: that the thread returns meanwhile is no second fault.
-        if self.is_abandoned() || self.pulse.is_lost() {
+        if self.is_abandoned() || self.heartbeat.is_lost() {
             return self.leave();
         }
         let incarnation = self.state.incarnation;

@@ -12,10 +12,10 @@ use blastema_core::{FaultKind, Lifecycle};
 impl<C: Component> ComponentExecutor<C> {
     pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         if hook == Hook::Execute && result.is_ok() {
-            self.slot.stamp.end_round();
+            self.slot.activity.end_round();
             // It is a sign of life too, unless a test keeps that back.
             if !self.cell.record.injected.is_silent() {
-                self.slot.stamp.give_sign();
+                self.slot.activity.give_sign();
             }
         }
         self.lifecycle.handle_done(hook, result);
@@ -53,7 +53,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.cell.record.set_state(state);
-        self.slot.stamp.expect_signs(state == Lifecycle::Active);
+        self.slot.activity.expect_signs(state == Lifecycle::Active);
         self.schedule.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active {
             self.cell.record.announce(|listener| listener.activated());

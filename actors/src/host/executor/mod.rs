@@ -50,7 +50,7 @@ use std::task::{self, Poll, Waker};
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
 /// Nests kept at most; a component that takes more contracts than this pays a box for the others.
-const NESTS: usize = 4;
+const SLOTS_MAX: usize = 4;
 
 /// What is in service.
 enum Service {
@@ -60,7 +60,7 @@ enum Service {
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
 
-struct Nested<C: Component> {
+struct SlotInUse<C: Component> {
     contract: TypeId,
     label: u32,
     future_slot: Pin<Box<dyn FutureSlot<C>>>,
@@ -82,7 +82,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     lifecycle: IncarnationLifecycle,
     component: Option<Rc<ComponentSlot<C>>>,
     service: Service,
-    nests: Vec<Nested<C>>,
+    slots_in_use: Vec<SlotInUse<C>>,
     schedule: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
@@ -92,7 +92,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     message_next: bool,
     slot: ActivitySlot,
     arbiter: ArbiterSlot,
-    pulse: Arc<ArbiterHeartbeat>,
+    heartbeat: Arc<ArbiterHeartbeat>,
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
@@ -120,20 +120,20 @@ impl<C: Component> ComponentExecutor<C> {
         commands: Arc<CommandQueue>,
     ) -> Self {
         let slot = ActivitySlot::claim();
-        let state = Rc::new(IncarnationState::new(incarnation, slot.stamp));
+        let state = Rc::new(IncarnationState::new(incarnation, slot.activity));
         let mut executor = ComponentExecutor {
             cell,
             state,
             lifecycle: IncarnationLifecycle::new(true),
             component: None,
             service: Service::Idle,
-            nests: Vec::new(),
+            slots_in_use: Vec::new(),
             schedule: ScheduledWork::default(),
             budget: Rc::default(),
             step_first: false,
             message_next: false,
             slot,
-            pulse: arbiter.pulse.clone(),
+            heartbeat: arbiter.heartbeat.clone(),
             arbiter,
             waker: None,
             followed: false,
@@ -152,8 +152,8 @@ impl<C: Component> ComponentExecutor<C> {
         let watched = SampledComponent {
             object: record.name.clone(),
             inside: cell,
-            pulse: executor.pulse.clone(),
-            stamp: executor.slot.stamp,
+            heartbeat: executor.heartbeat.clone(),
+            activity: executor.slot.activity,
             limits: record.limits.hang.clone(),
         };
         record.environment.watch_list.enter(executor.slot.index, watched);
@@ -162,13 +162,13 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn begin_incarnation(&mut self) {
         let record = &self.cell.record;
-        self.slot.stamp.begin_incarnation(self.state.incarnation.0);
+        self.slot.activity.begin_incarnation(self.state.incarnation.0);
         self.state.token.mute(record.is_isolated());
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
         self.schedule.begin(record.limits.interval, self.state.timers.clone());
-        self.slot.stamp.run_every(record.limits.interval);
+        self.slot.activity.run_every(record.limits.interval);
         self.began = self.lifecycle.is_starting().then(platform::now);
         // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
@@ -178,7 +178,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     #[inline]
     pub(crate) fn activity_slot(&self) -> ActivitySlotRef {
-        ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
+        ActivitySlotRef { index: self.slot.index, activity: self.slot.activity }
     }
 
     /// Does what it was told to.
@@ -208,7 +208,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.leave();
             return Poll::Ready(());
         }
-        if self.pulse.is_lost() {
+        if self.heartbeat.is_lost() {
             return Poll::Pending; // The arbiter came back too late; the successor is on its way.
         }
         if self.budget.is_resting() {
@@ -216,17 +216,17 @@ impl<C: Component> ComponentExecutor<C> {
         }
         let muted = self.state.token.is_muted();
         if muted {
-            self.pulse.mute(true);
+            self.heartbeat.mute(true);
         }
-        self.pulse.run(Some(self.slot.index));
+        self.heartbeat.run(Some(self.slot.index));
         let guarded = PanicGuard::enter();
         self.budget.begin();
         let over = self.turn(cx);
         self.budget.end(cx.waker());
         drop(guarded);
-        self.pulse.run(None);
+        self.heartbeat.run(None);
         if muted {
-            self.pulse.mute(false);
+            self.heartbeat.mute(false);
         }
         if self.is_abandoned() {
             self.leave();
@@ -279,9 +279,9 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Says whether that has used the turn up.
     fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
-        self.slot.stamp.poll_tasks(true);
+        self.slot.activity.poll_tasks(true);
         let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
-        self.slot.stamp.poll_tasks(false);
+        self.slot.activity.poll_tasks(false);
         if let Err(payload) = polled {
             self.died(payload, TASK);
         }
@@ -324,7 +324,7 @@ impl<C: Component> ComponentExecutor<C> {
             return self.do_work(work, cx);
         }
         match self.cell.queue.take(self.state.incarnation, cx.waker()) {
-            Popped::Got(mail) => self.open(mail, cx),
+            Popped::Got(envelope) => self.open(envelope, cx),
             Popped::Empty => match self.schedule.next_due() {
                 Some(work) => self.do_work(work, cx),
                 None => Progress::Wait,
@@ -338,72 +338,80 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Takes a message into service.
     #[inline]
-    fn open(&mut self, mut mail: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
-        let brief = mail.brief();
-        if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
-            self.slot.stamp.expire();
-            self.cell.return_mail(mail, DeliveryError::Expired);
+    fn open(&mut self, mut envelope: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
+        let header = envelope.header();
+        if header.max_age.is_some_and(|limit| platform::now() - header.captured_at > limit) {
+            self.slot.activity.expire();
+            self.cell.return_envelope(envelope, DeliveryError::Expired);
             return Progress::More;
         }
-        if brief.is_followed
-            && let Some(why) = self.follow(&*mail)
+        if header.is_followed
+            && let Some(why) = self.follow(&*envelope)
         {
-            self.cell.return_mail(mail, why);
+            self.cell.return_envelope(envelope, why);
             return Progress::More;
         }
-        self.begin_message(&brief, &mut *mail);
-        drop(mail);
+        self.begin_message(&header, &mut *envelope);
+        drop(envelope);
         self.advance(cx)
     }
 
     /// Notes who is to be told if this message brings death; says why it is not to be served.
-    fn follow(&mut self, mail: &dyn Envelope<C>) -> Option<DeliveryError> {
-        if mail.is_void() {
-            self.slot.stamp.expire();
+    fn follow(&mut self, envelope: &dyn Envelope<C>) -> Option<DeliveryError> {
+        if envelope.is_void() {
+            self.slot.activity.expire();
             return Some(DeliveryError::DeadlinePassed);
         }
-        let id = mail.id();
+        let id = envelope.id();
         if id.is_some()
             && let Some(why) = self.cell.record.refusal(id)
         {
             return Some(why);
         }
-        self.cell.record.begin_service(mail.revocable(), id);
+        self.cell.record.begin_service(envelope.revocable(), id);
         self.followed = id.is_some();
         None
     }
 
     /// Fills the contract's slot, or builds it.
     #[inline]
-    fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
+    fn begin_message<E: Envelope<C> + ?Sized>(
+        &mut self,
+        header: &EnvelopeHeader,
+        envelope: &mut E,
+    ) {
         let Some(component) = &self.component else { return };
-        self.state.captured_at.set(Some(brief.captured_at));
-        if let Some(id) = brief.logged {
-            self.logged = Some((id, brief.name, mail.revocable().is_some()));
+        self.state.captured_at.set(Some(header.captured_at));
+        if let Some(id) = header.logged {
+            self.logged = Some((id, header.name, envelope.revocable().is_some()));
             let record = &self.cell.record;
-            message_log::begun(id, brief.name, &record.name, self.state.incarnation);
+            message_log::begun(id, header.name, &record.name, self.state.incarnation);
         }
-        if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
-            let nested = &mut self.nests[at];
-            self.slot.stamp.begin(nested.label);
-            if nested.future_slot.as_mut().refill(mail.contents(), component) {
+        if let Some(at) =
+            self.slots_in_use.iter().position(|in_use| in_use.contract == header.contract)
+        {
+            let in_use = &mut self.slots_in_use[at];
+            self.slot.activity.begin(in_use.label);
+            if in_use.future_slot.as_mut().refill(envelope.contents(), component) {
                 self.service = Service::Message(at);
             } else {
-                self.slot.stamp.step();
+                self.slot.activity.step();
             }
             return;
         }
-        let label = label(brief.name);
-        self.slot.stamp.begin(label);
-        let Some(future_slot) = mail.future_slot(component) else { return self.slot.stamp.step() };
-        self.nests.truncate(NESTS - 1);
-        self.nests.push(Nested { contract: brief.contract, label, future_slot });
-        self.service = Service::Message(self.nests.len() - 1);
+        let label = label(header.name);
+        self.slot.activity.begin(label);
+        let Some(future_slot) = envelope.future_slot(component) else {
+            return self.slot.activity.step();
+        };
+        self.slots_in_use.truncate(SLOTS_MAX - 1);
+        self.slots_in_use.push(SlotInUse { contract: header.contract, label, future_slot });
+        self.service = Service::Message(self.slots_in_use.len() - 1);
     }
 
     fn begin_hook(&mut self, hook: Hook) {
         let Some(component) = &self.component else { return };
-        self.slot.stamp.begin(label(hook.name()));
+        self.slot.activity.begin(label(hook.name()));
         self.service = Service::Hook(hook, Box::pin(run_hook(component.clone(), hook)));
     }
 
@@ -413,7 +421,7 @@ impl<C: Component> ComponentExecutor<C> {
         match &mut self.service {
             Service::Idle => return Progress::More,
             Service::Message(at) => {
-                if self.nests[*at].future_slot.as_mut().poll(cx).is_pending() {
+                if self.slots_in_use[*at].future_slot.as_mut().poll(cx).is_pending() {
                     return self.wait();
                 }
                 self.service = Service::Idle;
@@ -432,7 +440,7 @@ impl<C: Component> ComponentExecutor<C> {
                 self.hook_done(hook, result);
             }
         }
-        self.slot.stamp.step();
+        self.slot.activity.step();
         Progress::More
     }
 
@@ -454,11 +462,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
-        self.slot.stamp.begin(label(FACTORY));
+        self.slot.activity.begin(label(FACTORY));
         let cx = Context::new(self.cell.clone(), self.state.clone());
         let component = (self.cell.factory)();
         self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
-        self.slot.stamp.step();
+        self.slot.activity.step();
         self.pass_reports();
     }
 
@@ -468,7 +476,7 @@ impl<C: Component> ComponentExecutor<C> {
         if let Some(interval) = wishes.interval
             && self.schedule.set_interval(interval)
         {
-            self.slot.stamp.run_every(interval);
+            self.slot.activity.run_every(interval);
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
@@ -491,14 +499,14 @@ impl<C: Component> ComponentExecutor<C> {
                 if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
-                    self.slot.stamp.tick(missed);
-                    self.slot.stamp.begin(label(TIMER));
+                    self.slot.activity.tick(missed);
+                    self.slot.activity.begin(label(TIMER));
                     {
                         let mut contents = component.contents.borrow_mut();
                         let (component, cx) = contents.both();
                         action(component, cx);
                     }
-                    self.slot.stamp.step();
+                    self.slot.activity.step();
                     self.schedule.put_back(id, action);
                 }
                 Progress::More
@@ -523,7 +531,8 @@ impl<C: Component> ComponentExecutor<C> {
             let within = self.cell.record.limits.shutdown_within;
             // Who gives it no time at all wants it cut off.
             if !within.is_zero() {
-                self.lifecycle.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.lifecycle
+                    .handle_cut_off(label::name(self.slot.activity.read().during), within);
                 self.pass_reports();
             }
             self.drop_service();
@@ -539,7 +548,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.lose_message();
         self.followed = false;
         self.dispose_service(Blame::Log);
-        self.slot.stamp.step();
+        self.slot.activity.step();
     }
 }
 

@@ -124,7 +124,7 @@ async fn kit() -> Kit {
     let (l, d) = (log.clone(), detached.clone());
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
-    child.standing_order(order(5));
+    child.set_restart_grant(order(5));
     Kit { stage, _child: child, worker, log, detached }
 }
 

@@ -88,7 +88,7 @@ fn a_publisher_in_a_thread_publishes_until_its_incarnation_ends_and_then_says_fe
         let (spec, log) = ear();
         let (_ear, _) = stage.start(spec).await;
         let (mut child, source) = stage.start(source(&bench)).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         let first = bench.publishers.lock().unwrap()[0].clone();
         let (tell, answers) = thread(first);
 

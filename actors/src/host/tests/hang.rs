@@ -504,7 +504,7 @@ fn a_death_is_told_while_the_replacement_keeps_its_thread() {
         let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
         let (mut child, relapsing) =
             site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         relapsing.tell(Said(0)).unwrap();
         relapsing.tell(Said(1)).unwrap();
 

@@ -376,7 +376,7 @@ fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
     paused(async {
         let stage = Stage::new();
         let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.standing_order(order(3));
+        child.set_restart_grant(order(3));
         stage.states.drain();
 
         fragile.tell(Die).unwrap();

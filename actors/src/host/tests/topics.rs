@@ -111,7 +111,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         let stage = Stage::new();
         let (spec, log) = listener("ear");
         let (mut child, ear) = stage.start(spec).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         ear.tell(boom("x")).unwrap();
         settle().await;
         publish(&stage, "other", 1);
@@ -148,8 +148,8 @@ fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
         let ((one, one_log), (two, two_log)) = (listener("one"), listener("two"));
         let (mut one, _) = stage.start(one).await;
         let (mut two, _) = stage.start(two).await;
-        one.standing_order(order(5));
-        two.standing_order(order(5));
+        one.set_restart_grant(order(5));
+        two.set_restart_grant(order(5));
 
         publish(&stage, Sample::NAME, 666);
         publish(&stage, "other", 13);
@@ -190,7 +190,7 @@ fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() 
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(listener("ear").0).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         settle().await;
 
         publish(&stage, "other", 13);

@@ -97,8 +97,8 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             let stage = Stage::new();
             let (mut one, acc_one) = stage.start::<Acc>(acc("one").0).await;
             let (mut two, acc_two) = stage.start::<Acc>(acc("two").0).await;
-            one.standing_order(order(5));
-            two.standing_order(order(5));
+            one.set_restart_grant(order(5));
+            two.set_restart_grant(order(5));
             let (spec, told) = widow("widow", &["one", "two"]);
             let (_widow, widow) = stage.start(spec.queue(1, policy)).await;
             widow.tell(Chatter(1)).unwrap();
@@ -133,7 +133,7 @@ fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         let (spec, told) = widow("widow", &["arm"]);
         let (mut watcher, _) = stage.start(spec).await;
 
@@ -153,10 +153,10 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         let (spec, told) = widow("widow", &["arm"]);
         let (mut watcher, widow) = stage.start(spec).await;
-        watcher.standing_order(order(5));
+        watcher.set_restart_grant(order(5));
         widow.tell(Chatter(1)).unwrap();
         settle().await;
 
@@ -190,7 +190,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
         let (mut child, widow) = stage.start(spec).await;
-        child.standing_order(order(1000));
+        child.set_restart_grant(order(1000));
         settle().await;
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.

@@ -43,7 +43,7 @@ pub(super) struct InboundBacklog {
 struct Held {
     binding: u32,
     payload: Bytes,
-    postmark: MessageMetadata,
+    metadata: MessageMetadata,
     arrived: Instant,
 }
 
@@ -109,7 +109,7 @@ impl GatewayActor {
         &mut self,
         (peer, binding): (NodeId, u32),
         payload: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
         context: &mut Context<Self>,
     ) {
@@ -127,13 +127,13 @@ impl GatewayActor {
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
             None if behind => {
-                self.hold((peer, binding), (payload, postmark), &DeliveryError::Full, context)
+                self.hold((peer, binding), (payload, metadata), &DeliveryError::Full, context)
             }
             reply_to => {
                 let told = reply_to.is_none();
-                match bound.skeleton.deliver(payload, postmark, reply_to) {
+                match bound.skeleton.deliver(payload, metadata, reply_to) {
                     Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if told => {
-                        self.hold((peer, binding), (payload, postmark), &why, context);
+                        self.hold((peer, binding), (payload, metadata), &why, context);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -147,7 +147,7 @@ impl GatewayActor {
     fn hold(
         &mut self,
         (peer, binding): (NodeId, u32),
-        (payload, postmark): (&Bytes, MessageMetadata),
+        (payload, metadata): (&Bytes, MessageMetadata),
         why: &DeliveryError,
         context: &mut Context<Self>,
     ) {
@@ -159,7 +159,7 @@ impl GatewayActor {
         // A copy: what waits must not keep the whole frame that it came in.
         let payload = Bytes::copy_from_slice(payload);
         let bytes = payload.len();
-        let held = Held { binding, payload, postmark, arrived: platform::now() };
+        let held = Held { binding, payload, metadata, arrived: platform::now() };
         match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
@@ -190,7 +190,7 @@ impl GatewayActor {
     /// Hands over what has waited, in order, as far as there is room.
     fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
         for _ in 0..AT_ONCE {
-            let Some(Held { binding, payload, postmark, arrived }) =
+            let Some(Held { binding, payload, metadata, arrived }) =
                 self.queues.room.first(peer, &object)
             else {
                 return;
@@ -202,8 +202,8 @@ impl GatewayActor {
                 if room.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
                     return self.watch(peer, object, room, context);
                 }
-                let age = postmark.age + (platform::now() - *arrived);
-                match skeleton.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
+                let age = metadata.age + (platform::now() - *arrived);
+                match skeleton.deliver(payload, MessageMetadata { age, ..*metadata }, None) {
                     // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
                         if let Some(room) = skeleton.room() {
@@ -257,7 +257,7 @@ impl GatewayActor {
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.queues.complaints.take_over(now) {
-            self.wiring.faults.mend(FaultKind::CheckFailed);
+            self.wiring.faults.clear(FaultKind::CheckFailed);
         }
     }
 }

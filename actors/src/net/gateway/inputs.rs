@@ -50,8 +50,8 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Message { peer, message } => {
                 let send_state = self.peers.get(&peer).map(|peer| &peer.send_state);
                 if send_state.is_some_and(|send_state| send_state.is_isolated()) {
-                    self.kept_out += 1;
-                    debug!(%peer, kept_out = self.kept_out, "an isolated node speaks");
+                    self.of_isolated += 1;
+                    debug!(%peer, of_isolated = self.of_isolated, "an isolated node speaks");
                 } else {
                     self.exchange.handle_message(peer, message, platform::now());
                 }

@@ -148,7 +148,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             stalls: None,
             nodes: None,
             faults: None,
-            mended: None,
+            cleared: None,
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),

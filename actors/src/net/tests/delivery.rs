@@ -150,8 +150,8 @@ fn what_goes_every_way_is_not_late_when_a_cable_fails() {
 
         assert_eq!(heard.len(), 300);
         let session = right.net.read_sessions().await.remove(0);
-        assert!(session.standing.counters.replicas > 100, "{:?}", session.standing.counters);
-        assert_eq!(session.standing.counters.missed, 0);
+        assert!(session.status.counters.replicas > 100, "{:?}", session.status.counters);
+        assert_eq!(session.status.counters.missed, 0);
     });
 }
 

@@ -91,16 +91,16 @@ const QUIET: Duration = Duration::from_secs(62);
 async fn ends_and_is_told_again(victim: &Module, object: &str, again: impl AsyncFn()) {
     advance(QUIET - 10_000 * MS).await;
     victim.declared.drain();
-    assert_eq!(victim.mended.drain(), [], "it may not be over yet");
+    assert_eq!(victim.cleared.drain(), [], "it may not be over yet");
     advance(10_000 * MS).await;
-    let mended = victim.mended.drain();
+    let cleared = victim.cleared.drain();
     let over = |fault: &DeclaredFaultCleared| (fault.object.to_string(), fault.kind.clone());
     assert_eq!(
-        mended.iter().map(over).collect::<Vec<_>>(),
+        cleared.iter().map(over).collect::<Vec<_>>(),
         [(object.into(), FaultKind::CheckFailed)]
     );
     advance(QUIET).await;
-    assert_eq!((victim.declared.drain(), victim.mended.drain()), (vec![], vec![]));
+    assert_eq!((victim.declared.drain(), victim.cleared.drain()), (vec![], vec![]));
 
     again().await;
 }

@@ -302,7 +302,8 @@ fn blurt(left: &Module, count: usize) {
     codec::encode(&Job(7), &mut payload).unwrap();
     let payload = Bytes::from(payload);
     let message =
-        PeerMessage::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
+        PeerMessage::Tell { binding: 1, timestamp_us: 0, id: None, payload: payload.into() }
+            .encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
         let (stream, strand, message) = (Stream::Data, OrderingKey::default(), message.clone());

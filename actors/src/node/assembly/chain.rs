@@ -297,7 +297,7 @@ pub(super) fn reports(monitor: &Addr<MonitorActor>) -> FaultReports {
         exits: Some(monitor.clone().recipient()),
         states: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
-        mended: Some(monitor.clone().recipient()),
+        cleared: Some(monitor.clone().recipient()),
     }
 }
 

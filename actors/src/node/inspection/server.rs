@@ -151,7 +151,7 @@ impl InspectionServer {
                 info!(path = %self.path.display(), "the inspection socket was removed, and is created again");
                 self.listener = Some(listener);
                 if self.told.replace(false) != Some(false) {
-                    self.reports.mend("inspection");
+                    self.reports.clear("inspection");
                 }
             }
             Err(reason) if self.told.replace(true) != Some(true) => {

@@ -13,7 +13,7 @@ impl Detector {
     /// told.
     pub(super) fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
         self.unhanded.insert(id);
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         let Fault { location, incarnation, .. } = entry.fault.clone();
         let FaultLocation::Object(address) = &location else { return };
         let seen = self.objects.get(&address.object);
@@ -24,9 +24,9 @@ impl Detector {
             }
             Some(Lifecycle::Finalized) => self.end_unhanded_at(&location, at),
             _ => {
-                let given_up = self.chronicle.standing_at(&location).find_map(|fault| {
+                let given_up = self.fault_log.open_faults_at(&location).find_map(|fault| {
                     let later = Some(fault.id).filter(|_| fault.incarnation > incarnation)?;
-                    self.chronicle.entry(later)?.given_up.clone()
+                    self.fault_log.entry(later)?.given_up.clone()
                 });
                 if let Some((_, reason)) = given_up {
                     self.give_up(id, at, reason);
@@ -46,7 +46,7 @@ impl Detector {
 
     /// No incarnation has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         let FaultLocation::Object(address) = &entry.fault.location else { return };
         let seen = self.objects.get(&address.object);
         if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
@@ -57,7 +57,7 @@ impl Detector {
 
     /// This fault, and those of the incarnations before it that were to end with its own.
     pub(super) fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
-        let Some(entry) = self.chronicle.entry(id) else { return Vec::new() };
+        let Some(entry) = self.fault_log.entry(id) else { return Vec::new() };
         let fault = &entry.fault;
         let before = |other: &&Fault| other.incarnation < fault.incarnation;
         let before = self.unhanded_at(&fault.location).filter(before).map(|other| other.id);
@@ -65,6 +65,6 @@ impl Detector {
     }
 
     pub(super) fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        self.chronicle.standing_at(location).filter(|fault| self.unhanded.contains(&fault.id))
+        self.fault_log.open_faults_at(location).filter(|fault| self.unhanded.contains(&fault.id))
     }
 }

@@ -37,7 +37,7 @@ impl Detector {
             let fresh = scene.at - fault.found_at <= span;
             of_network && fresh && fault.location != scene.location && fault.symptom_of.is_none()
         };
-        let suffer = self.chronicle.all_standing().filter(suffers).map(|fault| fault.id);
+        let suffer = self.fault_log.all_open().filter(suffers).map(|fault| fault.id);
         let suffer: Vec<FaultId> = suffer.collect();
         if is_long || !suffer.is_empty() {
             let root = self.fault_of_pause();
@@ -63,7 +63,7 @@ impl Detector {
         );
         let scene = Scene { location, incarnation: Incarnation::default(), at };
         let kind = FaultKind::NodePaused;
-        let known = self.chronicle.standing(&scene.location, &kind);
+        let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.filter(|&id| self.repeat(id, &scene, &detail));
         let id = known.unwrap_or_else(|| self.record(&scene, kind, detail, Cause::Itself));
         self.recover(id, at);
@@ -79,7 +79,7 @@ impl Detector {
         let Some(id) = over.and_then(|pause| pause.fault) else { return };
         self.repair(id, now);
         let outlives = |fault: &&Fault| fault.symptom_of == Some(id);
-        let outlive = self.chronicle.all_standing().filter(outlives).map(|fault| fault.id);
+        let outlive = self.fault_log.all_open().filter(outlives).map(|fault| fault.id);
         let outlive: Vec<FaultId> = outlive.collect();
         self.explain(&outlive, None, now);
     }

@@ -114,7 +114,7 @@ impl Bench {
     }
 
     fn fault(&self, id: u64) -> Fault {
-        let entry = self.detector.chronicle.entry(FaultId(id)).expect("it is recorded");
+        let entry = self.detector.fault_log.entry(FaultId(id)).expect("it is recorded");
         entry.fault.clone()
     }
 }

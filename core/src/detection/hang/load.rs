@@ -195,7 +195,7 @@ impl HangDetector {
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
         let Some(Some(root)) = self.components.get_mut(slot as usize) else { return };
-        let root = root.wake(looked.stamp(slot), now);
+        let root = root.wake(looked.activity(slot), now);
         let Some(reading) = root.reading else { return };
         if root.stuck {
             root.flow(reading, &mut self.outputs);

@@ -203,10 +203,10 @@ impl HangDetector {
     }
 
     /// What an arbiter says.
-    pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample) {
+    pub fn handle_heartbeat(&mut self, id: ArbiterId, reading: ArbiterSample) {
         let now = self.clock;
-        let turn = reading.stamp.map(|stamp| stamp.turn);
-        let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
+        let turn = reading.activity.map(|activity| activity.turn);
+        let allowance = reading.activity.map_or(Duration::ZERO, |activity| activity.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
             beat: reading.beat,
             running: reading.running,
@@ -393,7 +393,7 @@ impl HangDetector {
             {
                 continue;
             }
-            let component = watched.wake(looked.stamp(slot), now);
+            let component = watched.wake(looked.activity(slot), now);
             let around = Around { slot, arbiter: arbiters.get(&id), is_busy, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
             watched.settle(now);
@@ -493,7 +493,7 @@ impl ComponentRecord {
             &mut Vec<LivenessEvent>,
         ),
     ) {
-        let reading = looked.stamp(around.slot);
+        let reading = looked.activity(around.slot);
         let before = self.reading.replace(reading);
         let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
         let beats = std::mem::replace(&mut self.beat, beat) != beat;
@@ -538,8 +538,8 @@ impl ComponentRecord {
         if around.runs() && !turned && around.stands(now) {
             return; // Judged as a culprit, not for itself.
         }
-        if let Some(sighting) = self.judge_silence(around, looked, now, late) {
-            silent.push(sighting);
+        if let Some(event) = self.judge_silence(around, looked, now, late) {
+            silent.push(event);
         }
         let age = now - self.turn_since;
         let limit = self.judged.limits.max_wait.max(reading.allowance);

@@ -97,7 +97,7 @@ pub struct ArbiterSample {
     pub running: Option<SlotId>,
     /// What that component says, read at the same time; `None` where it is no longer judged. An
     /// allowance that its handler has just announced counts from the next pulse on.
-    pub stamp: Option<ComponentSample>,
+    pub activity: Option<ComponentSample>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
     /// How much of the processor its thread has used, if it is ready to run; `None` where it waits
@@ -162,10 +162,10 @@ pub struct QueueReading {
 /// What a scanner looks at.
 pub trait Looked {
     /// What the component of a slot says.
-    fn stamp(&self, slot: SlotId) -> ComponentSample;
+    fn activity(&self, slot: SlotId) -> ComponentSample;
     /// The mark of what it says, for one that may rest: asked of every component at every look.
     fn mark(&self, slot: SlotId) -> ActivityMark {
-        self.stamp(slot).mark()
+        self.activity(slot).mark()
     }
     /// How its queue is. Asked only where something may wait.
     fn queue(&self, slot: SlotId) -> QueueReading;

@@ -381,9 +381,9 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     state(&mut monitor, Lifecycle::Active, None);
     assert_eq!(note(&monitor).as_deref(), Some("it is dark"), "that goes on");
     declare(&mut monitor, FaultKind::Overload, "too much");
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(3));
     assert_eq!(note(&monitor).as_deref(), Some("too much"));
-    monitor.handle_mended(&laser, TWO, FaultKind::Overload, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::Overload, at(3));
     assert_eq!(note(&monitor), None);
 
     declare(&mut monitor, FaultKind::Unavailable, "no device");
@@ -391,7 +391,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     assert_eq!(note(&monitor).as_deref(), Some("no device"), "another hook may wait for it");
     declare(&mut monitor, FaultKind::CheckFailed, "it is dark");
     assert_eq!(row(&monitor, "m:laser", 3).waiting_for.as_deref(), Some("no device"));
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(3));
     state(&mut monitor, Lifecycle::Active, None);
     assert_eq!(note(&monitor), None);
     assert_eq!(row(&monitor, "m:laser", 3).waiting_for, None);
@@ -399,7 +399,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(4));
     declare(&mut monitor, FaultKind::CheckFailed, "its cut-off blocks");
     assert_eq!(note(&monitor).as_deref(), Some("its cut-off blocks"));
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(5));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(5));
     assert_ne!(note(&monitor).as_deref(), Some("its cut-off blocks"));
 }
 
@@ -518,7 +518,7 @@ fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confir
     monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
     assert!(matches!(monitor.poll_output(), Some(MonitorOutput::Observe { .. })));
 
-    let mut monitor = monitor.reborn(at(20));
+    let mut monitor = monitor.restarted(at(20));
 
     assert_eq!(monitor.read_table(at(20)).len(), 2);
     monitor.handle_timeout(at(20));

@@ -236,7 +236,7 @@ fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
     assert_eq!((victim.votes.len(), victim.refused()), (VOTES_MAX, 6 + 1 + 1));
     let longest = victim.votes.values().flat_map(BTreeMap::values).map(|vote| vote.cause.len());
     assert_eq!(longest.max(), Some(CAUSE_MAX));
-    assert!(victim.kept_out.is_empty());
+    assert!(victim.isolated.is_empty());
 }
 
 #[test]

@@ -98,7 +98,7 @@ mod tests {
     fn the_most_that_a_router_says_of_a_node_at_once_is_put_together() {
         let edge = Edge { to: NodeId(1), incarnation: 1, cost: 1, mtu: 96 };
         let told = Advertisement {
-            stamp: AdvertisementId { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
+            id: AdvertisementId { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
             node: NodeName::new(&"n".repeat(32)).unwrap(),
             edges: vec![edge; NEIGHBOURS_MAX],
             withdrawn: false,

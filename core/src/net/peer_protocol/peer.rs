@@ -124,12 +124,14 @@ impl PeerSession {
         Some((object.clone(), news))
     }
 
-    pub(super) fn stamp_us(&self, sent: Instant) -> u64 {
+    pub(super) fn timestamp_us(&self, sent: Instant) -> u64 {
         u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
     }
 
-    pub(super) fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
-        self.ages.get_or_insert_with(|| AgeEstimator::new(stamp_us, now)).handle(stamp_us, now)
+    pub(super) fn age(&mut self, timestamp_us: u64, now: Instant) -> Duration {
+        self.ages
+            .get_or_insert_with(|| AgeEstimator::new(timestamp_us, now))
+            .handle(timestamp_us, now)
     }
 
     pub(super) fn send(
@@ -140,17 +142,17 @@ impl PeerSession {
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
         let QueuedMessage { id, sent, payload, pending } = waiting;
-        let stamp_us = self.stamp_us(sent);
+        let timestamp_us = self.timestamp_us(sent);
         let message = match pending {
-            None => PeerMessage::Tell { binding, stamp_us, id, payload },
+            None => PeerMessage::Tell { binding, timestamp_us, id, payload },
             Some(pending) => {
                 *next_call += 1;
                 let call = *next_call;
                 // A deadline of less than a tick is one all the same.
                 let within = pending.until.map_or(0, |until| ticks(until - sent).max(1));
                 self.calls.insert(call, pending);
-                let stamp = stamp_us / TICK_US;
-                PeerMessage::Request { binding, call, stamp, within, id, payload }
+                let timestamp = timestamp_us / TICK_US;
+                PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
         carry(peer, ((binding << 1) | 1, delivery, strand), &message)

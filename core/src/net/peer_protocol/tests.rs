@@ -478,15 +478,15 @@ fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_i
     while pair.ends[0].poll_output().is_some() {}
 
     let why = DeliveryError::OutcomeUnknown { reason: "it failed".into() };
-    let mut reborn = pair.ends[0].reborn(&why);
+    let mut restarted = pair.ends[0].restarted(&why);
     let lost = |contract, why| {
         let to = MessageTarget::Object(arm(), contract);
         Some(PeerProtocolOutput::Lost { peer, to, why })
     };
-    assert_eq!(reborn.poll_output(), lost("other", why));
-    assert_eq!(reborn.poll_output(), None);
+    assert_eq!(restarted.poll_output(), lost("other", why));
+    assert_eq!(restarted.poll_output(), None);
 
     let died = DeliveryError::PeerDied { incarnation: Incarnation(1) };
-    reborn.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
-    assert_eq!(reborn.poll_output(), lost("count", died));
+    restarted.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
+    assert_eq!(restarted.poll_output(), lost("count", died));
 }

@@ -80,7 +80,7 @@ impl Router {
     ) {
         let AdvertisementId { origin, incarnation, .. } = contender;
         if origin == self.id {
-            if incarnation > self.own.stamp.incarnation {
+            if incarnation > self.own.id.incarnation {
                 self.defend(incarnation);
             }
             return;
@@ -154,13 +154,13 @@ impl Router {
         against: Incarnation,
         advertisement: Advertisement,
     ) {
-        let AdvertisementId { origin, incarnation, .. } = advertisement.stamp;
+        let AdvertisementId { origin, incarnation, .. } = advertisement.id;
         if incarnation >= against {
             self.refusals.malformed += 1;
             return;
         }
         if origin == self.id {
-            let own = self.own.stamp.incarnation;
+            let own = self.own.id.incarnation;
             self.go_on(RouterAlarm::NameTaken);
             if incarnation < own && own <= against && self.usurper != Some(incarnation) {
                 self.begin_trouble(RouterAlarm::NameTaken);
@@ -177,17 +177,14 @@ impl Router {
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
         // Also where a later incarnation is held, which has ended, and an earlier one defends
         // itself against it.
-        let news = held.is_none_or(|held| {
-            held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
-        });
+        let news =
+            held.is_none_or(|held| held.id < advertisement.id || held.id.incarnation > incarnation);
         let known = self.disputes.get(&origin);
         if known.is_some_and(settled) && !news {
             return;
         }
         let contender = known.map_or(against, |known| known.contender.max(against));
-        if let Some(held) =
-            held.map(|held| held.stamp).filter(|held| held.incarnation > incarnation)
-        {
+        if let Some(held) = held.map(|held| held.id).filter(|held| held.incarnation > incarnation) {
             if held.incarnation > against {
                 // A later incarnation than the one that it knows of, and has not heard of it yet.
                 return;
@@ -256,7 +253,7 @@ impl Router {
     pub(super) fn settle_disputes(&mut self) {
         let (routes, now) = (&self.routes, self.now);
         for (id, known) in &mut self.known {
-            let incarnation = known.advertisement.stamp.incarnation;
+            let incarnation = known.advertisement.id.incarnation;
             known.ended |=
                 known.reached && routes.get(id).is_none_or(|r| r.incarnation != incarnation);
             known.reached |= routes.get(id).is_some_and(|route| route.incarnation == incarnation);

@@ -35,11 +35,12 @@ fn up(neighbour: &str, cost: u16) -> LinkStatus {
 }
 
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
-    let stamp = AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
+    let advertisement_id =
+        AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
     let (incarnation, mtu) = (1, 1400);
     let edge = |&(to, cost): &(&str, u16)| Edge { to: id(to), incarnation, cost, mtu };
     let edges = edges.iter().map(edge).collect();
-    Advertisement { stamp, node: named(node), edges, withdrawn: false }
+    Advertisement { id: advertisement_id, node: named(node), edges, withdrawn: false }
 }
 
 /// The same, of a node that is linked to that incarnation of another.
@@ -203,8 +204,8 @@ fn what_somebody_says_in_our_name_is_outdone() {
     tell(&mut router, FIRST, advertisement("own", 700, &[("nowhere", 1)]), 1020);
 
     let told = announced(&outputs(&mut router, 1020), SECOND);
-    let own = told.iter().find(|told| told.stamp.origin == id("own")).unwrap();
-    assert_eq!((own.stamp.sequence, own.edges.len()), (701, 2));
+    let own = told.iter().find(|told| told.id.origin == id("own")).unwrap();
+    assert_eq!((own.id.sequence, own.edges.len()), (701, 2));
 }
 
 #[test]
@@ -305,8 +306,8 @@ fn news_is_passed_on_at_once_and_repeated_until_confirmed() {
     let again = outputs(&mut router, 1065);
     assert!(announced(&again, SECOND).contains(&news));
 
-    let stamps = vec![news.stamp];
-    let confirm = RoutingMessage::Have { range: None, stamps };
+    let ids = vec![news.id];
+    let confirm = RoutingMessage::Have { range: None, ids };
     router.handle_routing(SECOND, confirm.encode(), at(1070));
     let later = outputs(&mut router, 1200);
     assert!(!announced(&later, SECOND).contains(&news));
@@ -321,10 +322,7 @@ fn old_news_is_answered_with_newer_news() {
     tell(&mut router, SECOND, advertisement("far", 4, &[]), 1040);
 
     let answer = announced(&outputs(&mut router, 1040), SECOND);
-    assert_eq!(
-        answer.iter().find(|told| told.stamp.origin == id("far")).unwrap().stamp.sequence,
-        5
-    );
+    assert_eq!(answer.iter().find(|told| told.id.origin == id("far")).unwrap().id.sequence, 5);
     assert!(router.refusals().stale >= 1);
 }
 
@@ -334,7 +332,7 @@ fn what_a_neighbour_lacks_is_seen_in_its_list_and_sent() {
     outputs(&mut router, 1030);
 
     let range = Some((NodeId(0), NodeId(u32::MAX)));
-    let nothing = RoutingMessage::Have { range, stamps: vec![] };
+    let nothing = RoutingMessage::Have { range, ids: vec![] };
     router.handle_routing(SECOND, nothing.encode(), at(1031));
 
     let sent = announced(&outputs(&mut router, 1031), SECOND);
@@ -451,8 +449,8 @@ fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_
             continue;
         }
         let own: Vec<_> = told.iter().filter(|told| told.node == named("own")).collect();
-        assert!(own[0].withdrawn && own[0].stamp.sequence == u32::MAX, "{own:?}");
-        assert_eq!((own[1].stamp.sequence, own[1].edges.len()), (1, 2));
+        assert!(own[0].withdrawn && own[0].id.sequence == u32::MAX, "{own:?}");
+        assert_eq!((own[1].id.sequence, own[1].edges.len()), (1, 2));
     }
     assert_eq!(router.refusals().forged, 1);
 }
@@ -477,12 +475,12 @@ fn lies_in_our_name_are_over_when_a_minute_has_passed_without_one() {
 #[test]
 fn a_router_that_has_counted_to_the_end_withdraws_its_last_word_first() {
     let mut router = between_two();
-    router.own.stamp.sequence = u32::MAX;
+    router.own.id.sequence = u32::MAX;
 
     router.handle_link(SECOND, up("right", 7), at(1030));
 
     let told = announced(&outputs(&mut router, 1030), FIRST);
-    let own: Vec<_> = told.iter().map(|own| (own.withdrawn, own.stamp.sequence)).collect();
+    let own: Vec<_> = told.iter().map(|own| (own.withdrawn, own.id.sequence)).collect();
     assert_eq!(own[..2], [(true, u32::MAX), (false, 1)]);
 }
 
@@ -516,7 +514,7 @@ fn what_is_withdrawn_counts_for_a_moment_and_then_no_longer() {
     tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1080);
     assert_eq!(without_routing(outputs(&mut router, 1090)), []);
     let mut again = advertisement("far", 1, &[("left", 1), ("right", 1)]);
-    again.stamp.incarnation = Incarnation(0);
+    again.id.incarnation = Incarnation(0);
     tell(&mut router, FIRST, again, 1100);
     let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
     tell(&mut router, FIRST, linked_to(0, "far", left), 1100);

@@ -185,7 +185,7 @@ impl<'a> Topology<'a> {
 
     /// A node's name and newest known incarnation: its own words, or what a link to it has heard.
     fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
-        let told = self.known.get(&id).map(|a| (a.node.clone(), a.stamp.incarnation));
+        let told = self.known.get(&id).map(|a| (a.node.clone(), a.id.incarnation));
         let heard = self
             .links
             .values()
@@ -237,7 +237,7 @@ impl<'a> Topology<'a> {
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
         known.iter().filter(|edge| {
-            let told = self.known.get(&edge.to).map(|known| known.stamp.incarnation);
+            let told = self.known.get(&edge.to).map(|known| known.id.incarnation);
             usize::from(edge.mtu) >= MTU_MIN
                 && told.is_none_or(|incarnation| {
                     Edge::incarnation_tag(incarnation) == edge.incarnation

@@ -496,7 +496,7 @@ impl Supervisor {
             child.ordered = true;
             let times = left.saturating_add(child.on_the_spot.recent(now));
             let (child, order) = (child.name.clone(), Some(RestartGrant { times, period }));
-            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order });
+            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order });
         }
     }
 
@@ -511,7 +511,7 @@ impl Supervisor {
         let child = self.kept(key);
         if std::mem::take(&mut child.ordered) {
             let child = child.name.clone();
-            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order: None });
+            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order: None });
         }
     }
 

@@ -80,10 +80,10 @@ impl Rig {
                 SupervisorOutput::Reset { child } => format!("reset {child}"),
                 SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),
                 SupervisorOutput::Isolate { child, isolated: false } => format!("admit {child}"),
-                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
                     format!("order {child} x{}", order.times)
                 }
-                SupervisorOutput::StandingOrder { child, order: None } => {
+                SupervisorOutput::RestartGrant { child, order: None } => {
                     format!("withdraw {child}")
                 }
                 SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {

@@ -112,7 +112,7 @@ pub enum SupervisorOutput {
         isolated: bool,
     },
     /// Leave a decision with the child's guard, or withdraw it.
-    StandingOrder {
+    RestartGrant {
         /// The child.
         child: ObjectName,
         /// The decision.

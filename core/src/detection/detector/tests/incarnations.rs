@@ -239,9 +239,9 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
 
         bench.see("arm", incarnation, end);
 
-        let standing = bench.entries().into_iter().filter(|entry| entry.stands());
-        let standing: Vec<String> = standing.map(|e| format!("{:?}", e.fault.kind)).collect();
-        assert_eq!(standing.join(" "), follows);
+        let open_fault = bench.entries().into_iter().filter(|entry| entry.stands());
+        let open_fault: Vec<String> = open_fault.map(|e| format!("{:?}", e.fault.kind)).collect();
+        assert_eq!(open_fault.join(" "), follows);
         let said = bench.said();
         assert!(said.contains(&"Cleared 1".to_owned()), "{said:?}");
     }

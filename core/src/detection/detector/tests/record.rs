@@ -228,7 +228,7 @@ fn a_detector_that_was_struck_keeps_its_record_and_hands_over_again() {
     bench.see("arm", ONE, exited(panicked()));
     while bench.detector.poll_output().is_some() {}
 
-    bench.detector = bench.detector.clone().reborn(at(1));
+    bench.detector = bench.detector.clone().restarted(at(1));
 
     assert_eq!(bench.said(), ["+1"]);
     bench.see("arm", ONE, declared());
@@ -278,20 +278,20 @@ proptest! {
 
             let entries = bench.entries();
             prop_assert!(entries.len() <= 16);
-            let mut standing = BTreeSet::new();
+            let mut open_fault = BTreeSet::new();
             let mut passed = BTreeSet::new();
             for entry in &entries {
                 let fault = &entry.fault;
-                prop_assert_eq!(entry.stands(), bench.detector.chronicle.stands(fault.id));
+                prop_assert_eq!(entry.stands(), bench.detector.fault_log.stands(fault.id));
                 if entry.stands() {
                     let kind = fault.kind.clone();
-                    prop_assert!(standing.insert((fault.location.clone(), kind)));
+                    prop_assert!(open_fault.insert((fault.location.clone(), kind)));
                 }
                 if let Some(root) = fault.symptom_of {
                     prop_assert_ne!(root, fault.id);
-                    prop_assert_ne!(bench.detector.chronicle.root(root), fault.id);
-                    let known = bench.detector.chronicle.entry(root).is_some();
-                    prop_assert!(!known || passed.contains(&bench.detector.chronicle.root(root)));
+                    prop_assert_ne!(bench.detector.fault_log.root(root), fault.id);
+                    let known = bench.detector.fault_log.entry(root).is_some();
+                    prop_assert!(!known || passed.contains(&bench.detector.fault_log.root(root)));
                 }
                 passed.insert(fault.id);
             }

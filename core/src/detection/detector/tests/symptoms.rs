@@ -238,7 +238,7 @@ fn what_links_and_nodes_suffer_from_a_pause_of_this_node_is_its_symptom() {
     assert_eq!(kind(4), (FaultKind::NodePaused, None));
     assert_eq!(kind(5), (FaultKind::NodeLost, of_pause));
     assert_eq!(kind(6), (FaultKind::Panic, None), "a panic is its own cause");
-    assert!(bench.detector.chronicle.stands(FaultId(4)));
+    assert!(bench.detector.fault_log.stands(FaultId(4)));
 }
 
 #[test]
@@ -262,7 +262,7 @@ fn a_short_pause_of_this_node_is_a_fault_only_if_links_or_nodes_suffer_from_it()
 
     bench.see("-eth-n", ONE, Finding::Link(LinkCondition::Up));
     bench.run_until(10_500);
-    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+    assert!(!bench.detector.fault_log.stands(FaultId(1)));
     assert_eq!(bench.fault(3).symptom_of, None, "the node is lost all the same");
     bench.see("-usb-k", ONE, down());
     bench.see("@m", ONE, short());
@@ -293,10 +293,10 @@ fn a_second_pause_soon_after_the_first_is_counted() {
     bench.run_until(4_000);
     bench.see("@m", ONE, paused());
     bench.run_until(8_000);
-    assert!(bench.detector.chronicle.stands(FaultId(1)));
+    assert!(bench.detector.fault_log.stands(FaultId(1)));
 
     bench.run_until(9_000);
 
     assert_eq!((bench.entries().len(), bench.fault(1).count), (1, 2));
-    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+    assert!(!bench.detector.fault_log.stands(FaultId(1)));
 }

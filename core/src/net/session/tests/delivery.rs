@@ -150,7 +150,7 @@ fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
 
     let told = (0..1000).map(|_| {
         pair.run(0);
-        (pair.take(0), pair.ends[0].standing().unacknowledged)
+        (pair.take(0), pair.ends[0].status().unacknowledged)
     });
     let told: Vec<_> = told.filter(|(told, _)| !told.is_empty()).collect();
 
@@ -173,7 +173,7 @@ fn bulk_has_room_again_although_small_messages_never_end() {
 
     let mut told = (0..1000).map(|_| {
         pair.run(0);
-        (pair.take(0), pair.ends[0].standing().unacknowledged)
+        (pair.take(0), pair.ends[0].status().unacknowledged)
     });
     let told = told.find(|(told, _)| !told.is_empty());
 

@@ -25,7 +25,7 @@ fn what_is_small_and_for_another_object_enters_between_the_parts_of_what_is_larg
 
     let all = [text("a"), text("b"), image, text("shutter")].map(message);
     assert!(pair.take(1) == all, "of one object nothing is overtaken");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+    assert_eq!(pair.ends[0].status().unacknowledged, 0);
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
         assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {told:?}");
     }
     assert!(!told.is_sorted(), "some were quicker");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+    assert_eq!(pair.ends[0].status().unacknowledged, 0);
 }
 
 /// Takes out parts of so much until one of the messages of this text is in it. Answers with how
