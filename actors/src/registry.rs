@@ -66,8 +66,8 @@ pub(crate) type CapacityFuture = Pin<Box<dyn Future<Output = ()> + Send>>;
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Skeleton: Send + Sync {
     /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case;
-    /// the error then repeats what it was told. Where it is not, and there is [`room`](Self::room)
-    /// to wait for, a message that is refused as [`DeliveryError::Full`] or
+    /// the error then repeats what it was told. Where it is not, and there is
+    /// [`space`](Self::space) to wait for, a message that is refused as [`DeliveryError::Full`] or
     /// [`DeliveryError::Restarting`] remains the caller's: to be tried again, or
     /// [recorded](Self::record_dead_letter).
     fn deliver(
@@ -78,7 +78,7 @@ pub(crate) trait Skeleton: Send + Sync {
     ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused; `None` where nothing waits.
-    fn room(&self) -> Option<CapacityFuture> {
+    fn space(&self) -> Option<CapacityFuture> {
         None
     }
 
@@ -122,8 +122,10 @@ pub(crate) trait RemoteStub: Send + Sync {
     ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused so.
-    fn room<'a>(&'a self, refused: &DeliveryError)
-    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn space<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 }
 
 /// One contract that one object takes.
@@ -209,11 +211,11 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
         Some(Receiver { node, object, contract, queue: None, unavailable: None, deadline: None })
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.door.room(refused)
+        self.door.space(refused)
     }
 
     fn ask(

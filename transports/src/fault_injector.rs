@@ -107,7 +107,7 @@ impl MediumActor for FaultInjector {
                 self.inner.transmit.do_send(message);
             }
             for turn in 0.. {
-                if self.outlet.poll_room(task).is_pending() {
+                if self.outlet.poll_capacity(task).is_pending() {
                     break;
                 }
                 let Some(Received { from, frame }) = self.incoming.poll_output() else { break };

@@ -231,7 +231,7 @@ impl MediumActor for Memory {
         let Some(inbox) = self.inbox.clone() else { return };
         let mut budget = PollBudget::default();
         while budget.next() {
-            if self.outlet.poll_room(task).is_pending() {
+            if self.outlet.poll_capacity(task).is_pending() {
                 return;
             }
             let Some((from, frame)) = inbox.pop(task) else { return };

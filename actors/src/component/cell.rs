@@ -454,8 +454,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         self.offer_at(message, enqueue_time::<M>())
     }
 
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        Box::pin(self.queue.room())
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        Box::pin(self.queue.space())
     }
 
     fn receiver(&self) -> Option<Receiver> {

@@ -85,12 +85,12 @@ impl UntoldExits {
 
     /// Tells the monitor, and the supervisor, each end once.
     pub(crate) fn tell(&self, which: DueExits, object: &ObjectName, reports: &FaultReports) {
-        let is_told = |exited: &mut UntoldExit| match which {
+        let is_reported = |exited: &mut UntoldExit| match which {
             DueExits::Until(until) => exited.incarnation <= until,
             DueExits::Settled => exited.is_settled,
         };
-        let told: Vec<UntoldExit> = self.lock().extract_if(.., is_told).collect();
-        for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in told {
+        let reported: Vec<UntoldExit> = self.lock().extract_if(.., is_reported).collect();
+        for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in reported {
             let exit = Arc::unwrap_or_clone(exit);
             if let Some(exits) = &reports.exits {
                 let (object, exit) = (object.clone(), exit.clone());

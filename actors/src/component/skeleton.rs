@@ -93,9 +93,9 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         }
     }
 
-    fn room(&self) -> Option<CapacityFuture> {
+    fn space(&self) -> Option<CapacityFuture> {
         let cell = self.cell.clone();
-        Some(Box::pin(async move { cell.queue.room().await }))
+        Some(Box::pin(async move { cell.queue.space().await }))
     }
 
     fn record_dead_letter(&self, why: &DeliveryError) {

@@ -154,14 +154,14 @@ fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
         Severity::Critical => "critical error",
     };
     let (kind, location) = (&fault.kind, &fault.location);
-    let told = match turn {
+    let text = match turn {
         FaultTransition::GaveUp { reason } => format!("{kind} of {location} is given up: {reason}"),
         FaultTransition::Failed { action, reason } => {
             format!("{kind} of {location}: {action} has failed: {reason}")
         }
         _ => format!("{kind} of {location}: {}", fault.detail),
     };
-    let line = format!("blastema: {severity} on node {node}: {told}");
+    let line = format!("blastema: {severity} on node {node}: {text}");
     // Texts come from other nodes, too, and a terminal would obey their control characters.
     line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }

@@ -313,8 +313,8 @@ fn what_was_seen_while_the_detector_was_struck_is_judged_afterwards() {
 #[test]
 fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
     paused(async {
-        let heard = Rc::new(RefCell::new(Vec::new()));
-        let detector = Deaf(heard.clone()).start().recipient();
+        let received = Rc::new(RefCell::new(Vec::new()));
+        let detector = Deaf(received.clone()).start().recipient();
         let monitor = MonitorActor::new(node("m"), MonitorLimits::default(), detector).start();
         for name in ["a", "b"] {
             let enrolment = Registration::new(object(name));
@@ -324,7 +324,7 @@ fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
         advance(Duration::from_secs(60)).await;
 
         let (a, b) = ("m:a".to_string(), "m:b".to_string());
-        assert_eq!(*heard.borrow(), [vec![a; 8], vec![b; 8]].concat());
+        assert_eq!(*received.borrow(), [vec![a; 8], vec![b; 8]].concat());
     });
 }
 

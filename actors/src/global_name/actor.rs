@@ -50,7 +50,7 @@ pub(crate) struct GlobalNamesSetup {
 struct Own {
     wanted: ClaimRequest,
     number: u64,
-    told: watch::Sender<ClaimState>,
+    state_sender: watch::Sender<ClaimState>,
     unattended: bool,
 }
 
@@ -70,7 +70,7 @@ pub(crate) struct GlobalNamesActor {
     lost: ActiveAlarms<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,
-    said: Option<String>,
+    reported_conflict: Option<String>,
 }
 
 /// Where the body is told and asked.
@@ -102,7 +102,7 @@ impl GlobalNamesActor {
                 faults: FaultReporter::of("claims", setup.faults.clone(), setup.cleared.clone()),
                 lost: ActiveAlarms::default(),
                 without: UnmetClaims::default(),
-                said: None,
+                reported_conflict: None,
                 setup,
             }
         };
@@ -118,9 +118,9 @@ impl GlobalNamesActor {
 
     fn tell(&self, name: &ObjectName, state: ClaimState) {
         if let Some(own) = self.own.get(name) {
-            own.told.send_if_modified(|told| {
-                let new = *told != state;
-                *told = state;
+            own.state_sender.send_if_modified(|sent| {
+                let new = *sent != state;
+                *sent = state;
                 new
             });
         }
@@ -148,7 +148,7 @@ impl GlobalNamesActor {
 
     /// Some names are not lost any more. Of those who go without, it is said again.
     fn clear(&mut self) {
-        self.said = None;
+        self.reported_conflict = None;
         if self.without.text().is_some() {
             self.say_who_goes_without();
         } else if self.lost.iter().next().is_none() {
@@ -159,11 +159,11 @@ impl GlobalNamesActor {
     /// As it is now.
     fn say_who_goes_without(&mut self) {
         match self.without.text() {
-            Some(text) if self.said.as_ref() != Some(&text) => {
-                self.said = Some(text.clone());
+            Some(text) if self.reported_conflict.as_ref() != Some(&text) => {
+                self.reported_conflict = Some(text.clone());
                 self.declare(FaultKind::NameTaken, text);
             }
-            None if self.said.take().is_some() => self.clear(),
+            None if self.reported_conflict.take().is_some() => self.clear(),
             Some(_) | None => {}
         }
     }
@@ -233,8 +233,8 @@ impl Supervised for GlobalNamesActor {
     /// What is claimed here stays so; what others claim, they are asked for.
     fn restarting(&mut self, context: &mut Context<Self>) {
         let (now, mut own) = (platform::now(), Vec::new());
-        for Own { wanted, told, .. } in self.own.values() {
-            let epoch = match *told.borrow() {
+        for Own { wanted, state_sender, .. } in self.own.values() {
+            let epoch = match *state_sender.borrow() {
                 ClaimState::Held { epoch } => Some(epoch),
                 _ => None,
             };
@@ -313,7 +313,7 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
 
     fn handle(&mut self, wish: ClaimCommand, context: &mut Context<Self>) {
         match wish {
-            ClaimCommand::Claim { wanted, number, told, unattended } => {
+            ClaimCommand::Claim { wanted, number, state_sender, unattended } => {
                 let name = wanted.name.clone();
                 match self.own.get(&name) {
                     // The next incarnation of the same component.
@@ -328,12 +328,12 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
                             self.without.handle_doubled(claim, wanted.object, &other);
                             self.say_who_goes_without();
                         }
-                        told.send_replace(ClaimState::Refused(held.into()));
+                        state_sender.send_replace(ClaimState::Refused(held.into()));
                         return;
                     }
                     None => {}
                 }
-                let own = Own { wanted: wanted.clone(), number, told, unattended };
+                let own = Own { wanted: wanted.clone(), number, state_sender, unattended };
                 self.own.insert(name.clone(), own);
                 if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
                     self.refused(&name, refused);

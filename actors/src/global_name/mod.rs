@@ -147,7 +147,7 @@ pub struct NameWatch {
     name: ObjectName,
     names: GlobalNameTable,
     revision: watch::Receiver<u64>,
-    told: Option<Option<Holder>>,
+    last_reported: Option<Option<Holder>>,
 }
 
 impl fmt::Debug for NameWatch {
@@ -158,7 +158,7 @@ impl fmt::Debug for NameWatch {
 
 impl NameWatch {
     pub(crate) fn new(names: &GlobalNameTable, name: ObjectName) -> Self {
-        NameWatch { name, names: names.clone(), revision: names.revision(), told: None }
+        NameWatch { name, names: names.clone(), revision: names.revision(), last_reported: None }
     }
 
     /// Returns the holder: at once on the first call, and then whenever it has changed; `None` if
@@ -167,8 +167,8 @@ impl NameWatch {
         loop {
             self.revision.mark_unchanged();
             let holder = self.names.holder(&self.name);
-            if self.told.as_ref() != Some(&holder) {
-                self.told = Some(holder.clone());
+            if self.last_reported.as_ref() != Some(&holder) {
+                self.last_reported = Some(holder.clone());
                 return holder;
             }
             // It ends with the last clone of the names, of which this has one.

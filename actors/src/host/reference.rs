@@ -40,8 +40,8 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        let told = MessageSink::tell(&*self.0, message);
-        told.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+        let result = MessageSink::tell(&*self.0, message);
+        result.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
     /// Hands the message to the component's queue, and waits while it has no room.

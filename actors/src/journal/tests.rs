@@ -115,8 +115,8 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
     let entries = read(&path).unwrap();
     let [.., fault, end] = entries.as_slice() else { panic!("{entries:?}") };
     assert_eq!((fault.id, fault.status), (1, JournalStatus::EndedInOrder));
-    let told = (end.code.as_str(), end.location.as_str(), end.detail.as_str(), end.status);
-    assert_eq!(told, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
+    let row = (end.code.as_str(), end.location.as_str(), end.detail.as_str(), end.status);
+    assert_eq!(row, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
     assert_eq!((end.found_at, end.node_incarnation), (WallTime::from_micros(6), 2));
 }
 

@@ -290,9 +290,9 @@ pub(crate) fn start_thread(
 ) -> io::Result<SamplerGuard> {
     let ended = Arc::new(AtomicBool::new(false));
     let mut sampler = Sampler::new(list, arbiters, config, monitor, true);
-    let told = ended.clone();
+    let stop = ended.clone();
     let thread = platform::start_thread("watch", move || {
-        while !told.load(Relaxed) {
+        while !stop.load(Relaxed) {
             thread::sleep(PULSES);
             sampler.look(platform::now());
         }
@@ -310,9 +310,9 @@ pub(crate) fn start_task(
 ) -> SamplerGuard {
     let ended = Arc::new(AtomicBool::new(false));
     let mut sampler = Sampler::new(list, arbiters, config, monitor, false);
-    let told = ended.clone();
+    let stop = ended.clone();
     actix_rt::spawn(async move {
-        while !told.load(Relaxed) {
+        while !stop.load(Relaxed) {
             tokio::time::sleep(PULSES).await;
             sampler.look(platform::now());
         }

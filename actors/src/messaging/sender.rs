@@ -182,7 +182,7 @@ pub(crate) async fn deliver<M: Contract>(
             }
             other => return other,
         };
-        inlet.room(&refused).await;
+        inlet.space(&refused).await;
     }
 }
 
@@ -208,11 +208,11 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
         }
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.inner.0.room(refused)
+        self.inner.0.space(refused)
     }
 
     fn ask(

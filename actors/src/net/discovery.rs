@@ -153,8 +153,8 @@ impl DiscoveryActor {
         let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
         let looks: Vec<_> = looks.collect();
         for (node, refusals) in looks {
-            let told = self.complaints.handle_look(node.clone(), refusals, now);
-            let Some(since) = told else { continue };
+            let alarm = self.complaints.handle_look(node.clone(), refusals, now);
+            let Some(since) = alarm else { continue };
             let who = node.map_or("by beacons".to_owned(), |node| format!("by {node}"));
             let detail = format!(
                 "of the neighbours that are told {who}, many are refused all the time: {since}"

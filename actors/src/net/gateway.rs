@@ -109,7 +109,7 @@ impl GatewayActor {
         sessions: SessionRecipients,
         doors: Arc<PeerStubs>,
         router: Recipient<SetIsolation>,
-        told: Arc<OnceLock<IsolationControl>>,
+        control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
             node,
@@ -135,7 +135,7 @@ impl GatewayActor {
             };
             let wardens = IsolationControl::new(machine, told_of);
             // A gateway is made once.
-            let _ = told.set(wardens.clone());
+            let _ = control.set(wardens.clone());
             GatewayActor::wired(GatewaySetup {
                 registry,
                 topics,
@@ -260,14 +260,14 @@ impl GatewayActor {
             PeerProtocolOutput::Full { peer, load } => {
                 self.with_send_state(peer, |send_state| send_state.budget_is_full(load))
             }
-            PeerProtocolOutput::Room { peer, load } => {
-                self.with_send_state(peer, |send_state| send_state.budget_has_room(load))
+            PeerProtocolOutput::Ready { peer, load } => {
+                self.with_send_state(peer, |send_state| send_state.handle_budget_ready(load))
             }
             PeerProtocolOutput::ObjectFull { peer, object } => {
                 self.with_send_state(peer, |send_state| send_state.object_is_full(object))
             }
-            PeerProtocolOutput::ObjectRoom { peer, object } => {
-                self.with_send_state(peer, |send_state| send_state.object_has_room(&object))
+            PeerProtocolOutput::ObjectReady { peer, object } => {
+                self.with_send_state(peer, |send_state| send_state.handle_object_ready(&object))
             }
             PeerProtocolOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);

@@ -226,12 +226,12 @@ pub(crate) fn start(
 
     let faults = environment.own_faults("router");
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
-    let told = (environment.nodes.clone(), own_isolation.clone());
-    let make = router::RouterActor::maker(identity.clone(), told, faults);
+    let recipients = (environment.nodes.clone(), own_isolation.clone());
+    let make = router::RouterActor::maker(identity.clone(), recipients, faults);
     let router = guardian.start(named("router"), on_arbiter, make);
 
-    let told = (environment.own_faults("sessions"), environment.nodes.clone());
-    let to_router = (router.clone().recipient(), identity.clone(), told);
+    let recipients = (environment.own_faults("sessions"), environment.nodes.clone());
+    let to_router = (router.clone().recipient(), identity.clone(), recipients);
     let timeout = environment.session_timeout;
     let sessions = guardian.start(named("sessions"), on_arbiter, move |_| {
         let (router, (node, incarnation), faults) = to_router;
@@ -250,9 +250,14 @@ pub(crate) fn start(
         begin_anew: sessions.clone().recipient(),
     };
     let wardens = Arc::new(OnceLock::new());
-    let (set_isolation, told) = (router.clone().recipient(), wardens.clone());
-    let make =
-        gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), set_isolation, told);
+    let (set_isolation, control) = (router.clone().recipient(), wardens.clone());
+    let make = gateway::GatewayActor::maker(
+        &environment,
+        to_sessions,
+        doors.clone(),
+        set_isolation,
+        control,
+    );
     let gateway = guardian.start(named("gateway"), on_arbiter, make);
     doors.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
@@ -264,7 +269,7 @@ pub(crate) fn start(
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
-        let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
+        let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: identity.0.clone(),
@@ -275,19 +280,21 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
-            discovery: told.clone().map(|told| (domains.len(), told)),
+            discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
         };
         let address = guardian
             .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
-        domains.extend(told.map(|_| NetworkLinks {
+        domains.extend(discovery_actor.map(|_| NetworkLinks {
             learn: address.clone().recipient(),
             forget: address.clone().recipient(),
             tell: address.clone().recipient(),
         }));
         if let Some(interface) = spec.interface {
-            watched
-                .push(carrier::MonitoredInterface { interface, told: address.clone().recipient() });
+            watched.push(carrier::MonitoredInterface {
+                interface,
+                recipient: address.clone().recipient(),
+            });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         let given_up = address.clone().recipient();

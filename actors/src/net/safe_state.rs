@@ -43,7 +43,7 @@ pub(crate) struct SafeStateRecipients {
 pub(crate) struct SafeStateActor {
     channel: PeerChannel,
     /// Why this node is in the safe state, as reported to all peers; `None` if it never was.
-    said: Option<Option<String>>,
+    reported: Option<Option<String>>,
     /// Nodes that a session is open with.
     peers: BTreeMap<NodeId, (NodeName, Incarnation)>,
     nodes: Recipient<NodeReported>,
@@ -60,7 +60,7 @@ impl SafeStateActor {
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
             let channel = PeerChannel::at(super::named("rest"), &registry, reader);
-            SafeStateActor { channel, said: None, peers: BTreeMap::new(), nodes }
+            SafeStateActor { channel, reported: None, peers: BTreeMap::new(), nodes }
         };
         let body = guardian.start(super::named("rest"), arbiter, make);
         SafeStateRecipients {
@@ -71,9 +71,9 @@ impl SafeStateActor {
     }
 
     fn tell(&mut self, node: &NodeName) {
-        let Some(said) = &self.said else { return };
+        let Some(reported) = &self.reported else { return };
         // Four bytes a letter at most.
-        let shortened = said.as_ref();
+        let shortened = reported.as_ref();
         let shortened = shortened.map(|text| text.chars().take(REASON_MAX / 4).collect::<String>());
         let mut bytes = Vec::new();
         if codec::encode_bounded(&shortened, LETTER_MAX, &mut bytes).is_ok() {
@@ -96,7 +96,7 @@ impl Handler<SafeStateChanged> for SafeStateActor {
     type Result = ();
 
     fn handle(&mut self, message: SafeStateChanged, _: &mut Context<Self>) {
-        self.said = Some(match message {
+        self.reported = Some(match message {
             SafeStateChanged::Entered { reason } => Some(reason),
             SafeStateChanged::Left => None,
             // The peers see the node leave.

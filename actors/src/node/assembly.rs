@@ -176,8 +176,8 @@ impl NodeAssembly {
 
     async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(file) = file else { return Ok(()) };
-        let told = self.environment.reports.clone();
-        let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
+        let reports = self.environment.reports.clone();
+        let failed = move |detail| reports.declare(KEPT_VARIABLES, detail);
         let lock = match FileLock::acquire_after_predecessor(&file, &self.node).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {

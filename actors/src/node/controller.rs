@@ -103,7 +103,7 @@ pub(super) struct NodeController {
     failed: Vec<(oneshot::Sender<Result<(), String>>, String)>,
     /// Who waits for the end; as many as have called `shutdown`.
     ended: Vec<oneshot::Sender<()>>,
-    told: Vec<Recipient<SafeStateChanged>>,
+    subscribers: Vec<Recipient<SafeStateChanged>>,
 }
 
 /// What the root's children do.
@@ -130,7 +130,7 @@ impl NodeController {
             started: Vec::new(),
             failed: Vec::new(),
             ended: Vec::new(),
-            told: Vec::new(),
+            subscribers: Vec::new(),
         }
     }
 
@@ -203,7 +203,7 @@ impl NodeController {
     }
 
     fn tell(&self, changed: &SafeStateChanged) {
-        self.told.iter().for_each(|told| told.do_send(changed.clone()));
+        self.subscribers.iter().for_each(|subscribers| subscribers.do_send(changed.clone()));
     }
 
     fn tell_rest(&self, reason: Option<&str>) {
@@ -270,8 +270,12 @@ impl Supervised for NodeController {
 impl Handler<SubscribeSafeState> for NodeController {
     type Result = ();
 
-    fn handle(&mut self, SubscribeSafeState(told): SubscribeSafeState, _: &mut Context<Self>) {
-        self.told.push(told);
+    fn handle(
+        &mut self,
+        SubscribeSafeState(subscribers): SubscribeSafeState,
+        _: &mut Context<Self>,
+    ) {
+        self.subscribers.push(subscribers);
     }
 }
 

@@ -207,11 +207,12 @@ impl DeathWatchService {
     fn watch(&self, object: &ObjectName) -> Option<LastEnd> {
         let registry = self.registry.upgrade()?;
         let absent = Arc::new(Mutex::new(None));
-        let (service_fn, told) = (self.clone(), absent.clone());
+        let (service_fn, reported) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             DownReason::NotAlive | DownReason::Unknown => {
-                *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(LastEnd::from(down));
+                *reported.lock().unwrap_or_else(PoisonError::into_inner) =
+                    Some(LastEnd::from(down));
             }
             _ => service_fn.end(down),
         };

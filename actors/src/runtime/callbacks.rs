@@ -363,13 +363,13 @@ impl Threads {
                 continue;
             }
             let outcome = Arc::new(Mutex::new(outcome));
-            let (threads, told, culprit) = (self.clone(), outcome.clone(), object.clone());
+            let (threads, report, culprit) = (self.clone(), outcome.clone(), object.clone());
             let late = move |limit| {
                 let mut queue = lock(threads.queue(kind));
                 queue.thread.take_if(|thread| *thread == number);
                 queue.blocked.push(culprit);
                 drop(queue);
-                lock(&told)(CallOutcome::Blocked(limit));
+                lock(&report)(CallOutcome::Blocked(limit));
             };
             let call = self.enter(&object, Box::new(late));
             let result = guarded(run);

@@ -141,7 +141,7 @@ pub enum SessionReported {
         load: SizeClass,
     },
     /// Sending may go on.
-    Room {
+    Ready {
         /// Whom.
         peer: NodeId,
         /// In which stream.

@@ -182,10 +182,10 @@ impl DeadLetters {
     pub fn handle_many(&mut self, letter: DeadLetter, many: u64) {
         let DeadLetter { node, object, contract, reason, .. } = letter.clone();
         let key = (node, object, contract, reason);
-        let room = self.counts.len() < self.limits.counts;
+        let has_capacity = self.counts.len() < self.limits.counts;
         match self.counts.get_mut(&key) {
             Some(count) => *count += many,
-            None if room => {
+            None if has_capacity => {
                 self.counts.insert(key, many);
             }
             None => self.beyond += many,

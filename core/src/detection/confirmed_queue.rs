@@ -322,16 +322,16 @@ mod tests {
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));
 
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for millis in [0, 100, 300, 600, 900] {
             handover.handle_timeout(at(millis));
-            told.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
+            reported.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
         }
 
         let a = |millis| (millis, ConfirmedQueueOutput::Deliver { number: 1, item: "a" });
         let lost = (900, ConfirmedQueueOutput::GivenUp { item: "a", tries: 4 });
         let b = (900, ConfirmedQueueOutput::Deliver { number: 2, item: "b" });
-        assert_eq!(told, [a(0), a(100), a(300), a(600), lost, b]);
+        assert_eq!(reported, [a(0), a(100), a(300), a(600), lost, b]);
         assert_eq!(handover.given_up(), 1);
     }
 

@@ -214,10 +214,10 @@ mod tests {
         objects
     }
 
-    fn check(needs: &[(&str, &[&str])], told: &str) {
+    fn check(needs: &[(&str, &[&str])], reported: &str) {
         let text =
             objects(needs).check().map_or_else(|error| error.to_string(), |()| "fine".into());
-        assert!(text.contains(told), "{text}");
+        assert!(text.contains(reported), "{text}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ pub struct Detector {
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     handover: ConfirmedQueue<FaultNotice>,
-    told: VecDeque<DetectorOutput>,
+    outputs: VecDeque<DetectorOutput>,
     last_number: u64,
     last_id: u64,
     stale: u64,
@@ -211,7 +211,7 @@ impl Detector {
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
             pause: None,
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
-            told: VecDeque::new(),
+            outputs: VecDeque::new(),
             last_number: 0,
             last_id: 0,
             stale: 0,
@@ -249,7 +249,7 @@ impl Detector {
             RecoveryOutcome::Failed { measure: action, reason } => {
                 let turn = FaultTransition::Failed { action, reason };
                 let fault = entry.fault.clone();
-                self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+                self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
             }
             RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
@@ -352,7 +352,7 @@ impl Detector {
             let fault = entry.fault.clone();
             let tell =
                 DetectorOutput::Tell { fault, at: scene.at, turn: FaultTransition::Repeated };
-            self.told.push_back(tell);
+            self.outputs.push_back(tell);
         }
         true
     }
@@ -388,7 +388,7 @@ impl Detector {
             self.unhanded.remove(&dropped);
             self.reminders.cancel(dropped);
         }
-        self.told.push_back(DetectorOutput::Tell {
+        self.outputs.push_back(DetectorOutput::Tell {
             fault,
             at: scene.at,
             turn: FaultTransition::Found,
@@ -436,7 +436,7 @@ impl Detector {
             }
             entry.fault.symptom_of = root;
             let (fault, turn) = (entry.fault.clone(), FaultTransition::Explained);
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -485,7 +485,11 @@ impl Detector {
             self.unhanded.remove(&id);
             self.fault_log.repair(id, at);
         }
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Recovered });
+        self.outputs.push_back(DetectorOutput::Tell {
+            fault,
+            at,
+            turn: FaultTransition::Recovered,
+        });
     }
 
     /// The cause is away.
@@ -496,7 +500,7 @@ impl Detector {
         let Some(entry) = self.fault_log.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
         self.fault_log.repair(id, at);
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
+        self.outputs.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
     }
 
     /// What is done about a fault.
@@ -506,7 +510,7 @@ impl Detector {
             entry.decided = Some((at, measure.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::Decided { action: measure.clone() };
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -519,7 +523,7 @@ impl Detector {
             entry.given_up = Some((at, reason.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::GaveUp { reason: reason.clone() };
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -562,8 +566,8 @@ impl Machine for Detector {
     type Output = DetectorOutput;
 
     fn poll_output(&mut self) -> Option<DetectorOutput> {
-        if let Some(told) = self.told.pop_front() {
-            return Some(told);
+        if let Some(outputs) = self.outputs.pop_front() {
+            return Some(outputs);
         }
         self.handover.poll_output().map(|handed| match handed {
             ConfirmedQueueOutput::Deliver { number, item } => {

@@ -34,7 +34,7 @@ impl FaultLog {
     /// Takes a fault that was found, and latches it. Answers which one had to make room for it.
     pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
         let full = self.entries.len() >= self.capacity;
-        let dropped = if full { self.make_room() } else { None };
+        let dropped = if full { self.drop_oldest() } else { None };
         let (scope, kind, id) = (scope(&fault.location), fault.kind.clone(), fault.id);
         self.latches.insert((scope, kind), id);
         self.entries.insert(id, FaultEntry::new(fault));
@@ -111,7 +111,7 @@ impl FaultLog {
         FaultRecord { entries, dropped: self.dropped }
     }
 
-    fn make_room(&mut self) -> Option<FaultId> {
+    fn drop_oldest(&mut self) -> Option<FaultId> {
         let over = |entry: &&FaultEntry| !entry.stands();
         let oldest = self.entries.values().find(over).or(self.entries.values().next());
         let id = oldest?.fault.id;

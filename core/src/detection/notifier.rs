@@ -326,8 +326,8 @@ mod tests {
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(cleared(1), at(0));
 
-        let told = handed(&mut notifier, true, at(1));
-        assert_eq!(told, ["here +1", "n +1", "here -1", "n -1"]);
+        let reported = handed(&mut notifier, true, at(1));
+        assert_eq!(reported, ["here +1", "n +1", "here -1", "n -1"]);
         assert!(notifier.read_ports().iter().all(|row| (row.confirmed, row.pending) == (2, 0)));
     }
 
@@ -336,18 +336,18 @@ mod tests {
         let mut notifier = notifier(&[RecovererPort::Local, remote()]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         let mut now = at(0);
         loop {
             while let Some(output) = notifier.poll_output() {
                 match output {
                     NotifierOutput::HandOver { port: RecovererPort::Local, number, .. } => {
                         notifier.handle_confirmed(&RecovererPort::Local, number, now);
-                        told.push("here".to_string());
+                        reported.push("here".to_string());
                     }
-                    NotifierOutput::HandOver { .. } => told.push("n".into()),
+                    NotifierOutput::HandOver { .. } => reported.push("n".into()),
                     NotifierOutput::GivenUp { tries, .. } => {
-                        told.push(format!("lost after {tries}"))
+                        reported.push(format!("lost after {tries}"))
                     }
                 }
             }
@@ -356,7 +356,7 @@ mod tests {
             notifier.handle_timeout(due);
         }
 
-        assert_eq!(told, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
+        assert_eq!(reported, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
         assert_eq!(notifier.read_ports()[1].given_up, 1);
     }
 
@@ -369,9 +369,9 @@ mod tests {
         notifier.handle_notice(fault(4, FaultKind::NodeLost), at(0));
         notifier.handle_notice(cleared(1), at(0));
 
-        let told = handed(&mut notifier, true, at(1));
+        let reported = handed(&mut notifier, true, at(1));
 
-        assert_eq!(told, ["here +1", "here -1", "here +4", "here +3", "here +2"]);
+        assert_eq!(reported, ["here +1", "here -1", "here +4", "here +3", "here +2"]);
     }
 
     #[test]
@@ -454,7 +454,7 @@ mod tests {
 
         let mut notifier = notifier.restarted(at(1));
 
-        let told = handed(&mut notifier, true, at(1));
-        assert_eq!(told, ["here +1", "n +1", "here +2", "n +2"]);
+        let reported = handed(&mut notifier, true, at(1));
+        assert_eq!(reported, ["here +1", "n +1", "here +2", "n +2"]);
     }
 }

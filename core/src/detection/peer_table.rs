@@ -359,7 +359,7 @@ mod tests {
     fn every_condition_of_a_node_after_every_other_is_told_right() {
         use NodeCondition::{Left, Lost, Reachable, Restarted};
         let lost = || Lost { reason: "gone".into() };
-        let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
+        let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), reported| {
             let mut around = PeerTable::default();
             if let Some((incarnation, condition)) = before {
                 let first =
@@ -368,7 +368,7 @@ mod tests {
             }
             let change = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
             let finding = change.map(|change| change.map(|change| change.finding));
-            assert_eq!(finding, told);
+            assert_eq!(finding, reported);
         };
         let says = |condition| Ok(Some(Finding::Node(condition)));
 
@@ -407,7 +407,7 @@ mod tests {
     fn that_an_isolated_node_is_lost_is_no_news_and_what_it_did_always_is() {
         use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
         let mut around = PeerTable::default();
-        let mut told = |condition: &NodeCondition| {
+        let mut reported = |condition: &NodeCondition| {
             let change = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
             let finding = change.expect("no incarnation is over").map(|change| change.finding);
             finding
@@ -417,17 +417,17 @@ mod tests {
         let isolated = Isolated { reason: "by a: it floods".into() };
         let offends = Offends { what: "it floods".into() };
 
-        assert!(told(&Reachable) && told(&offends) && told(&offends));
-        assert!(told(&isolated));
-        assert!(!told(&isolated), "once");
-        assert!(!told(&Lost { reason: "no path".into() }) && told(&offends));
-        assert!(told(&Admitted) && !told(&Admitted));
-        assert!(told(&Reachable));
+        assert!(reported(&Reachable) && reported(&offends) && reported(&offends));
+        assert!(reported(&isolated));
+        assert!(!reported(&isolated), "once");
+        assert!(!reported(&Lost { reason: "no path".into() }) && reported(&offends));
+        assert!(reported(&Admitted) && !reported(&Admitted));
+        assert!(reported(&Reachable));
     }
 
     /// Tells of one node's incarnations; answers whether that is change, and whether the node is at
     /// rest then.
-    fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
+    fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
         move |incarnation, condition| {
             let change = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
@@ -440,64 +440,64 @@ mod tests {
     fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
      {
         use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
-        let mut told = rest_told_of();
-        let mut told = |incarnation, condition| {
-            let (change, rests) = told(incarnation, condition);
+        let mut reported = rest_reported();
+        let mut reported = |incarnation, condition| {
+            let (change, rests) = reported(incarnation, condition);
             (change.expect("no incarnation is over"), rests)
         };
         let rest = || InSafeState { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
 
-        assert_eq!(told(5, Reachable), (true, false));
-        assert_eq!(told(5, AtWork), (false, false));
-        assert_eq!(told(5, rest()), (true, true));
-        assert_eq!(told(5, rest()), (false, true));
-        assert_eq!(told(5, lost()), (true, false), "which is worse");
-        assert_eq!(told(5, Reachable), (true, true));
-        assert_eq!(told(5, AtWork), (true, false));
-        assert_eq!(told(5, rest()), (true, true));
-        assert_eq!(told(6, Reachable), (true, false), "another incarnation");
-        assert_eq!(told(6, rest()), (true, true));
-        assert_eq!(told(6, Left), (true, true), "it has left");
-        assert_eq!(told(7, Reachable), (true, false));
+        assert_eq!(reported(5, Reachable), (true, false));
+        assert_eq!(reported(5, AtWork), (false, false));
+        assert_eq!(reported(5, rest()), (true, true));
+        assert_eq!(reported(5, rest()), (false, true));
+        assert_eq!(reported(5, lost()), (true, false), "which is worse");
+        assert_eq!(reported(5, Reachable), (true, true));
+        assert_eq!(reported(5, AtWork), (true, false));
+        assert_eq!(reported(5, rest()), (true, true));
+        assert_eq!(reported(6, Reachable), (true, false), "another incarnation");
+        assert_eq!(reported(6, rest()), (true, true));
+        assert_eq!(reported(6, Left), (true, true), "it has left");
+        assert_eq!(reported(7, Reachable), (true, false));
     }
 
     #[test]
     fn that_an_incarnation_rests_which_another_one_has_followed_is_no_news() {
         use NodeCondition::{AtWork, InSafeState, Lost, Reachable};
-        let mut told = rest_told_of();
+        let mut reported = rest_reported();
         let rest = || InSafeState { reason: "it panics".into() };
 
         // Of an unknown incarnation.
-        assert_eq!(told(0, Lost { reason: "no path".into() }), (Ok(true), false));
-        assert_eq!(told(5, rest()), (Ok(true), false));
-        assert_eq!(told(5, AtWork), (Ok(true), false));
-        assert_eq!(told(5, Reachable), (Ok(true), false));
-        assert_eq!(told(6, Reachable), (Ok(true), false));
+        assert_eq!(reported(0, Lost { reason: "no path".into() }), (Ok(true), false));
+        assert_eq!(reported(5, rest()), (Ok(true), false));
+        assert_eq!(reported(5, AtWork), (Ok(true), false));
+        assert_eq!(reported(5, Reachable), (Ok(true), false));
+        assert_eq!(reported(6, Reachable), (Ok(true), false));
 
-        assert_eq!(told(5, rest()), (Err(Incarnation(6)), false));
-        assert_eq!(told(6, rest()), (Ok(true), true));
-        assert_eq!(told(5, AtWork), (Err(Incarnation(6)), true));
+        assert_eq!(reported(5, rest()), (Err(Incarnation(6)), false));
+        assert_eq!(reported(6, rest()), (Ok(true), true));
+        assert_eq!(reported(5, AtWork), (Err(Incarnation(6)), true));
     }
 
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
         let mut around = PeerTable::default();
         let [up, _, down, _] = conditions();
-        let told = |around: &mut PeerTable, condition: &LinkCondition| {
+        let reported = |around: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
         };
-        assert!(told(&mut around, &up));
+        assert!(reported(&mut around, &up));
         let left = around.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
         assert!(left.is_ok_and(|change| change.is_some()));
 
-        assert!(!told(&mut around, &down));
-        assert!(told(&mut around, &up), "it returns");
+        assert!(!reported(&mut around, &down));
+        assert!(reported(&mut around, &up), "it returns");
         let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
         assert!(back.is_ok_and(|change| change.is_some()));
 
-        assert!(told(&mut around, &down), "this time it was not announced");
+        assert!(reported(&mut around, &down), "this time it was not announced");
     }
 
     #[test]

@@ -303,7 +303,7 @@ mod tests {
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
     fn run(pings: &mut PingMonitor, until: u64) -> Vec<(u64, String)> {
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         loop {
             let now = pings.poll_timeout().unwrap_or(at(until)).min(at(until));
             pings.handle_timeout(now);
@@ -313,16 +313,16 @@ mod tests {
                     PingOutput::Ask { .. } => "ask".into(),
                     PingOutput::Verdict(verdict) => verdict.opinion.to_string(),
                 };
-                told.push((millis, text));
+                reported.push((millis, text));
             }
             if now == at(until) {
-                return told;
+                return reported;
             }
         }
     }
 
-    fn texts<const N: usize>(told: [(u64, &str); N]) -> Vec<(u64, String)> {
-        told.map(|(at, text)| (at, text.to_string())).into()
+    fn texts<const N: usize>(reported: [(u64, &str); N]) -> Vec<(u64, String)> {
+        reported.map(|(at, text)| (at, text.to_string())).into()
     }
 
     #[test]
@@ -340,9 +340,9 @@ mod tests {
     fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
         let mut pings = pings();
 
-        let told = run(&mut pings, 10_000);
+        let reported = run(&mut pings, 10_000);
 
-        assert_eq!(told, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
+        assert_eq!(reported, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
         pings.handle_answer(&map(), progress(ONE), at(10_000));
         assert_eq!(run(&mut pings, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
     }
@@ -354,8 +354,8 @@ mod tests {
 
         pings.handle_unanswered(&map(), at(1));
 
-        let told = run(&mut pings, 150);
-        assert_eq!(told, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
+        let reported = run(&mut pings, 150);
+        assert_eq!(reported, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
     }
 
     #[test]

@@ -182,7 +182,7 @@ impl Isolation {
         if own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node) {
             return Ok(());
         }
-        if own.is_none() && !self.makes_room_for(&self.own.clone()) {
+        if own.is_none() && !self.can_admit_voter(&self.own.clone()) {
             self.refused += 1;
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
@@ -223,9 +223,9 @@ impl Isolation {
     }
 
     /// Another node tells its votes, over the session with it.
-    pub fn handle_told(&mut self, from: &NodeName, message: &[u8]) {
-        let told = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
-        let (Ok(Ballot { incarnation, votes }), false) = (told, self.is_isolated(from)) else {
+    pub fn handle_ballot(&mut self, from: &NodeName, message: &[u8]) {
+        let ballot = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
+        let (Ok(Ballot { incarnation, votes }), false) = (ballot, self.is_isolated(from)) else {
             self.refused += 1;
             return;
         };
@@ -237,7 +237,7 @@ impl Isolation {
             }
             let is_new = self.votes.get(&node).is_none_or(|votes| !votes.contains_key(from));
             // What is too much once is so for the rest of the message, and not sought again.
-            crowded |= node != *from && is_new && !crowded && !self.makes_room_for(from);
+            crowded |= node != *from && is_new && !crowded && !self.can_admit_voter(from);
             let known = self.votes.get(&node).and_then(|votes| votes.get(from));
             if node == *from || crowded {
                 self.refused += 1;
@@ -265,7 +265,7 @@ impl Isolation {
 
     /// Whether this one may vote on one more. Its vote that a node is admitted, where no node says
     /// otherwise any more, gives way.
-    fn makes_room_for(&mut self, voter: &NodeName) -> bool {
+    fn can_admit_voter(&mut self, voter: &NodeName) -> bool {
         if self.count_of(voter) < VOTES_MAX {
             return true;
         }

@@ -392,7 +392,7 @@ impl World {
                     SessionOutput::Opened { .. }
                     | SessionOutput::Ended { .. }
                     | SessionOutput::Full { .. }
-                    | SessionOutput::Room { .. }
+                    | SessionOutput::Ready { .. }
                     | SessionOutput::Newest { .. } => {}
                 }
             }

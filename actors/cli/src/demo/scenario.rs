@@ -105,7 +105,7 @@ enum Scene {
 
 #[derive(Debug)]
 enum InjectionSource {
-    Told(VecDeque<FaultInjection>),
+    Script(VecDeque<FaultInjection>),
     Random(RandomFaults),
 }
 
@@ -115,7 +115,7 @@ impl Scenario {
         let script = if plan.chaos {
             InjectionSource::Random(RandomFaults::new(plan.seed))
         } else {
-            InjectionSource::Told(script().into())
+            InjectionSource::Script(script().into())
         };
         Scenario {
             script,
@@ -251,7 +251,7 @@ impl Scenario {
     /// How many faults there will be, if that is robot.
     pub(crate) fn steps(&self) -> Option<usize> {
         match (&self.script, self.plan.length) {
-            (InjectionSource::Told(rest), None) => {
+            (InjectionSource::Script(rest), None) => {
                 Some(rest.len() + usize::try_from(self.number).unwrap_or_default())
             }
             _ => None,
@@ -351,7 +351,7 @@ impl Scenario {
         if self.broken
             && is_late
             && self.plan.length.is_none()
-            && let InjectionSource::Told(rest) = &mut self.script
+            && let InjectionSource::Script(rest) = &mut self.script
             && !rest.is_empty()
         {
             let left = counted(rest.len() as u64, "fault");
@@ -374,13 +374,13 @@ impl Scenario {
         let is_time_up = self.plan.length.is_some_and(|length| self.now - self.began_at >= length);
         match &mut self.script {
             // A cut that a later step repairs must be repaired.
-            InjectionSource::Told(rest)
+            InjectionSource::Script(rest)
                 if is_time_up && !matches!(self.last, Some(FaultInjection::Cut { .. })) =>
             {
                 rest.clear();
                 None
             }
-            InjectionSource::Told(rest) => {
+            InjectionSource::Script(rest) => {
                 if rest.is_empty() && self.plan.length.is_some() {
                     *rest = script().into();
                 }

@@ -38,7 +38,10 @@ fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
         assert_eq!((report.object, report.incarnation), (object("root"), Incarnation(4)));
         assert_eq!(bench.script.done(), ["start a", "start b"]);
         let states = [Lifecycle::Initialized, Lifecycle::Active];
-        assert_eq!(bench.states.drain().iter().map(|told| told.state).collect::<Vec<_>>(), states);
+        assert_eq!(
+            bench.states.drain().iter().map(|reported| reported.state).collect::<Vec<_>>(),
+            states
+        );
 
         root.stop();
         assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);

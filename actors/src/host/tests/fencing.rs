@@ -68,10 +68,10 @@ fn source(bench: &Bench) -> ChildSpec<Source> {
 
 /// A thread that publishes what it is told, and answers what came of it.
 fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<DeliveryError>>) {
-    let (orders, told) = channel();
+    let (orders, reported) = channel();
     let (answer, answers) = channel();
     std::thread::spawn(move || {
-        while let Ok(n) = told.recv() {
+        while let Ok(n) = reported.recv() {
             let refused = publisher.publish(Reading(n)).err();
             assert!(refused.as_ref().is_none_or(|error| error.message == Reading(n)));
             let _ = answer.send(refused.map(|error| error.kind));

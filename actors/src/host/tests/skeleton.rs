@@ -110,7 +110,7 @@ fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_whe
         note.deliver(&encoded(&Note(1)), metadata(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(2)), metadata(None), None).unwrap_err();
         assert_eq!(why, DeliveryError::Full);
-        note.room().unwrap().await;
+        note.space().unwrap().await;
         note.deliver(&encoded(&Note(2)), metadata(None), None).unwrap();
         let why = note.deliver(&encoded(&Note(3)), metadata(None), None).unwrap_err();
         assert_eq!(stage.environment.dead_letters.total(), 0);
@@ -204,7 +204,7 @@ impl RemoteStub for MirrorDoor {
         let id = asked.as_ref().and_then(|asked| asked.id);
         self.0.deliver(&message.into_bytes(), metadata(id), asked.map(|asked| asked.reply_to))
     }
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -256,7 +256,7 @@ impl RemoteStub for Narrow {
         *self.taken.lock().unwrap() = Some(message);
         Ok(())
     }
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }

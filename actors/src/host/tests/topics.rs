@@ -99,9 +99,9 @@ fn a_component_publishes_on_its_contracts_topic_and_on_others() {
 
         advance(Duration::from_millis(105)).await;
 
-        let mut heard = logged(&log);
-        heard.sort_unstable();
-        assert_eq!(heard, [2, 2, 3, 3]);
+        let mut received = logged(&log);
+        received.sort_unstable();
+        assert_eq!(received, [2, 2, 3, 3]);
     });
 }
 
@@ -196,8 +196,8 @@ fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() 
         publish(&stage, "other", 13);
 
         settle().await;
-        let told = stage.states.drain();
-        let last = told.last().map(|told| (told.incarnation, told.state));
+        let reported = stage.states.drain();
+        let last = reported.last().map(|reported| (reported.incarnation, reported.state));
         assert_eq!(last, Some((Incarnation(2), Lifecycle::Active)));
     });
 }
@@ -270,14 +270,14 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
 
         child.stop();
         settle().await;
-        let mut told = interest.lock().unwrap().clone();
-        told.sort();
+        let mut reported = interest.lock().unwrap().clone();
+        reported.sort();
         let other = |more| ("other".to_owned(), more);
         let sample = |more| (Sample::NAME.to_owned(), more);
         // The first report is that its contract is known, to which another node listens.
         let mut expected = [other(false), other(true), other(false), sample(false), sample(true)];
         expected.sort();
-        assert_eq!(told, expected);
+        assert_eq!(reported, expected);
     });
 }
 

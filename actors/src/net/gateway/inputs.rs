@@ -65,9 +65,8 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Full { peer, stream, load } => {
                 self.with_send_state(peer, |send_state| send_state.stream_is_full(stream, load))
             }
-            SessionReported::Room { peer, stream, load } => {
-                self.with_send_state(peer, |send_state| send_state.stream_has_room(stream, load))
-            }
+            SessionReported::Ready { peer, stream, load } => self
+                .with_send_state(peer, |send_state| send_state.handle_stream_ready(stream, load)),
         }
         self.drive(context);
     }

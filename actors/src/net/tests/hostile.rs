@@ -171,14 +171,14 @@ fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
             object("middle:acc"),
         ];
         for location in others {
-            let told = tell(location);
-            let (told, ()) = tokio::join!(told, advance(100 * MS));
-            told.expect("it is not repeated");
+            let reported = tell(location);
+            let (reported, ()) = tokio::join!(reported, advance(100 * MS));
+            reported.expect("it is not repeated");
         }
         assert!(left.faults.drain().is_empty());
 
-        let (told, ()) = tokio::join!(tell(object("right:acc")), advance(100 * MS));
-        told.expect("it is taken");
+        let (reported, ()) = tokio::join!(tell(object("right:acc")), advance(100 * MS));
+        reported.expect("it is taken");
         assert_eq!(left.faults.drain().len(), 1);
         drop(middle);
     });

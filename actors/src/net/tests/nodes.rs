@@ -110,8 +110,8 @@ fn a_node_that_leaves_in_order_delivers_first() {
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
         let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().kind;
         assert_eq!(why, DeliveryError::Left { node: "left".into() });
-        let told = right.nodes.drain().into_iter().map(|report| report.condition);
-        let told: Vec<_> = told.collect();
-        assert_eq!(told, [NodeCondition::Reachable, NodeCondition::Left]);
+        let reported = right.nodes.drain().into_iter().map(|report| report.condition);
+        let reported: Vec<_> = reported.collect();
+        assert_eq!(reported, [NodeCondition::Reachable, NodeCondition::Left]);
     });
 }

@@ -76,37 +76,37 @@ impl Bench {
     }
 
     /// What was told ("Found 1") and handed over ("+1", "-1"), all of it confirmed.
-    fn said(&mut self) -> Vec<String> {
-        let mut said = Vec::new();
+    fn outputs(&mut self) -> Vec<String> {
+        let mut outputs = Vec::new();
         while let Some(output) = self.detector.poll_output() {
             match output {
                 DetectorOutput::Tell { fault, turn, .. } => {
                     let turn = format!("{turn:?}");
                     let turn = turn.split([' ', '{']).next().unwrap_or_default();
-                    said.push(format!("{turn} {}", fault.id.0));
+                    outputs.push(format!("{turn} {}", fault.id.0));
                 }
                 DetectorOutput::HandOver { number, notice } => {
                     let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
-                    said.push(format!("{sign}{}", notice.id().0));
+                    outputs.push(format!("{sign}{}", notice.id().0));
                     self.detector.handle_confirmed(number, self.now);
                 }
                 DetectorOutput::GivenUp { notice, .. } => {
-                    said.push(format!("given up {}", notice.id().0));
+                    outputs.push(format!("given up {}", notice.id().0));
                 }
             }
         }
-        said
+        outputs
     }
 
     fn run_until(&mut self, until: u64) -> Vec<String> {
-        let mut said = self.said();
+        let mut outputs = self.outputs();
         while let Some(due) = self.detector.poll_timeout().filter(|&due| due <= at(until)) {
             self.now = due;
             self.detector.handle_timeout(due);
-            said.extend(self.said());
+            outputs.extend(self.outputs());
         }
         self.now = at(until);
-        said
+        outputs
     }
 
     fn entries(&self) -> Vec<super::super::FaultEntry> {

@@ -57,7 +57,7 @@ impl ComponentRecord {
     ) -> Option<LivenessEvent> {
         let reading = self.reading?;
         let pushed = self.judged.limits.max_silence.filter(|_| reading.speaks);
-        let pushed = pushed.map(|limit| if self.heard { limit.between } else { limit.first });
+        let pushed = pushed.map(|limit| if self.sign_seen { limit.between } else { limit.first });
         let limit = pushed.or(self.judged.limits.max_unanswered)?.max(reading.allowance);
         let silent_for = now - self.alive_since;
         if silent_for < limit {
@@ -79,10 +79,10 @@ impl ComponentRecord {
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
         }
-        if self.silence == Silence::Told {
+        if self.silence == Silence::Reported {
             return None;
         }
-        self.silence = Silence::Told;
+        self.silence = Silence::Reported;
         Some(self.says(reading, |object, incarnation| LivenessEvent::Silent {
             object,
             incarnation,
@@ -117,7 +117,7 @@ impl ComponentRecord {
         let at = (now, around.missed);
         let counts = self.lateness.handle_counts(&self.judged.limits, &reading, (window, root), at);
         // One that is silent does nothing, which is another fault.
-        let counts = counts.filter(|_| self.silence != Silence::Told);
+        let counts = counts.filter(|_| self.silence != Silence::Reported);
         let looks = turned || reading.turn % 2 == 1 || around.is_busy;
         let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
         // One that is not at work, because its device is away or its start fails, serves nothing:
@@ -263,7 +263,7 @@ impl HangDetector {
         for victim in free {
             let entry = self.components.get_mut(victim as usize).and_then(Option::as_mut);
             if let Some(component) = entry.and_then(ComponentEntry::awake_mut)
-                && component.silence == Silence::Told
+                && component.silence == Silence::Reported
             {
                 (component.silence, component.alive_since) = (Silence::Void, now);
             }

@@ -92,7 +92,7 @@ struct ComponentRecord {
     /// This turn has been reported.
     waits: bool,
     /// This incarnation has given a sign.
-    heard: bool,
+    sign_seen: bool,
     silence: Silence,
     /// It takes no messages, which has been reported.
     stuck: bool,
@@ -104,7 +104,7 @@ struct ComponentRecord {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Silence {
     No,
-    Told,
+    Reported,
     /// It was told, and what had kept the component from speaking is away: it is measured again.
     Void,
 }
@@ -451,7 +451,7 @@ impl ComponentRecord {
             last_sign: None,
             worked: false,
             waits: false,
-            heard: false,
+            sign_seen: false,
             silence: Silence::No,
             stuck: false,
             lateness: Lateness::new(now, &ComponentSample::default()),
@@ -477,7 +477,7 @@ impl ComponentRecord {
     fn void(&mut self, now: Instant) {
         (self.turn_since, self.alive_since) = (now, now);
         self.lateness.void(now);
-        if self.silence == Silence::Told {
+        if self.silence == Silence::Reported {
             self.silence = Silence::Void;
         }
     }
@@ -523,7 +523,7 @@ impl ComponentRecord {
         let answers = self.judged.limits.max_unanswered.is_some() && (turned || beats);
         if signs || answers || (!reading.speaks && self.judged.limits.max_unanswered.is_none()) {
             (self.alive_since, self.worked) = (now, false);
-            self.heard |= signs;
+            self.sign_seen |= signs;
             if signs {
                 self.last_sign = Some(now);
             }

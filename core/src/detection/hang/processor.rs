@@ -102,7 +102,7 @@ impl HangDetector {
     pub(super) fn judge_processors(&mut self) {
         let mut missed: BTreeMap<ArbiterId, f32> = BTreeMap::new();
         // One that is silent does nothing, whatever the thread gets.
-        let works = |component: &&ComponentRecord| component.silence != Silence::Told;
+        let works = |component: &&ComponentRecord| component.silence != Silence::Reported;
         for component in self.awake().map(|(_, component)| component).filter(works) {
             let share = missed.entry(component.judged.arbiter).or_default();
             *share = share.max(component.lateness.missed_share());

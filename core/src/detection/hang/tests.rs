@@ -413,8 +413,8 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
         seen.extend(world.look());
     }
 
-    let told = seen.iter().filter(|told| matches!(told, LivenessEvent::Hangs { .. }));
-    assert_eq!(told.count(), 1, "{seen:?}");
+    let reported = seen.iter().filter(|reported| matches!(reported, LivenessEvent::Hangs { .. }));
+    assert_eq!(reported.count(), 1, "{seen:?}");
     let (_, status) = world.scanner.arbiters().next().expect("it was shown one");
     assert_eq!(status.hangs.map(|(_, since)| at(world.now) - since), Some(ms(600)));
 }

@@ -148,7 +148,7 @@ pub enum LinkOutput {
     /// No node has proved to be at the other end since the start. When one does, `Changed` follows.
     Missing {
         /// A node sends there, and does not receive us.
-        heard: bool,
+        hello_received: bool,
     },
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),

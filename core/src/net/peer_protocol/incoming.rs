@@ -125,16 +125,16 @@ impl PeerProtocol {
                 self.outputs.push_back(PeerProtocolOutput::Names { peer, announcement });
             }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
-            PeerMessage::NotReady { binding } => match session.no_room(binding) {
+            PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(PeerProtocolOutput::ObjectFull { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
             },
-            PeerMessage::Ready { binding } => match session.room_again(binding) {
+            PeerMessage::Ready { binding } => match session.handle_ready(binding) {
                 Some((object, true)) => {
-                    self.outputs.push_back(PeerProtocolOutput::ObjectRoom { peer, object });
+                    self.outputs.push_back(PeerProtocolOutput::ObjectReady { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,

@@ -104,8 +104,9 @@ impl PeerProtocol {
             next.peers.insert(*peer, PeerRecord { past: past.clone(), ..PeerRecord::default() });
             let bindings = state.session.iter().flat_map(|session| &session.bindings);
             for ((object, contract, _), binding) in bindings {
-                let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
-                for _ in told {
+                let tells =
+                    binding.waiting.iter().flatten().filter(|tells| tells.pending.is_none());
+                for _ in tells {
                     let (peer, why) = (*peer, why.clone());
                     let to = MessageTarget::Object(object.clone(), contract);
                     next.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
@@ -267,7 +268,7 @@ impl PeerProtocol {
     }
 
     /// It has room again.
-    pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
+    pub fn handle_capacity(&mut self, peer: NodeId, binding: u32) {
         self.tell(peer, &PeerMessage::Ready { binding });
     }
 

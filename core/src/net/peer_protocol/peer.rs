@@ -102,7 +102,7 @@ impl PeerSession {
 
     /// The peer says that an object has no room. Answers whether that is news, and of which object;
     /// `None` if nothing was bound that this could be about.
-    pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+    pub(super) fn handle_not_ready(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.entry(object.clone()).or_default();
         let news = full.is_empty();
@@ -111,7 +111,7 @@ impl PeerSession {
 
     /// The peer says that an object has room again. Answers likewise; `None` also if the contrary
     /// was not said.
-    pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+    pub(super) fn handle_ready(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.get_mut(object)?;
         if !full.remove(&binding) {
@@ -165,7 +165,7 @@ impl PeerSession {
         waiting: &[QueuedMessage],
     ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
         let again = self.budget.leave(waiting.iter().map(|waiting| waiting.payload.len()));
-        again.into_iter().map(move |load| PeerProtocolOutput::Room { peer, load })
+        again.into_iter().map(move |load| PeerProtocolOutput::Ready { peer, load })
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -178,10 +178,10 @@ impl PeerSession {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, way) = (binding.waiting.take()?, binding.way());
-        let rooms = self.let_out(peer, &waiting);
+        let ready = self.let_out(peer, &waiting);
         let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
-        Some(rooms.chain(sent).collect())
+        Some(ready.chain(sent).collect())
     }
 }
 

@@ -23,7 +23,7 @@ impl Router {
         for trouble in self.troubles.take_over(self.now) {
             if trouble == RouterAlarm::NameTaken {
                 // When it begins again, it is told of again.
-                (self.told, self.usurper) = (None, None);
+                (self.reported_conflict, self.usurper) = (None, None);
             }
             self.outputs.push_back(RouterOutput::Over(trouble));
         }

@@ -27,7 +27,7 @@ pub(super) struct Dispute {
     /// Until when the holder may take to defend itself; `None` once it has.
     until: Option<Instant>,
     /// When others were last asked, or told.
-    told_at: Instant,
+    reported_at: Instant,
     /// When the holder was last asked.
     asked_at: Instant,
 }
@@ -53,7 +53,8 @@ impl Router {
         }
         if self.disputes.get(&id).is_none_or(|dispute| dispute.contender < incarnation) {
             let until = Some(now + Self::DEFEND_WITHIN);
-            let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
+            let dispute =
+                Dispute { contender: incarnation, until, reported_at: now, asked_at: now };
             self.disputes.insert(id, dispute);
             self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
             let contender = AdvertisementId { origin: id, incarnation, sequence: 0 };
@@ -87,13 +88,13 @@ impl Router {
         }
         let now = self.now;
         let known = self.disputes.get(&origin).filter(|dispute| dispute.contender >= incarnation);
-        if known.is_some_and(|dispute| now < dispute.told_at + Self::TELL_AGAIN)
+        if known.is_some_and(|dispute| now < dispute.reported_at + Self::TELL_AGAIN)
             || self.disputes.len() >= self.config.nodes_max && known.is_none()
         {
             return;
         }
         let until = known.map_or(Some(now + Self::DEFEND_WITHIN), |dispute| dispute.until);
-        let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
+        let dispute = Dispute { contender: incarnation, until, reported_at: now, asked_at: now };
         self.disputes.insert(origin, dispute);
         self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
         self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(from));
@@ -195,7 +196,7 @@ impl Router {
             return;
         }
         let asked_at = known.map_or(self.now, |known| known.asked_at);
-        let dispute = Dispute { contender, until: None, told_at: self.now, asked_at };
+        let dispute = Dispute { contender, until: None, reported_at: self.now, asked_at };
         self.disputes.insert(origin, dispute);
         self.learn(advertisement.clone(), from);
         self.outdate();
@@ -241,8 +242,9 @@ impl Router {
             return;
         };
         let known = self.known.get(&id).map(|known| known.advertisement.clone());
-        if let (true, Some(advertisement)) = (dispute.told_at + Self::TELL_AGAIN <= now, known) {
-            dispute.told_at = now;
+        if let (true, Some(advertisement)) = (dispute.reported_at + Self::TELL_AGAIN <= now, known)
+        {
+            dispute.reported_at = now;
             let defence = RoutingMessage::Defend { against: dispute.contender, advertisement };
             let bytes = defence.encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });

@@ -63,7 +63,7 @@ impl Router {
 
     /// An origin's newest advertisement, and before it, in one frame, what the origin has withdrawn
     /// to begin below it: frames overtake each other.
-    fn told_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
+    fn advertisements_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
         let newest = self.advertisement(origin)?;
         let withdrawn = self.known.get(&origin).and_then(|known| known.withdrawn.front().copied());
         let higher = withdrawn.filter(|advertisement_id| *advertisement_id > newest.id);
@@ -84,20 +84,20 @@ impl Router {
     pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
         let again = self.now + adjacent.patience(self.config.resend);
-        let room = usize::from(adjacent.mtu) - FRAME_HEADER;
+        let capacity = usize::from(adjacent.mtu) - FRAME_HEADER;
         self.wake_at = self.wake_at.min(again);
         adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
         let mut frame = Vec::new();
         let mut length = 1;
         let mut frames = Vec::new();
-        for told in origins.iter().filter_map(|origin| self.told_of(*origin)) {
-            let more: usize = told.iter().map(Advertisement::length).sum();
-            if length + more > room {
+        for advertisements in origins.iter().filter_map(|origin| self.advertisements_of(*origin)) {
+            let more: usize = advertisements.iter().map(Advertisement::length).sum();
+            if length + more > capacity {
                 frames.push(std::mem::take(&mut frame));
                 length = 1;
             }
             length += more;
-            frame.extend(told);
+            frame.extend(advertisements);
         }
         frames.push(frame);
         for frame in frames.into_iter().filter(|frame| !frame.is_empty()) {
@@ -113,13 +113,13 @@ impl Router {
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
-        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
+        let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
         let mut ids: Vec<_> = self.known.values().map(|known| known.advertisement.id).collect();
         ids.push(self.own.id);
         ids.sort();
         let mut first = NodeId(0);
-        let count = ids.chunks(room).len();
-        for (n, chunk) in ids.chunks(room).enumerate() {
+        let count = ids.chunks(capacity).len();
+        for (n, chunk) in ids.chunks(capacity).enumerate() {
             let end =
                 chunk.last().map_or(NodeId(u32::MAX), |advertisement_id| advertisement_id.origin);
             let last = if n + 1 == count { NodeId(u32::MAX) } else { end };
@@ -131,8 +131,8 @@ impl Router {
 
     pub(super) fn say_have(&mut self, link: LinkId, ids: Vec<AdvertisementId>) {
         let Some(adjacent) = self.links.get(&link) else { return };
-        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
-        for chunk in ids.chunks(room) {
+        let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
+        for chunk in ids.chunks(capacity) {
             let have = RoutingMessage::Have { range: None, ids: chunk.to_vec() };
             self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
         }
@@ -162,8 +162,9 @@ impl Router {
                 } else {
                     // Its origin has withdrawn it: each node that still has it must know.
                     self.refusals.stale += 1;
-                    let told = vec![advertisement.withdrawal(), known.advertisement.clone()];
-                    self.say(link, told);
+                    let advertisements =
+                        vec![advertisement.withdrawal(), known.advertisement.clone()];
+                    self.say(link, advertisements);
                 }
                 continue;
             }
@@ -225,8 +226,8 @@ impl Router {
         }
     }
 
-    fn say(&mut self, link: LinkId, told: Vec<Advertisement>) {
-        let bytes = RoutingMessage::Announce(told).encode();
+    fn say(&mut self, link: LinkId, advertisements: Vec<Advertisement>) {
+        let bytes = RoutingMessage::Announce(advertisements).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
     }
 
@@ -320,8 +321,8 @@ impl Router {
             adjacent.pending.insert(self.id, again);
             let fits = length <= usize::from(adjacent.mtu);
             let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };
-            self.outputs.extend(frames.into_iter().map(|told| {
-                let bytes = RoutingMessage::Announce(told.clone()).encode();
+            self.outputs.extend(frames.into_iter().map(|advertisements| {
+                let bytes = RoutingMessage::Announce(advertisements.clone()).encode();
                 RouterOutput::Routing { link, bytes }
             }));
         }
@@ -398,8 +399,8 @@ impl Router {
         let Some(node) = node else { return };
         let pair = Some((node.clone(), refused.clone()));
         self.go_on(RouterAlarm::NameTaken);
-        if self.told != pair {
-            self.told = pair;
+        if self.reported_conflict != pair {
+            self.reported_conflict = pair;
             self.begin_trouble(RouterAlarm::NameTaken);
             self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
         }

@@ -55,7 +55,7 @@ pub struct Router {
     computed_at: Instant,
     refresh_at: Instant,
     /// The last reported pair, so that a collision is reported once and not with every flood.
-    told: Option<(NodeName, NodeName)>,
+    reported_conflict: Option<(NodeName, NodeName)>,
     /// Withdrawals in our name, in their order.
     withdrew: VecDeque<AdvertisementId>,
     /// How often another node sent in our name within the last seconds, and since when.
@@ -131,7 +131,7 @@ impl Router {
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
-            told: None,
+            reported_conflict: None,
             withdrew: VecDeque::new(),
             forged: (now, 0),
             usurper: None,
@@ -180,8 +180,8 @@ impl Router {
 
     /// Whether a link's hellos have said that this incarnation of a node is at its other end.
     pub fn is_neighbour(&self, node: &NodeName, incarnation: Incarnation) -> bool {
-        let mut heard = self.links.values().map(|link| &link.neighbour);
-        heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
+        let mut neighbours = self.links.values().map(|link| &link.neighbour);
+        neighbours.any(|peer| peer.node == *node && peer.incarnation == incarnation)
     }
 
     /// Whether a path leads to a node now, by everything that is known; `None` while all paths lead

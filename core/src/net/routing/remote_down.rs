@@ -50,10 +50,11 @@ impl Router {
     pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
         let (id, advertisement_id) = (self.id, newest.id);
         let incarnation = Edge::incarnation_tag(self.own.id.incarnation);
-        let with_us = |told: &Advertisement| {
-            told.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
+        let with_us = |advertisement: &Advertisement| {
+            advertisement.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
         };
-        let before = before.filter(|told| told.id.incarnation == advertisement_id.incarnation);
+        let before = before
+            .filter(|advertisement| advertisement.id.incarnation == advertisement_id.incarnation);
         // One that is full may lack what there was no room for.
         let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;
         if !complete || with_us(newest) || !before.is_some_and(with_us) {

@@ -333,12 +333,12 @@ mod tests {
         let against = Incarnation(9);
         let defend = RoutingMessage::Defend { against, advertisement: advertisement() };
         assert_eq!(RoutingMessage::decode(defend.encode()), Ok(defend));
-        for (said, bytes) in [
+        for (sent, bytes) in [
             (RoutingMessage::Numbered(LinkId(0x0102)), b"\x04\x01\x02"),
             (RoutingMessage::GaveUp(LinkId(0x0102)), b"\x05\x01\x02"),
         ] {
-            assert_eq!(&said.encode()[..], bytes);
-            assert_eq!(RoutingMessage::decode(said.encode()), Ok(said));
+            assert_eq!(&sent.encode()[..], bytes);
+            assert_eq!(RoutingMessage::decode(sent.encode()), Ok(sent));
             assert!(RoutingMessage::decode([&bytes[..], b"\0"].concat().into()).is_err());
         }
         let one = RoutingMessage::Announce(vec![advertisement()]).encode();

@@ -31,10 +31,10 @@ impl Recoverer {
         let rests = |location: &&FaultLocation| matches!(location, FaultLocation::Object(_));
         let locations: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
         for location in locations {
-            let told = self.cases[&location].given_up;
+            let given_up = self.cases[&location].given_up;
             for fault in &self.close(&location, now) {
                 self.give_up_hung(fault);
-                if !told {
+                if !given_up {
                     self.tell_rest(fault, standstill);
                 }
             }

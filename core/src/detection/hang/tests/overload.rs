@@ -49,8 +49,8 @@ impl Road {
                 let time = self.world.processor.get_or_insert_default();
                 (time.used, time.waited) = (time.used + ms(used), time.waited + ms(waited));
             }
-            let told = self.world.pass(10, look.is_multiple_of(self.beats));
-            seen.extend(told.into_iter().map(|event| (self.world.now, event)));
+            let reported = self.world.pass(10, look.is_multiple_of(self.beats));
+            seen.extend(reported.into_iter().map(|event| (self.world.now, event)));
         }
         seen
     }
@@ -94,17 +94,17 @@ fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_th
 #[test]
 fn an_overload_that_grows_is_told_again_with_its_worst_figures_each_time_one_has_doubled() {
     let mut road = Road::new(10, 3);
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for oldest in [400, 450, 500, 790, 800, 300, 1700] {
         road.world.samples.queues[0] = QueueReading { queued: 7, oldest: ms(oldest) };
-        told.extend(road.pass(3000));
+        reported.extend(road.pass(3000));
     }
 
     let ages = |(_, seen): &(u64, LivenessEvent)| match seen {
         LivenessEvent::Overloaded { figures, .. } => figures.oldest,
         other => panic!("{other:?}"),
     };
-    assert_eq!(told.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
+    assert_eq!(reported.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
 }
 
 #[test]

@@ -13,15 +13,15 @@ fn a_restarted_node_is_told_with_its_new_incarnation() {
     tell(&mut router, FIRST, advertisement("left", 2, &[("own", 1)]), 1020);
     tell(&mut router, SECOND, advertisement("right", 2, &[("own", 5)]), 1020);
     let (node, incarnation) = (named("far"), Incarnation(1));
-    let told = without_routing(outputs(&mut router, 1030));
-    assert!(told.contains(&RouterOutput::Lost { node, incarnation }), "{told:?}");
+    let reported = without_routing(outputs(&mut router, 1030));
+    assert!(reported.contains(&RouterOutput::Lost { node, incarnation }), "{reported:?}");
     let left = advertisement("left", 3, &[("own", 1), ("far", 1)]);
     tell(&mut router, FIRST, linked_to(2, "far", left), 1200);
     tell(&mut router, FIRST, restarted, 1200);
 
-    let told = without_routing(outputs(&mut router, 1210));
+    let reported = without_routing(outputs(&mut router, 1210));
     let (node, incarnation) = (named("far"), Incarnation(2));
-    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
+    assert_eq!(reported, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
 }
 
 #[test]
@@ -39,9 +39,9 @@ fn a_new_incarnation_of_which_the_neighbours_say_nothing_waits_for_the_old_one_t
     let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
     tell(&mut router, FIRST, linked_to(2, "far", left), 2050);
 
-    let told = without_routing(outputs(&mut router, 2060));
+    let reported = without_routing(outputs(&mut router, 2060));
     let (node, incarnation) = (named("far"), Incarnation(2));
-    assert_eq!(told, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
+    assert_eq!(reported, [RouterOutput::Reachable { node, incarnation, mtu: 1376 }]);
 }
 
 #[test]
@@ -54,8 +54,8 @@ fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
     // The neighbour still holds what the old router said.
     tell(&mut router, FIRST, advertisement("own", 57, &[("left", 1)]), 1001);
 
-    let told = announced(&outputs(&mut router, 1010), FIRST);
-    assert_eq!(told.last().unwrap().id.sequence, 58);
+    let reported = announced(&outputs(&mut router, 1010), FIRST);
+    assert_eq!(reported.last().unwrap().id.sequence, 58);
     let lost = without_routing(outputs(&mut router, 2100));
     let (node, incarnation) = (named("gone"), Incarnation(1));
     assert_eq!(lost, [RouterOutput::Lost { node, incarnation }]);
@@ -76,6 +76,6 @@ fn a_second_node_of_our_name_is_told_once_and_an_earlier_incarnation_of_ours_nev
         tell(&mut router, FIRST, usurper.clone(), now);
     }
 
-    let told = without_routing(outputs(&mut router, 3050));
-    assert_eq!(told, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
+    let reported = without_routing(outputs(&mut router, 3050));
+    assert_eq!(reported, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
 }

@@ -76,7 +76,7 @@ fn isolating_all_reaches_every_child_once() {
     rig.isolate("b", true);
 
     rig.machine.handle_isolate_all(true, rig.now);
-    assert_eq!(rig.said(), ["isolate a", "isolate c"]);
+    assert_eq!(rig.outputs(), ["isolate a", "isolate c"]);
     rig.machine.handle_isolate_all(false, rig.now);
-    assert_eq!(rig.said(), ["admit a", "admit b", "admit c"]);
+    assert_eq!(rig.outputs(), ["admit a", "admit b", "admit c"]);
 }
