@@ -47,7 +47,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
 
-/// A message on its way to a component. The answer says what became of it.
+/// A message to a component. The reply reports the result of its delivery.
 #[derive(Debug)]
 pub struct Deliver<M>(pub M);
 
@@ -55,7 +55,7 @@ impl<M: Contract> Message for Deliver<M> {
     type Result = Result<M::Reply, DeliveryError>;
 }
 
-/// A message on its way to a plain actor, which answers as the contract says.
+/// A message to a plain actor, which replies as the contract requires.
 #[derive(Debug)]
 pub struct ServeRequest<M>(pub M);
 

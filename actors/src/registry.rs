@@ -261,7 +261,8 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 pub struct NameTaken {
     /// The name.
     pub name: ObjectName,
-    /// What has it: a component, a service, a supervisor, or an object of the middleware.
+    /// The kind of its holder: a component, a service, a supervisor, or an object of the
+    /// middleware.
     pub by: &'static str,
 }
 

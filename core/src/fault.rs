@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// What kind of fault it is. It decides the recovery.
+/// The kind of a fault. The plan chooses the recovery by it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum FaultKind {
     /// A component panicked in a handler, hook, timer or task of its own.
     Panic,
-    /// A component ended without having been told to.
+    /// A component ended without an order to stop.
     UnexpectedExit,
     /// A handler keeps its arbiter, or waits, longer than it may.
     Hang,
@@ -181,7 +181,7 @@ impl FaultKind {
         }
     }
 
-    /// How bad it is unless the plan says otherwise.
+    /// Returns the default severity of this kind.
     pub fn severity(&self) -> Severity {
         match self {
             FaultKind::Overload
@@ -239,7 +239,7 @@ impl fmt::Display for FaultLocation {
     }
 }
 
-/// One fault's number, given by the detector of the node that found it.
+/// The number of a fault, assigned by the detector of the node that found it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FaultId(pub u64);
 
@@ -255,7 +255,7 @@ impl fmt::Display for FaultId {
 pub struct Fault {
     /// Its number in the finder's record.
     pub id: FaultId,
-    /// What it is.
+    /// The kind of the fault.
     pub kind: FaultKind,
     /// How bad it is.
     pub severity: Severity,
@@ -295,6 +295,7 @@ impl Fault {
     }
 
     /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
+    #[doc(hidden)]
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
         Fault {
             id: FaultId(0),

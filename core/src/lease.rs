@@ -20,7 +20,7 @@ use std::time::Duration;
 /// How soon safe outputs that did not get through are applied again: one beat.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Who commands.
+/// The identity of a commander.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommanderId {
     /// Its name, unique in the robot.
@@ -47,7 +47,7 @@ pub enum LeaseEnd {
     Released,
 }
 
-/// How a lease stands, for people.
+/// The status of a lease, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseStatus {
     /// There is no commander; the outputs are safe.
@@ -68,7 +68,7 @@ pub enum LeaseStatus {
     },
 }
 
-/// What is to be done.
+/// An output of the lease's machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseOutput {
     /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it. Where this is
@@ -118,7 +118,7 @@ impl Lease {
         Lease { actuator, span, last_epoch, state: State::Free, outputs: VecDeque::new() }
     }
 
-    /// Who holds the lease, and under which epoch.
+    /// Returns the holder of the lease and its epoch.
     pub fn holder(&self) -> Option<(&CommanderId, u64)> {
         match &self.state {
             State::Held { commander, .. } => Some((commander, self.last_epoch)),

@@ -103,6 +103,7 @@ static OF_THIS_PROCESS: LazyLock<MemoryMedium> = LazyLock::new(MemoryMedium::def
 
 impl MemoryMedium {
     /// The medium that `memory://` means: the same for all of this process.
+    #[doc(hidden)]
     pub fn of_this_process() -> Self {
         OF_THIS_PROCESS.clone()
     }

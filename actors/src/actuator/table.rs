@@ -38,14 +38,14 @@ pub(crate) struct DeclaredActuator {
     pub(crate) cut_off: Option<SafeOutputFn>,
 }
 
-/// An actuator and who commands it, for people.
+/// An actuator and its commander, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActuatorRow {
     /// The component.
     pub object: ObjectName,
     /// The contract of its commands.
     pub contract: &'static str,
-    /// Who commands, under which epoch, and for how long unless the lease is renewed.
+    /// The commander, the epoch of its lease, and the time until the lease ends unless renewed.
     pub status: LeaseStatus,
 }
 

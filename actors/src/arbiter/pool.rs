@@ -18,14 +18,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 
-/// Who may live on a thread.
+/// Which components may run on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThreadKind {
     /// Any component.
     Shared,
-    /// One component, which asked for it, or whose incarnation before had kept another thread.
+    /// One component: it asked for a thread of its own, or its previous incarnation kept another
+    /// thread.
     Own,
-    /// Components and the rest of the application: it is the one that started the node.
+    /// Components and the rest of the application: the thread that started the node.
     Starter,
 }
 

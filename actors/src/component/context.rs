@@ -58,8 +58,8 @@ impl<C: Component> Context<C> {
         self.cell.record.state()
     }
 
-    /// Where messages can be sent to the object of this name, `arm/left` here or
-    /// `module2:arm/left` on another node.
+    /// Returns a sender to the object of this name: `arm/left` on this node, or `module2:arm/left`
+    /// on another node.
     ///
     /// # Errors
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object,
@@ -82,10 +82,10 @@ impl<C: Component> Context<C> {
         platform::now()
     }
 
-    /// When the data in the message that is served, or was served last, was captured: as its
-    /// publisher said by [`publish_captured_at`](Self::publish_captured_at), else when the message
-    /// was sent, to the precision of 10 ms unless its contract has a `max_age`. `None` before the
-    /// first message.
+    /// Returns the capture time of the data in the message in service, or in the last one: as its
+    /// publisher set it by [`publish_captured_at`](Self::publish_captured_at), else when the
+    /// message was sent, to the precision of 10 ms unless its contract has a `max_age`. `None`
+    /// before the first message.
     ///
     /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
     /// nor the queue of a message counts as a change of what it tells.
@@ -173,7 +173,7 @@ impl<C: Component> Context<C> {
         self.state.cancel_timer(timer);
     }
 
-    /// Gives a sign of life. A successful `on_execute` gives one by itself.
+    /// Reports a sign of life. A successful `on_execute` reports one by itself.
     #[inline]
     pub fn alive(&self) {
         if !self.cell.record.injected.is_silent() {
@@ -226,7 +226,7 @@ impl<C: Component> Context<C> {
         }
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the condition holds, and says whether it does.
+    /// Reports [`FaultKind::CheckFailed`] unless the condition holds. Returns whether it holds.
     pub fn check(&self, holds: bool, invariant: &str) -> bool {
         if !holds {
             self.declare_fault(FaultKind::CheckFailed, invariant);
@@ -234,7 +234,7 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range, and says whether it
+    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range. Returns whether it
     /// does.
     pub fn check_range<T: PartialOrd + Debug>(
         &self,
@@ -250,8 +250,8 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Ends this incarnation in order, when the present handler has ended. What is queued waits for
-    /// the next incarnation, if its supervisor begins one.
+    /// Ends this incarnation in order after the present handler. Queued messages wait for the next
+    /// incarnation, if the supervisor starts one.
     pub fn stop(&mut self) {
         self.state.defer(|wishes| wishes.stop = true);
     }
@@ -262,8 +262,8 @@ impl<C: Component> Context<C> {
         self.state.defer(|wishes| wishes.failure = Some(failure));
     }
 
-    /// Asks to be told, as message [`Down`], whenever an incarnation of this object ends. If it
-    /// does not live now, or is unknown, that is told at once. The object is a component, a
+    /// Subscribes to the message [`Down`], sent whenever an incarnation of this object ends. If the
+    /// object is not running or unknown, `Down` is sent at once. The object is a component, a
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
     /// such a one it is also told when its node is lost, and it is watched further when that is
     /// back.

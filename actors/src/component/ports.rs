@@ -30,7 +30,8 @@ impl<C: Component> Ports<C> {
         ports
     }
 
-    /// Answers this request to anyone who knows the component's name, here and on other nodes.
+    /// Serves this request to every object that uses the component's name, on this and on other
+    /// nodes.
     pub fn serve<M: Request>(&mut self) -> &mut Self
     where
         C: Handle<M>,
@@ -40,7 +41,7 @@ impl<C: Component> Ports<C> {
         self
     }
 
-    /// Takes this event, or command, from anyone who knows the component's name.
+    /// Accepts this event, or command, from every object that uses the component's name.
     pub fn accept<M: Event>(&mut self) -> &mut Self
     where
         C: Handle<M>,

@@ -127,7 +127,7 @@ impl Claim {
         }
     }
 
-    /// Waits until it stands otherwise than when this was last asked, and says how; `None` once the
+    /// Waits until the state differs from the one last returned, and returns it; `None` once the
     /// node has ended.
     pub async fn changed(&mut self) -> Option<ClaimState> {
         self.state.changed().await.ok()?;
@@ -141,7 +141,7 @@ impl Drop for Claim {
     }
 }
 
-/// Tells who holds a name of the whole robot, whenever that changes. From
+/// Reports each change of the holder of a global name. From
 /// [`Node::watch_name`](crate::Node::watch_name).
 pub struct NameWatch {
     name: ObjectName,
@@ -186,12 +186,12 @@ impl NameWatch {
     }
 }
 
-/// A name of the whole robot and who holds it, for people.
+/// A global name and its holder, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimRow {
     /// The name.
     pub name: ObjectName,
-    /// Who holds it, and under which epoch.
+    /// The holder, and the epoch of its claim.
     pub holder: Holder,
     /// In which incarnation of its node.
     pub incarnation: Incarnation,

@@ -14,8 +14,8 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending
-/// means.
+/// A reference to a component on this node. It stays valid across restarts. [`Sender`] describes
+/// delivery.
 pub struct ActorRef<C: Component>(pub(crate) Arc<ComponentCell<C>>);
 
 impl<C: Component> Clone for ActorRef<C> {
@@ -56,7 +56,7 @@ impl<C: Component> ActorRef<C> {
         delivered.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
-    /// Asks, and waits for the reply for one second at most.
+    /// Sends a request and waits up to one second for the reply.
     ///
     /// # Errors
     /// As [`Sender::ask`].
@@ -89,7 +89,7 @@ impl<C: Component> ActorRef<C> {
         asked.await.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
-    /// The same for one contract only, with the component's type hidden.
+    /// Returns a sender for one contract, without the component's type.
     pub fn sender<M: Contract>(&self) -> Sender<M>
     where
         C: Handle<M>,

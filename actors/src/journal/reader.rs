@@ -24,7 +24,7 @@ pub enum ReadError {
         /// The path.
         path: PathBuf,
     },
-    /// A file is there, and it is no journal that this program knows.
+    /// The file is not a journal that this program can read.
     #[error("{} is no journal: {reason}", path.display())]
     NoJournal {
         /// The path.
@@ -42,8 +42,8 @@ pub enum ReadError {
     },
 }
 
-/// One fault of a journal, and what became of it; or, with the code [`NODE_ENDED`], when and why
-/// the node ended, unless its process was killed.
+/// One fault of a journal with its status; or, with the code [`NODE_ENDED`], when and why the node
+/// ended, unless its process was killed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JournalEntry {
@@ -89,17 +89,17 @@ pub struct JournalEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum JournalStatus {
-    /// It stands, and service is not restored.
+    /// The fault is open, and service is not restored.
     Open,
-    /// It stands, and the recoverer has ceased to try.
+    /// The fault is open, and the recoverer has given it up.
     GivenUp,
     /// Service is restored; the part is not repaired.
     Recovered,
     /// Its cause is away.
     Closed,
-    /// It stood when the node was shut down.
+    /// The fault was open when the node was shut down.
     EndedInOrder,
-    /// It stood when the node's process died.
+    /// The fault was open when the node's process died.
     EndedWithProcess,
 }
 

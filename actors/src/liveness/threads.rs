@@ -14,7 +14,7 @@ use std::time::Duration;
 pub struct ThreadRow {
     /// Which: counted through the lifetime of the process.
     pub number: u64,
-    /// Who may live on it.
+    /// Which components may run on it.
     pub kind: ThreadKind,
     /// How it is.
     pub state: ThreadState,
@@ -27,7 +27,7 @@ pub struct ThreadRow {
     pub running: Option<ObjectName>,
     /// How many messages wait for the components that live on it.
     pub queued: usize,
-    /// Who lives on it, in alphabetical order.
+    /// The components that run on it, in alphabetical order.
     pub components: Vec<ObjectName>,
 }
 
@@ -43,8 +43,8 @@ pub enum ThreadState {
         /// For how long it has, at least.
         age: Duration,
     },
-    /// It did not come back in time: its components live elsewhere. It ends if the handler ever
-    /// returns.
+    /// A handler kept the thread past its grace: its components run elsewhere. The thread ends if
+    /// the handler returns.
     Abandoned {
         /// The culprit.
         by: ObjectName,

@@ -15,11 +15,11 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Injection {
-    /// It panics now.
+    /// The component panics.
     Panic,
     /// The next handler or hook that begins awaits for ever. It does not keep its thread.
     Hang,
-    /// It gives no sign of life and answers no ping, though it works.
+    /// The component works, but reports no sign of life and answers no ping.
     Silence,
     /// So many times from now on its initialisation fails.
     FailedInitializations(u32),

@@ -13,15 +13,16 @@ use std::future::{Future, poll_fn};
 use std::sync::PoisonError;
 use std::task::{Poll, Waker};
 
-/// What happens to a message for which a queue has no room.
+/// What happens to a message that exceeds a queue's capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
     /// The sender gets it back.
     #[default]
     Refuse,
-    /// It comes in, and the oldest goes to the dead letters: for data of which the newest counts.
+    /// The message is accepted, and the oldest one becomes a dead letter: for data of which the
+    /// newest counts.
     DropOldest,
-    /// It goes to the dead letters: for data of which the first counts.
+    /// The message becomes a dead letter: for data of which the first counts.
     DropNewest,
     /// As `Refuse`, for senders that use `deliver`, which waits for room.
     Wait,

@@ -20,9 +20,8 @@ use std::time::Duration;
 /// known, so that a node whose network hangs still shows the rest.
 pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
-/// if the actor that keeps it did not answer within a second; an empty list means that there is
-/// nothing.
+/// The state of a node at one moment. From [`Node::snapshot`]. A part is `None` if the actor that
+/// keeps it did not answer within a second; an empty list means that there is nothing.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NodeSnapshot {
@@ -42,11 +41,11 @@ pub struct NodeSnapshot {
     pub links: Option<Vec<LinkRow>>,
     /// The sessions with other nodes.
     pub sessions: Option<Vec<SessionRow>>,
-    /// The names of the whole robot that are held, as far as this node knows.
+    /// The global names with a holder, as known to this node.
     pub claims: Vec<ClaimRow>,
-    /// The services that the node carries, and who serves each.
+    /// The services that the node hosts, and the primary of each.
     pub services: Vec<ServiceRow>,
-    /// The node's actuators, and who commands each.
+    /// The node's actuators, and the commander of each.
     pub actuators: Vec<ActuatorRow>,
     /// The topics that objects of the node have named.
     pub topics: Vec<TopicRow>,
@@ -80,8 +79,8 @@ impl NodeSnapshot {
         }
     }
 
-    /// The same as one JSON document, on one line. Spans are in milliseconds (`_ms`); what is not
-    /// known is `null`.
+    /// Returns the snapshot as one JSON document, on one line. Spans are in milliseconds (`_ms`);
+    /// unknown values are `null`.
     pub fn to_json(&self) -> String {
         let (state, reason) = match &self.state {
             NodeState::Starting => ("starting", None),

@@ -31,7 +31,7 @@ pub enum DeadReason {
     Expired,
     /// No caller waited for the answer any more when its turn came.
     DeadlinePassed,
-    /// It had killed too many incarnations of the receiver.
+    /// The message had ended too many incarnations of the receiver.
     Quarantined,
     /// The receiver was isolated.
     Isolated,
@@ -39,11 +39,11 @@ pub enum DeadReason {
     ContractDiffers,
     /// There was no such object, or it took no such contract.
     Unknown,
-    /// It was larger than its contract, or the way to another node, allows.
+    /// The message was larger than its contract, or the path to another node, allows.
     TooLarge,
-    /// What came from another node was no message of its contract.
+    /// Bytes from another node did not decode as a message of the contract.
     Undecodable,
-    /// It could not be given to the object, for another reason.
+    /// The message could not be delivered, for another reason.
     Refused,
 }
 
@@ -109,12 +109,12 @@ impl From<&DeliveryError> for DeadReason {
     }
 }
 
-/// One message that was not delivered.
+/// A message that was not delivered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadLetter {
     /// On which other node its receiver is; `None` for one of this node.
     pub node: Option<NodeName>,
-    /// To whom it went, or, for an event, the name of its topic.
+    /// The receiver, or, for an event, the name of its topic.
     pub object: ObjectName,
     /// The name of its contract.
     pub contract: Cow<'static, str>,
@@ -129,7 +129,7 @@ pub struct DeadLetter {
 pub struct DeadLetterCount {
     /// On which other node their receiver is; `None` for one of this node.
     pub node: Option<NodeName>,
-    /// To whom they went, or, for events, the name of their topic.
+    /// The receiver, or, for events, the name of their topic.
     pub object: ObjectName,
     /// The name of their contract.
     pub contract: Cow<'static, str>,

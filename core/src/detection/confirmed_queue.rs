@@ -63,7 +63,7 @@ impl Default for ConfirmedQueueLimits {
     }
 }
 
-/// What a [`ConfirmedQueue`] wants done.
+/// An output of a [`ConfirmedQueue`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ConfirmedQueueOutput<T> {
     /// Send it to the receiver.
@@ -73,7 +73,7 @@ pub enum ConfirmedQueueOutput<T> {
         /// The item.
         item: T,
     },
-    /// It will not be tried again: tell a person.
+    /// The item is not sent again: report it to a person.
     GivenUp {
         /// The item.
         item: T,

@@ -28,7 +28,7 @@ pub enum DependencyError {
         /// are.
         known: (Vec<ObjectName>, usize),
     },
-    /// What an object depends on is no name.
+    /// A dependency of an object is not a valid name.
     #[error("what {name} depends on: {error}")]
     Name {
         /// The object.

@@ -89,11 +89,12 @@ pub struct DetectorLimits {
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
     /// A pause of this node from this length on is a fault. A shorter one is a fault only if a link
-    /// or node suffers from it, up to this long after it. Shorter tells of each spell of an
-    /// overloaded computer.
+    /// or node suffers from it, up to this long after it. A shorter limit reports each short
+    /// overload of the computer.
     pub pause: Duration,
-    /// After a pause that is a fault, links and other nodes have so long to be there again. What is
-    /// still down then is a fault of its own. Longer blames the pause for more.
+    /// The time that links and other nodes have to return after a pause that is a fault. A link or
+    /// node still down then is a fault of its own. A longer time attributes more faults to the
+    /// pause.
     pub after_pause: Duration,
     /// The hand-over to the notifier.
     pub handover: ConfirmedQueueLimits,
@@ -129,7 +130,7 @@ impl Default for DetectorLimits {
     }
 }
 
-/// What a [`Detector`] wants done.
+/// An output of a [`Detector`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum DetectorOutput {
     /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
@@ -146,7 +147,7 @@ pub enum DetectorOutput {
         /// How often it was sent.
         tries: u32,
     },
-    /// Tell everybody who has subscribed.
+    /// Report to all subscribers.
     Tell {
         /// The fault, as it now stands.
         fault: Fault,
@@ -181,7 +182,7 @@ struct Scene {
 
 /// What a fault may be a symptom of.
 enum Cause {
-    /// It is its own cause, whatever else is down.
+    /// The fault is its own cause, whatever else is down.
     Itself,
     /// Whatever is down that it depends on.
     Above,
@@ -236,7 +237,7 @@ impl Detector {
         self.handover.handle_timeout(now);
     }
 
-    /// The recoverer tells what becomes of a fault.
+    /// The recoverer reports its progress with a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
         let Some(entry) = self.fault_log.entry(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
@@ -260,8 +261,8 @@ impl Detector {
         }
     }
 
-    /// The node was told to stop: that its components end from now on repairs nothing. What stands,
-    /// stands at its end.
+    /// The node stops: the end of a component repairs nothing from now on. Open faults stay open at
+    /// the node's end.
     pub fn handle_node_end(&mut self) {
         self.ending = true;
     }

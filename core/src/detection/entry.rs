@@ -42,17 +42,17 @@ struct Remarks {
 pub(super) enum NoteCause {
     /// The incarnation ended.
     End,
-    /// It is in an error state.
+    /// The component is in an error state.
     State,
-    /// It declared this fault.
+    /// The object declared this fault.
     Declared(FaultKind),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LastExit {
-    /// It reached `Finalized`; its guard has not yet said how it ended.
+    /// The component reached `Finalized`; its guard has not reported the end yet.
     Finalized,
-    /// Its guard saw it end as it was told.
+    /// Its guard reported an ordered stop.
     Stopped,
     /// Its guard saw it die.
     Died,

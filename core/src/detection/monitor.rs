@@ -15,7 +15,7 @@ use crate::{
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Keeps the table of everything that is watched, and hands what it sees to the detector.
+/// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
 /// It judges the silence of what it asks, and nothing else. What an older incarnation still says,
 /// or one that has ended, changes nothing and is counted. Whatever begins a new incarnation of an
@@ -65,7 +65,7 @@ impl Default for MonitorLimits {
     }
 }
 
-/// What a [`Monitor`] wants done.
+/// An output of a [`Monitor`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MonitorOutput {
     /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
@@ -277,7 +277,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// What an object had declared is over.
+    /// A fault that an object had declared is over.
     pub fn handle_declared_fault_cleared(
         &mut self,
         object: &ObjectName,
@@ -374,7 +374,7 @@ impl Monitor {
         self.stale
     }
 
-    /// How many reports came from strangers for whom the table had no room.
+    /// Returns how many reports of unregistered objects were dropped because the table was full.
     pub fn refused(&self) -> u64 {
         self.refused
     }

@@ -50,7 +50,7 @@ impl Default for NotifierLimits {
     }
 }
 
-/// Whose recoverer is told.
+/// The recoverer that is notified.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum RecovererPort {
     /// This node's.
@@ -68,7 +68,7 @@ impl fmt::Display for RecovererPort {
     }
 }
 
-/// What a [`Notifier`] wants done.
+/// An output of a [`Notifier`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum NotifierOutput {
     /// Hand this to the recoverer behind this port, and bring its confirmation to

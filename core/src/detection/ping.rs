@@ -23,7 +23,7 @@ pub struct PingMonitor {
     outputs: VecDeque<PingOutput>,
 }
 
-/// What an [`PingMonitor`] wants done, or has found.
+/// An output of a [`PingMonitor`]: a ping to send, or a finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PingOutput {
     /// Ask this object.
@@ -38,7 +38,7 @@ pub enum PingOutput {
 /// A change of opinion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// About whom.
+    /// The object concerned.
     pub object: ObjectName,
     /// In which incarnation.
     pub incarnation: Incarnation,

@@ -31,7 +31,7 @@ pub struct Plan {
     observe: Ladder,
 }
 
-/// What is wrong with a [`Plan`]. Each of them is the designer's to mend.
+/// An error in a [`Plan`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
@@ -211,12 +211,14 @@ impl Plan {
 
     /// Whether the guard of `component` may carry out a restart after a panic by itself: only where
     /// the plan's first measure is the built-in restart.
+    #[doc(hidden)]
     pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
         let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
         first.measure == RecoveryAction::Restart
     }
 
     /// The codes of all faults of the application's own that the plan answers.
+    #[doc(hidden)]
     pub fn codes(&self) -> BTreeSet<Arc<str>> {
         let of_components = self.components.values().flat_map(BTreeMap::keys);
         let kinds = self.kinds.keys().chain(of_components);

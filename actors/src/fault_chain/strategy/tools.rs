@@ -27,8 +27,8 @@ pub(crate) struct StrategyTargets {
     pub(crate) rest_node: Recipient<EnterSafeState>,
 }
 
-/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and
-/// the components of its own node.
+/// The actions available to a [`RecoveryStrategy`](super::RecoveryStrategy): orders to the
+/// supervisors, the router and the components of its node.
 #[derive(Clone)]
 pub struct StrategyContext(Arc<StrategyTargets>);
 
@@ -46,23 +46,21 @@ impl StrategyContext {
         self.0.registry.sender(name)
     }
 
-    /// Replaces the incarnation that the fault struck by the next one; its siblings fare as their
-    /// supervisor's strategy says. Resolves when all of them are at work.
+    /// Replaces the faulty incarnation by the next one, and its siblings as their supervisor's
+    /// strategy requires. Resolves when all of them are active.
     ///
-    /// # Errors
-    /// The new incarnation did not come to be, or the supervisor has given up.
+    /// # Errors The new incarnation did not start, or the supervisor escalated.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, controller) = self.controller(&fault.location)?;
         let fault = Some(fault.clone());
         judge(controller.restart.send(RestartChild { object, fault }).await).map(begun)
     }
 
-    /// Lets a component go on in its next incarnation on a thread of its own; its queue comes
-    /// along. Resolves when it is at work there.
+    /// Moves a component to a thread of its own: its next incarnation runs there, with the same
+    /// queue. Resolves when this incarnation is active.
     ///
-    /// # Errors
-    /// It has a thread of its own already, or the whole node lives on one; or as
-    /// [`restart`](StrategyContext::restart).
+    /// # Errors The component already has a thread of its own, or the whole node runs on one
+    /// thread; or as [`restart`](StrategyContext::restart).
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
         let (object, controller) = self.controller(&fault.location)?;
         let fault = Some(fault.clone());
@@ -83,9 +81,8 @@ impl StrategyContext {
     /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
     /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
     ///
-    /// # Errors
-    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
-    /// network.
+    /// # Errors The location is a link, an object without a supervisor, or this node; or the node
+    /// has no network.
     pub async fn isolate(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         self.set_isolated(location, None, true, "a recovery strategy says so").await
     }

@@ -159,7 +159,7 @@ pub struct QueueReading {
     pub oldest: Duration,
 }
 
-/// What a scanner looks at.
+/// The samples that a hang detector reads.
 pub trait Looked {
     /// What the component of a slot says.
     fn activity(&self, slot: SlotId) -> ComponentSample;
@@ -202,7 +202,7 @@ impl OverloadFigures {
     }
 }
 
-/// What the scanner has seen.
+/// A finding of the hang detector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LivenessEvent {
     /// A handler keeps its arbiter.
@@ -303,7 +303,7 @@ pub enum LivenessEvent {
     },
 }
 
-/// What is known of an arbiter, for people.
+/// The status of an arbiter, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArbiterStatus {
     /// The share of the latest looks that found a component on its thread; `None` before the first.

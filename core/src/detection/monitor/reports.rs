@@ -121,7 +121,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// The watch thread heard this object.
+    /// The sampler saw a sign of life of this object.
     pub fn handle_spoke(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         entry.last_sign = Some(now);

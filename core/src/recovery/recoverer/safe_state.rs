@@ -8,7 +8,7 @@ use crate::{Fault, FaultKind, Instant};
 pub(super) enum Standstill {
     /// The node is in the safe state.
     SafeState,
-    /// The node was told to stop.
+    /// The node stops.
     NodeEnds,
 }
 
@@ -20,8 +20,8 @@ impl Recoverer {
         self.stand_still(Standstill::SafeState, now);
     }
 
-    /// The node was told to stop: from now on faults of its objects are recorded and not treated,
-    /// as in the safe state.
+    /// The node stops: from now on faults of its objects are recorded and not treated, as in the
+    /// safe state.
     pub fn handle_node_end(&mut self, now: Instant) {
         self.stand_still(Standstill::NodeEnds, now);
     }
