@@ -68,7 +68,7 @@ impl<M: Contract> Message for ServeRequest<M> {
 /// # Panics
 /// Outside of an actix arbiter.
 pub fn recipient<M: Contract>(sender: &Sender<M>) -> Recipient<Deliver<M>> {
-    Door(sender.clone()).start().recipient()
+    Forwarder(sender.clone()).start().recipient()
 }
 
 /// The way to a plain actor, for components and all others that want a [`Sender`]. It lives on the
@@ -81,13 +81,13 @@ pub fn sender<M: Contract>(recipient: Recipient<ServeRequest<M>>) -> Sender<M> {
 }
 
 /// Between `Recipient`s and one component.
-struct Door<M: Contract>(Sender<M>);
+struct Forwarder<M: Contract>(Sender<M>);
 
-impl<M: Contract> Actor for Door<M> {
+impl<M: Contract> Actor for Forwarder<M> {
     type Context = Context<Self>;
 }
 
-impl<M: Contract> Handler<Deliver<M>> for Door<M> {
+impl<M: Contract> Handler<Deliver<M>> for Forwarder<M> {
     type Result = ResponseFuture<Result<M::Reply, DeliveryError>>;
 
     fn handle(&mut self, Deliver(message): Deliver<M>, _: &mut Self::Context) -> Self::Result {

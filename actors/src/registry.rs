@@ -90,7 +90,7 @@ pub(crate) trait Skeleton: Send + Sync {
         None
     }
 
-    /// Reports a fault that was found at the door, such as a caller with another contract.
+    /// Reports a fault that was found at the skeleton, such as a caller with another contract.
     fn declare(&self, kind: FaultKind, detail: String);
 
     /// What was declared of the object is over.
@@ -105,7 +105,7 @@ pub(crate) trait Skeleton: Send + Sync {
 /// The ways to objects of other nodes, provided by the network.
 pub(crate) trait StubFactory: Send + Sync {
     /// A way to this object for this contract. What stands in its way is found when it is used.
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
 }
 
 /// The way to one object of another node, for one contract.
@@ -175,7 +175,7 @@ pub(crate) trait NameResolver: Send + Sync {
 
 /// Messages of one contract to an object of another node.
 struct Outlet<M: Contract> {
-    door: Arc<dyn RemoteStub>,
+    stub: Arc<dyn RemoteStub>,
     to: ObjectAddress,
     sends: PhantomData<fn(M)>,
 }
@@ -188,7 +188,7 @@ impl<M: Contract> Outlet<M> {
         }
         let encoded = codec::encode_out_of(message);
         let (parcel, taken) = encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
-        let sent = self.door.send(parcel, asked);
+        let sent = self.stub.send(parcel, asked);
         if sent.is_err() {
             taken.put_back(message);
         }
@@ -215,7 +215,7 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.door.space(refused)
+        self.stub.space(refused)
     }
 
     fn ask(
@@ -437,8 +437,8 @@ impl Registry {
                     let remote = inner.remote.clone();
                     let remote = remote.ok_or_else(|| inner.out_of_reach(&address))?;
                     drop(inner);
-                    let door = remote.door(address.clone(), ContractIdentity::of::<M>());
-                    let outlet = Outlet::<M> { door, to: address, sends: PhantomData };
+                    let stub = remote.stub(address.clone(), ContractIdentity::of::<M>());
+                    let outlet = Outlet::<M> { stub, to: address, sends: PhantomData };
                     return Ok(Sender(Arc::new(outlet)));
                 }
                 address.object

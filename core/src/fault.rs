@@ -294,7 +294,7 @@ impl Fault {
         matches!(self.location, FaultLocation::Object(_))
     }
 
-    /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
+    /// A fault of a whole node that its controller found itself: it stands in no detector's record.
     #[doc(hidden)]
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
         Fault {

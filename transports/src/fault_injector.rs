@@ -36,7 +36,7 @@ impl FaultInjectorConfig {
 
 /// Stands between a link and a transport, and does to frames what it is told: loss, delay,
 /// duplication, reordering, corruption, a limited rate ([`Impair`]), a cut, noticed or silent
-/// ([`Cut`]), a partition from some peers ([`Partition`]), and the mending ([`Restore`]).
+/// ([`Cut`]), a partition from some peers ([`Partition`]), and the restoring ([`Restore`]).
 ///
 /// ```text
 /// link ──Transmit──► FaultInjector ──Transmit──► transport

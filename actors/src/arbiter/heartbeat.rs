@@ -31,7 +31,7 @@ pub(crate) struct ArbiterHeartbeat {
     beat: AtomicU64,
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
-    gate: AtomicU8,
+    flags: AtomicU8,
     /// The component on the thread has ends of incarnations to tell, and tells them when its turn
     /// is over.
     owes_exits: AtomicBool,
@@ -52,8 +52,9 @@ thread_local! {
 /// fence goes up may still land: to be strict would cost every message a lock.
 #[inline]
 pub(crate) fn send_refusal() -> Option<DeliveryError> {
-    let gate = HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.gate.load(Relaxed)));
-    match gate.unwrap_or(0) {
+    let flags =
+        HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.flags.load(Relaxed)));
+    match flags.unwrap_or(0) {
         0 => None,
         MUTED => Some(DeliveryError::SenderIsolated),
         _ => Some(DeliveryError::Fenced),
@@ -83,7 +84,7 @@ impl Default for ArbiterHeartbeat {
             id: NEXT.fetch_add(1, Relaxed),
             beat: AtomicU64::new(0),
             running: AtomicU32::new(0),
-            gate: AtomicU8::new(0),
+            flags: AtomicU8::new(0),
             owes_exits: AtomicBool::new(false),
             time: AtomicU64::new(0),
             unwinding: Arc::default(),
@@ -93,7 +94,7 @@ impl Default for ArbiterHeartbeat {
 }
 
 impl ArbiterHeartbeat {
-    /// Tells it from every other pulse of the process.
+    /// Tells it from every other heartbeat of the process.
     pub(crate) fn id(&self) -> u64 {
         self.id
     }
@@ -104,7 +105,7 @@ impl ArbiterHeartbeat {
         BEATS.try_with(Cell::get).unwrap_or(false)
     }
 
-    /// Gives this thread its pulse, and lets it beat while its event loop turns.
+    /// Gives this thread its heartbeat, and lets it beat while its event loop turns.
     ///
     /// # Panics
     /// Outside of an actix arbiter.
@@ -216,33 +217,33 @@ impl ArbiterHeartbeat {
     /// Whether the arbiter has been given up, or is about to be.
     #[inline]
     pub(crate) fn is_fenced(&self) -> bool {
-        self.gate.load(Relaxed) & (FENCED | LOST) != 0
+        self.flags.load(Relaxed) & (FENCED | LOST) != 0
     }
 
     /// Whether its components live elsewhere now.
     #[inline]
     pub(crate) fn is_lost(&self) -> bool {
-        self.gate.load(Relaxed) & LOST != 0
+        self.flags.load(Relaxed) & LOST != 0
     }
 
     /// Lets nothing out until the handler that keeps the thread has returned.
     pub(crate) fn fence(&self) {
-        self.gate.fetch_or(FENCED, Relaxed);
+        self.flags.fetch_or(FENCED, Relaxed);
     }
 
     /// The handler has returned. Too late once the arbiter is lost.
     pub(crate) fn lift(&self) {
-        if self.gate.load(Relaxed) & FENCED != 0 {
-            let _ = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
-                (gate & LOST == 0).then_some(gate & !FENCED)
+        if self.flags.load(Relaxed) & FENCED != 0 {
+            let _ = self.flags.fetch_update(Relaxed, Relaxed, |flags| {
+                (flags & LOST == 0).then_some(flags & !FENCED)
             });
         }
     }
 
     /// The grace time is over. Says whether the arbiter was still fenced.
     pub(crate) fn lose(&self) -> bool {
-        let lost = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
-            (gate & (FENCED | LOST) == FENCED).then_some(gate | LOST)
+        let lost = self.flags.fetch_update(Relaxed, Relaxed, |flags| {
+            (flags & (FENCED | LOST) == FENCED).then_some(flags | LOST)
         });
         lost.is_ok()
     }
@@ -250,9 +251,9 @@ impl ArbiterHeartbeat {
     /// Forbids the component that runs now to send, or ends that.
     pub(crate) fn mute(&self, muted: bool) {
         if muted {
-            self.gate.fetch_or(MUTED, Relaxed);
+            self.flags.fetch_or(MUTED, Relaxed);
         } else {
-            self.gate.fetch_and(!MUTED, Relaxed);
+            self.flags.fetch_and(!MUTED, Relaxed);
         }
     }
 

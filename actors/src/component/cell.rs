@@ -63,7 +63,7 @@ pub(crate) struct CellCore {
     pub(crate) environment: Arc<ComponentEnvironment>,
     pub(crate) watchers: Watchers,
     pub(crate) injected: InjectionState,
-    gate: AtomicU8,
+    flags: AtomicU8,
     state: Mutex<CellStatus>,
     /// The incarnation that began last.
     incarnation: AtomicU64,
@@ -124,7 +124,7 @@ impl CellCore {
             environment,
             watchers: Watchers::default(),
             injected: InjectionState::default(),
-            gate: AtomicU8::new(0),
+            flags: AtomicU8::new(0),
             state: Mutex::new(CellStatus {
                 state: Lifecycle::Created,
                 unavailable: None,
@@ -234,7 +234,7 @@ impl CellCore {
 
     #[inline]
     pub(crate) fn is_isolated(&self) -> bool {
-        self.gate.load(Relaxed) & ISOLATED != 0
+        self.flags.load(Relaxed) & ISOLATED != 0
     }
 
     /// The message in service is one whose sender waits, or one that may come again. An asker may
@@ -262,7 +262,7 @@ impl CellCore {
             let quarantine = quarantine.get_or_insert_default();
             quarantine.handle_kill(id, incarnation);
             if quarantine.is_active() {
-                self.gate.fetch_or(QUARANTINE, Relaxed);
+                self.flags.fetch_or(QUARANTINE, Relaxed);
             }
         }
     }
@@ -270,15 +270,15 @@ impl CellCore {
     /// Says why this message is not let in.
     #[inline]
     pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<DeliveryError> {
-        match self.gate.load(Relaxed) {
+        match self.flags.load(Relaxed) {
             0 => None,
-            gate => self.look_closer(gate, id),
+            flags => self.check_flags(flags, id),
         }
     }
 
     #[cold]
-    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<DeliveryError> {
-        if gate & ISOLATED != 0 {
+    fn check_flags(&self, flags: u8, id: Option<MessageId>) -> Option<DeliveryError> {
+        if flags & ISOLATED != 0 {
             return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
         let kills = lock(&self.quarantine).as_ref()?.refuses(id?)?;
@@ -369,9 +369,9 @@ impl<C: Component> ComponentCell<C> {
     /// Forbids the component to send and receive, or allows it again.
     pub(crate) fn isolate(&self, isolated: bool) {
         if isolated {
-            self.record.gate.fetch_or(ISOLATED, Relaxed);
+            self.record.flags.fetch_or(ISOLATED, Relaxed);
         } else {
-            self.record.gate.fetch_and(!ISOLATED, Relaxed);
+            self.record.flags.fetch_and(!ISOLATED, Relaxed);
         }
         if let Some(placement) = self.record.arbiter() {
             placement.token.mute(isolated);

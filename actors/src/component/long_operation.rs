@@ -33,7 +33,7 @@ impl LongOperations {
 
     /// Announces the time until the last of them is to be over.
     fn allow_latest(&self, ends: &[Instant]) {
-        // The stamp may belong to another incarnation by now.
+        // The activity record may belong to another incarnation by now.
         if !self.token.has_ended() {
             let now = platform::now();
             self.activity.allow(ends.iter().max().map_or(Duration::ZERO, |end| *end - now));

@@ -10,7 +10,7 @@ use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Makes the door for one contract.
+/// Makes the skeleton for one contract.
 pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
 
 /// The ports of one component: filled in `Component::ports`.
@@ -56,8 +56,8 @@ impl<C: Component> Ports<C> {
         self.open.extend(beside);
     }
 
-    /// The doors by which others find the component, by contract.
-    pub(crate) fn doors(
+    /// The skeletons by which other objects reach the component, by contract.
+    pub(crate) fn skeletons(
         &self,
         cell: &Arc<ComponentCell<C>>,
     ) -> BTreeMap<&'static str, ContractPort> {

@@ -458,9 +458,9 @@ impl Handler<RestartChild> for SupervisorActor {
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
         let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
-        let struck = fault.map(|fault| fault.incarnation);
+        let faulty = fault.map(|fault| fault.incarnation);
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_restart(object, call, cause, struck, now);
+            machine.handle_restart(object, call, cause, faulty, now);
         })
     }
 }
@@ -478,9 +478,9 @@ impl Handler<IsolateChild> for SupervisorActor {
     type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
-        let IsolateChild { object, struck, isolated } = message;
+        let IsolateChild { object, faulty, isolated } = message;
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_isolate(object, struck, isolated, call, now);
+            machine.handle_isolate(object, faulty, isolated, call, now);
         })
     }
 }

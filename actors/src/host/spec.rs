@@ -185,7 +185,7 @@ impl<C: Component> ChildSpec<C> {
         ports.check(&name)?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
-        environment.registry.register(&name, ports.doors(&cell), cell.clone())?;
+        environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(cell.clone());
         ports.bind(&cell)?;

@@ -1,7 +1,7 @@
 //! What a component says about itself by working: turns, signs of life, and what it is doing.
 //!
-//! Every store is plain and every stamp has one writer, the thread that runs its component. Who
-//! wants to know since when looks twice.
+//! Every store is plain and every activity record has one writer, the thread that runs its
+//! component. Who wants to know since when looks twice.
 
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
@@ -42,7 +42,7 @@ pub(crate) struct ActivityRecord {
     expired: AtomicU64,
 }
 
-/// What a look at a stamp finds.
+/// What a look at an activity record finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ActivitySample {
     pub(crate) turn: u64,
@@ -165,10 +165,11 @@ impl ActivityRecord {
     }
 }
 
-/// Stamps are made in chunks that stay where they are, so that reading one takes no lock.
+/// Activity records are made in chunks that stay where they are, so that reading one takes no lock.
 const CHUNK: usize = 1024;
 
-/// All stamps of the process. It grows to the largest number of components that lived at one time.
+/// All activity records of the process. It grows to the largest number of components that lived at
+/// one time.
 struct ActivityTable {
     chunks: Vec<&'static [ActivityRecord]>,
     free: Vec<u32>,
@@ -182,7 +183,7 @@ fn table() -> MutexGuard<'static, ActivityTable> {
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where a component's stamp stands, for those who only read it.
+/// Where a component's activity record stands, for those who only read it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ActivitySlotRef {
     pub(crate) index: u32,

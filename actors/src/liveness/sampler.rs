@@ -1,4 +1,5 @@
-//! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
+//! The watch: it looks at heartbeats and activity records at even intervals, and tells the monitor
+//! what it sees.
 //!
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
 //! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
@@ -25,10 +26,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use std::{io, thread};
 
-/// How often pulses are looked at: as often as they beat.
+/// How often heartbeats are looked at: as often as they beat.
 const PULSES: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
-/// Every so many looks stamps are looked at too. There are many of them: at every look it would
-/// cost six percent of a core for a hundred thousand.
+/// Every so many looks activity records are looked at too. There are many of them: at every look it
+/// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
 /// What is in service where a handler has panicked, and what it had blocks as it is dropped. The

@@ -386,10 +386,10 @@ impl Handler<PeerStatusChanged> for DiscoveryActor {
 impl Handler<ActorMessageReceived> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
+    fn handle(&mut self, message: ActorMessageReceived, context: &mut Context<Self>) {
         self.channel.read_one();
-        if let Some(node) = self.peers.get(&letter.from) {
-            self.machine.handle_message(node, &letter.bytes, platform::now());
+        if let Some(node) = self.peers.get(&message.from) {
+            self.machine.handle_message(node, &message.bytes, platform::now());
             self.drive(context);
         }
     }

@@ -36,7 +36,7 @@ pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
     let Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count } =
         fault;
     let age_us = u64::try_from((now - found_at).as_micros()).unwrap_or(u64::MAX);
-    // Four bytes a letter at most, and room for the rest.
+    // Four bytes a message at most, and room for the rest.
     let detail: String = detail.chars().take(FAULT_MAX / 8).collect();
     let travelling =
         Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count };

@@ -60,7 +60,7 @@ struct GatewaySetup {
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
     sessions: SessionRecipients,
-    doors: Arc<PeerStubs>,
+    stubs: Arc<PeerStubs>,
     wardens: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
@@ -107,7 +107,7 @@ impl GatewayActor {
     pub(super) fn maker(
         environment: &NetEnvironment,
         sessions: SessionRecipients,
-        doors: Arc<PeerStubs>,
+        stubs: Arc<PeerStubs>,
         router: Recipient<SetIsolation>,
         control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
@@ -127,7 +127,7 @@ impl GatewayActor {
         move |context| {
             let machine = Isolation::new(node, incarnation, judges);
             let told_of = IsolationObservers {
-                doors: doors.clone(),
+                stubs: stubs.clone(),
                 registry: registry.clone(),
                 gateway: context.address().recipient(),
                 router,
@@ -143,7 +143,7 @@ impl GatewayActor {
                 nodes,
                 faults,
                 sessions,
-                doors,
+                stubs,
                 wardens,
                 dead_letters,
                 observers,
@@ -410,7 +410,7 @@ impl GatewayActor {
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<PeerSendState>) {
         let peer = NodeId::of(node);
-        let send_state = self.wiring.doors.send_state(node);
+        let send_state = self.wiring.stubs.send_state(node);
         let known = GatewayPeer::new(node.clone(), send_state.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, send_state)

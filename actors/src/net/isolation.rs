@@ -35,7 +35,7 @@ pub(super) struct IsolationChanged {
 
 /// Who is told of it.
 pub(super) struct IsolationObservers {
-    pub(super) doors: Arc<PeerStubs>,
+    pub(super) stubs: Arc<PeerStubs>,
     pub(super) registry: Registry,
     pub(super) gateway: Recipient<IsolationChanged>,
     pub(super) router: Recipient<SetIsolation>,
@@ -130,8 +130,8 @@ impl IsolationControl {
 
     fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
         warn!(%node, isolated, "isolated, or admitted again, {reason}");
-        let IsolationObservers { doors, gateway, router, monitor, .. } = &*self.observers;
-        let send_state = doors.send_state(&node);
+        let IsolationObservers { stubs, gateway, router, monitor, .. } = &*self.observers;
+        let send_state = stubs.send_state(&node);
         if isolated {
             send_state.isolate()
         } else {

@@ -1,7 +1,7 @@
 //! The network of a node: thin actors over the machines of `blastema_core::net`.
 //!
 //! ```text
-//!  objects ─ doors ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
+//!  objects ─ stubs ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
 //!                       │ bindings  │ exactly   │ which   │ is it alive
 //!                       │ naming    │ once      │ hop     │
 //!  local skeletons ◄─────┘
@@ -188,7 +188,7 @@ pub(crate) struct NetHandle {
     discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
-    doors: Arc<stub::PeerStubs>,
+    stubs: Arc<stub::PeerStubs>,
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
 }
@@ -242,7 +242,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(stub::PeerStubs::new(own_isolation));
+    let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),
@@ -254,14 +254,14 @@ pub(crate) fn start(
     let make = gateway::GatewayActor::maker(
         &environment,
         to_sessions,
-        doors.clone(),
+        stubs.clone(),
         set_isolation,
         control,
     );
     let gateway = guardian.start(named("gateway"), on_arbiter, make);
-    doors.connect(gateway.clone().recipient());
+    stubs.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
-    let remote: Arc<dyn StubFactory> = doors.clone();
+    let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(node, Some(remote));
     remote_watch::serve(&environment.registry);
 
@@ -314,7 +314,7 @@ pub(crate) fn start(
         discovery,
         guardian,
         arbiter,
-        doors,
+        stubs,
         wardens,
         carrier,
     })
@@ -381,7 +381,7 @@ impl NetHandle {
 
     /// Completes when messages can be sent to this node.
     pub(crate) async fn connected(&self, node: &NodeName) {
-        self.doors.opened(node).await;
+        self.stubs.opened(node).await;
     }
 
     /// All links, in the order of the configuration.
@@ -416,12 +416,12 @@ impl NetHandle {
 
     /// Whether this node has met another, or others have voted on it.
     pub(crate) fn knows(&self, node: &NodeName) -> bool {
-        self.doors.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
+        self.stubs.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
     }
 
     /// Those that a path leads to now, or did before.
     pub(crate) fn met(&self) -> Vec<NodeName> {
-        self.doors.met()
+        self.stubs.met()
     }
 
     /// Keeps a node out everywhere, or lets it in again.
@@ -480,7 +480,7 @@ impl NetHandle {
 
     /// Takes nothing for other nodes any more, and looks at no interface.
     pub(crate) fn stop(&self) {
-        self.doors.end();
+        self.stubs.end();
         self.carrier.end();
     }
 
@@ -488,7 +488,7 @@ impl NetHandle {
     /// session.
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
-        self.doors.end();
+        self.stubs.end();
         self.gateway.do_send(CloseSessions);
     }
 }

@@ -22,14 +22,14 @@ const UNREAD_MAX: usize = 4096;
 /// Whom a sender is kept for: as many nodes as there are sessions with.
 const SENDERS_MAX: usize = 512;
 
-/// One letter.
+/// One message.
 #[derive(Clone, Debug, Event)]
 #[contract(crate = "crate", name = "blastema/actor-message", version = 1, max_size = 128 * 1024)]
 struct ActorMessage {
     bytes: Vec<u8>,
 }
 
-/// A letter from another node.
+/// A message from another node.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) struct ActorMessageReceived {
@@ -125,7 +125,7 @@ impl Skeleton for Slot {
     ) -> Result<(), DeliveryError> {
         let read = codec::decode::<ActorMessage>(message)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
-        let delivered = read.and_then(|letter| {
+        let delivered = read.and_then(|message| {
             let Some(from) = metadata.from else {
                 return Err(DeliveryError::Unknown { name: "the node that writes".to_owned() });
             };
@@ -133,7 +133,7 @@ impl Skeleton for Slot {
                 self.unread.fetch_sub(1, Relaxed);
                 return Err(DeliveryError::Full);
             }
-            self.reader.do_send(ActorMessageReceived { from, bytes: letter.bytes.into() });
+            self.reader.do_send(ActorMessageReceived { from, bytes: message.bytes.into() });
             Ok(())
         });
         if delivered.is_err() {

@@ -20,8 +20,8 @@ use tracing::warn;
 
 /// The longest reason that is told, in bytes: a panic's text, shortened.
 const REASON_MAX: usize = 1024;
-/// The most bytes of one letter.
-const LETTER_MAX: usize = REASON_MAX + 16;
+/// The most bytes of one message.
+const MESSAGE_MAX: usize = REASON_MAX + 16;
 
 /// What the body is made of.
 pub(crate) struct RestSetup {
@@ -72,11 +72,11 @@ impl SafeStateActor {
 
     fn tell(&mut self, node: &NodeName) {
         let Some(reported) = &self.reported else { return };
-        // Four bytes a letter at most.
+        // Four bytes a message at most.
         let shortened = reported.as_ref();
         let shortened = shortened.map(|text| text.chars().take(REASON_MAX / 4).collect::<String>());
         let mut bytes = Vec::new();
-        if codec::encode_bounded(&shortened, LETTER_MAX, &mut bytes).is_ok() {
+        if codec::encode_bounded(&shortened, MESSAGE_MAX, &mut bytes).is_ok() {
             self.channel.send(node, &bytes.into());
         }
     }
@@ -126,10 +126,10 @@ impl Handler<PeerStatusChanged> for SafeStateActor {
 impl Handler<ActorMessageReceived> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, letter: ActorMessageReceived, _: &mut Context<Self>) {
+    fn handle(&mut self, message: ActorMessageReceived, _: &mut Context<Self>) {
         self.channel.read_one();
-        let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
-        let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {
+        let Some((node, incarnation)) = self.peers.get(&message.from).cloned() else { return };
+        let condition = match codec::decode_bounded::<_, MESSAGE_MAX>(&message.bytes) {
             Ok(Some(reason)) => NodeCondition::InSafeState { reason },
             Ok(None) => NodeCondition::AtWork,
             Err(error) => return warn!(%node, %error, "what it says of its rest cannot be read"),

@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU8};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
 
-/// Makes doors, and tells those behind them how their peer is.
+/// Makes stubs, and tells those behind them how their peer is.
 pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
     send_states: Mutex<BTreeMap<NodeName, Arc<PeerSendState>>>,
@@ -34,7 +34,7 @@ pub(super) struct PeerStubs {
 /// same.
 type EndedFlag = Arc<AtomicBool>;
 
-/// What all doors to one peer share.
+/// What all stubs to one peer share.
 pub(super) struct PeerSendState {
     node: NodeName,
     own_isolation: OwnIsolation,
@@ -338,22 +338,22 @@ impl PeerStubs {
 }
 
 impl StubFactory for PeerStubs {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         let send_state = self.send_state(&to.node);
         let gateway = self.gateway.get().cloned();
-        Arc::new(Door { to, contract, send_state, gateway })
+        Arc::new(PeerStub { to, contract, send_state, gateway })
     }
 }
 
 /// The way to one object for one contract.
-struct Door {
+struct PeerStub {
     to: ObjectAddress,
     contract: ContractIdentity,
     send_state: Arc<PeerSendState>,
     gateway: Option<Recipient<SendToPeer>>,
 }
 
-impl RemoteStub for Door {
+impl RemoteStub for PeerStub {
     fn send(
         &self,
         message: GatherBuffer,
@@ -365,8 +365,8 @@ impl RemoteStub for Door {
         let class = CreditClass::of(self.contract.delivery, message.len());
         self.send_state.check(&self.to.object, class)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let lent = self.send_state.credits.take_credit(message.len(), class);
-        let credit = lent.ok_or_else(|| self.send_state.way_full(class))?;
+        let taken = self.send_state.credits.take_credit(message.len(), class);
+        let credit = taken.ok_or_else(|| self.send_state.way_full(class))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -464,13 +464,13 @@ mod tests {
     #[test]
     fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
         let (send_state, _) = send_state();
-        let lent = send_state.credits.take_credit(1 << 20, BULK);
+        let taken = send_state.credits.take_credit(1 << 20, BULK);
         assert_eq!(
             space(&send_state),
             [true, false, true, true],
             "it is on its way to the session"
         );
-        drop(lent);
+        drop(taken);
         assert_eq!(space(&send_state), [true; 4]);
 
         send_state.stream_is_full(Stream::Data, SizeClass::Bulk);

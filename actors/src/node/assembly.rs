@@ -470,7 +470,8 @@ fn enrolment(
     };
     let depends_on: Vec<ObjectAddress> =
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
-    // A component's signs of life are stamps, which the sampler reads: no message is sent for them.
+    // A component's signs of life are activity records, which the sampler reads: no message is sent
+    // for them.
     let unborn = Incarnation::default();
     let enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
     Ok(Register { enrolment, pings: None })

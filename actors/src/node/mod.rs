@@ -1,9 +1,9 @@
 //! The node: one process of the robot, with its supervision tree, its fault chain and its networks.
 //!
 //! ```text
-//! NodeBuilder ─ start ─► Keeper ─► root supervisor ─► supervisors, components
-//!                          ▲            ▲
-//!                          │ rest       │ restart, reset, isolate, safe stop
+//! NodeBuilder ─ start ─► NodeController ─► root supervisor ─► supervisors, components
+//!                          ▲                    ▲
+//!                          │ safe state         │ restart, reset, isolate, safe stop
 //!                 Monitor ─► Detector ─► Notifier ─► Recoverer ─► strategies
 //! ```
 //!

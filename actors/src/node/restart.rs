@@ -140,7 +140,7 @@ impl Node {
             nearest: self.0.directory.nearest(name),
         };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let controller = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
+        let controller = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
         match controller.restart.send(RestartChild { object, fault: None }).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
                 (Some(incarnation), false) => RestartedChild::Running(incarnation),

@@ -1,8 +1,8 @@
 //! The listeners of one topic on one arbiter.
 //!
 //! A hub gives each listener a few events in turn. What it gives belongs to the listener: its
-//! condition runs under its name, guard and stamp as its handler does, and where either takes long,
-//! the hub ends its turn and goes on from there in the next.
+//! condition runs under its name, guard and activity record as its handler does, and where either
+//! takes long, the hub ends its turn and goes on from there in the next.
 
 use super::entry::ListenerEntry;
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};

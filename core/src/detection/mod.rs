@@ -1,7 +1,7 @@
 //! The observing half of the fault chain: who lives, what is wrong, who is told.
 //!
 //! ```text
-//! stamps ───► Scanner ──┐
+//! activity records ───► Scanner ──┐
 //! answers ──► Inquiry ──┤
 //! exits, states, links ─┴─ Monitor ══► Detector ══► Notifier ══► recoverers
 //!                           sees        judges       tells

@@ -7,8 +7,9 @@ use std::time::Duration;
 
 /// Asks objects whether they are alive.
 ///
-/// It is for the middleware's own objects, which have no [stamps](crate::detection::hang): whether
-/// a component is alive, and how far its work has come, is seen without asking it.
+/// It is for the middleware's own objects, which have no [activity
+/// records](crate::detection::hang): whether a component is alive, and how far its work has come,
+/// is seen without asking it.
 ///
 /// ```text
 /// ask ──── answer within T ────► Trusted       alive?

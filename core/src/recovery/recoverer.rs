@@ -381,9 +381,9 @@ impl Recoverer {
         let case = self.cases.remove(location).expect("a case that is settled is open");
         let kind = case.faults[0].fault.kind.clone();
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
-        let struck = known.map(|noted| noted.fault.incarnation).max();
+        let faulty = known.map(|noted| noted.fault.incarnation).max();
         // Isolation leaves an incarnation alone that has followed the struck one.
-        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > struck;
+        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > faulty;
         let contained =
             !is_late && matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
         let restarted = *measure == RecoveryAction::Restart;

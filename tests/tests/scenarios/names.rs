@@ -251,7 +251,7 @@ async fn after_joining_and_rejoining_names_are_known_within_the_stated_bound() {
     let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
     let Robot { medium, mut nodes } = robot;
 
-    // A cable that is mended after its sessions have ended.
+    // A cable that is restored after its sessions have ended.
     nodes[0].cable("ethernet").expect("a cable").cut(Direction::Both, false);
     nodes[0].advance(20 * LEASE).await;
     assert_eq!(nodes[0].holder("map"), None);

@@ -149,7 +149,7 @@ impl StrategyContext {
     async fn set_isolated(
         &self,
         location: &FaultLocation,
-        struck: Option<Incarnation>,
+        faulty: Option<Incarnation>,
         isolated: bool,
         cause: &str,
     ) -> Result<RecoveryDone, RecoveryFailed> {
@@ -163,7 +163,7 @@ impl StrategyContext {
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
         let (object, controller) = self.controller(location)?;
-        judge(controller.isolate.send(IsolateChild { object, struck, isolated }).await)
+        judge(controller.isolate.send(IsolateChild { object, faulty, isolated }).await)
     }
 
     fn controller(
@@ -176,7 +176,7 @@ impl StrategyContext {
         if address.node != self.0.node {
             return Err(format!("{address} is an object of another node").into());
         }
-        let controller = self.0.directory.keeper_of(&address.object);
+        let controller = self.0.directory.supervisor_of(&address.object);
         let controller = controller.ok_or_else(|| format!("no supervisor keeps {address}"))?;
         Ok((address.object.clone(), controller))
     }

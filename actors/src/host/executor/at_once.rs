@@ -30,8 +30,8 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     /// An event straight to the handler, without the queue: only for an executor that is free. It
-    /// runs on the arbiter's hub, which has named the component to the pulse, under its guard and
-    /// stamp.
+    /// runs on the arbiter's hub, which has named the component to the heartbeat, under its guard
+    /// and activity record.
     #[inline]
     pub(crate) fn serve_at_once(&mut self, envelope: &mut impl Envelope<C>) {
         let Some(waker) = self.waker.take() else { return };

@@ -191,7 +191,7 @@ struct Mirror(crate::registry::Registry);
 struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
 
 impl StubFactory for Mirror {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
     }
 }
@@ -244,7 +244,7 @@ struct Narrow {
 }
 
 impl StubFactory for Narrow {
-    fn door(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(self.clone())
     }
 }

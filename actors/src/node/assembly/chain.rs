@@ -212,7 +212,7 @@ pub(super) fn make_chain(
         nodes: monitor.clone().recipient(),
     };
     let controller =
-        guardian.start(named("keeper"), on_arbiter, move |_: &mut Context<NodeController>| {
+        guardian.start(named("controller"), on_arbiter, move |_: &mut Context<NodeController>| {
             NodeController::new(setup)
         });
 
@@ -255,7 +255,7 @@ pub(super) fn make_chain(
         (named("chain/detector"), detector.clone().recipient()),
         (named("chain/monitor"), monitor.clone().recipient()),
         (named("chain/recoverer"), recoverer.clone().recipient()),
-        (named("keeper"), controller.clone().recipient()),
+        (named("controller"), controller.clone().recipient()),
     ];
     let (stands, seen) = watch::channel(false);
     let chain = FaultChain {

@@ -109,7 +109,7 @@ enum Silence {
     Void,
 }
 
-/// The judge. Shown pulses often and stamps less often, each time between
+/// The judge. Shown heartbeats often and activity records less often, each time between
 /// [`handle_look`](HangDetector::handle_look) and draining the outputs.
 #[derive(Debug)]
 pub struct HangDetector {

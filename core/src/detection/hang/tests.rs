@@ -43,7 +43,7 @@ struct World {
     now: u64,
     heartbeat: ArbiterSample,
     samples: Samples,
-    /// Stamps are looked at with every so many pulses.
+    /// Activity records are looked at with every so many heartbeats.
     every: u64,
     /// What the arbiter's thread has had of the processors, where the system tells it.
     processor: Option<ProcessorTime>,
@@ -119,7 +119,7 @@ impl World {
     fn look(&mut self) -> Vec<LivenessEvent> {
         let now = at(self.now);
         self.scanner.handle_look(now);
-        // As the watch does: the culprit's stamp is read with the pulse.
+        // As the watch does: the culprit's activity record is read with the heartbeat.
         let read = |slot: SlotId| self.samples.stamps.get(slot as usize).copied();
         let activity = self.heartbeat.running.filter(|slot| self.scanner.judged(*slot).is_some());
         let heartbeat = ArbiterSample { activity: activity.and_then(read), ..self.heartbeat };

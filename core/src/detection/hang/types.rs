@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// The number of an arbiter.
 pub type ArbiterId = u64;
-/// The number of a component's place in the table of stamps.
+/// The number of a component's place in the table of activity records.
 pub type SlotId = u32;
 
 /// When the scanner believes what it sees.
@@ -96,7 +96,7 @@ pub struct ArbiterSample {
     /// The component that is on the thread.
     pub running: Option<SlotId>,
     /// What that component says, read at the same time; `None` where it is no longer judged. An
-    /// allowance that its handler has just announced counts from the next pulse on.
+    /// allowance that its handler has just announced counts from the next heartbeat on.
     pub activity: Option<ComponentSample>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,

@@ -3,7 +3,7 @@
 use crate::Instant;
 use std::time::Duration;
 
-/// Tells a message's age from the sender's stamp, without comparing clocks.
+/// Tells a message's age from the sender's timestamp, without comparing clocks.
 ///
 /// `arrival - timestamp` is the age plus an unknown constant. The least that was seen lately
 /// belongs to a message that came as fast as the network allows; what another took more than that,

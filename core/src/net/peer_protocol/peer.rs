@@ -23,9 +23,9 @@ pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
     /// With which incarnation of the peer.
     pub(super) incarnation: Incarnation,
-    /// Our stamps count from here.
+    /// Our timestamps count from here.
     pub(super) began: Instant,
-    /// Known from the peer's first stamp on.
+    /// Known from the peer's first timestamp on.
     pub(super) ages: Option<AgeEstimator>,
     pub(super) bindings: BTreeMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,

@@ -127,8 +127,8 @@ pub(super) struct SupervisedChild {
 }
 
 impl SupervisedChild {
-    pub(super) fn new(name: ObjectName, rules: ChildRules, keeper: &SupervisorRules) -> Self {
-        let counted = keeper.intensity.saturating_add(1);
+    pub(super) fn new(name: ObjectName, rules: ChildRules, supervisor: &SupervisorRules) -> Self {
+        let counted = supervisor.intensity.saturating_add(1);
         SupervisedChild {
             name,
             rules,
@@ -140,7 +140,7 @@ impl SupervisedChild {
             restarts: 0,
             isolated: false,
             ordered: false,
-            on_the_spot: RestartWindow::new(counted, keeper.period),
+            on_the_spot: RestartWindow::new(counted, supervisor.period),
         }
     }
 

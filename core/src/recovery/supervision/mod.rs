@@ -243,24 +243,24 @@ impl Supervisor {
         }
     }
 
-    /// A restart is wanted: by the recoverer for a fault of the incarnation `struck`, or, without
+    /// A restart is wanted: by the recoverer for a fault of the incarnation `faulty`, or, without
     /// one, by a person, whose wish no budget counts.
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
         call: CallId,
         cause: ReplacementCause,
-        struck: Option<Incarnation>,
+        faulty: Option<Incarnation>,
         now: Instant,
     ) {
         let Some(key) = self.admit(name, call, Wish::Work) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next incarnation, if there is one.
-            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if struck.is_some() => {
+            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
                 let child = self.kept(key);
                 child.failed = None;
-                let present = child.is_alive() && struck >= Some(child.incarnation);
+                let present = child.is_alive() && faulty >= Some(child.incarnation);
                 if present && matches!(cause, ReplacementCause::Stuck | ReplacementCause::Behind) {
                     self.end_now(key, cause);
                     self.after_end(key, now);
@@ -273,7 +273,7 @@ impl Supervisor {
             }
         }
         let child = self.kept(key);
-        match struck {
+        match faulty {
             None => {
                 if child.goal != ChildTarget::Leave {
                     child.goal = ChildTarget::Run;
@@ -310,12 +310,12 @@ impl Supervisor {
         self.outputs.push_back(SupervisorOutput::Reset { child: name });
     }
 
-    /// The child is to be cut off, or let in again. For a fault of the incarnation `struck`, one
+    /// The child is to be cut off, or let in again. For a fault of the incarnation `faulty`, one
     /// that has followed it is left alone.
     pub fn handle_isolate(
         &mut self,
         name: &ObjectName,
-        struck: Option<Incarnation>,
+        faulty: Option<Incarnation>,
         isolated: bool,
         call: CallId,
         now: Instant,
@@ -324,7 +324,7 @@ impl Supervisor {
             return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
         let present = self.kept(key).incarnation;
-        if struck.is_some_and(|struck| struck < present) {
+        if faulty.is_some_and(|faulty| faulty < present) {
             let (child, incarnation) = (name.clone(), Some(present));
             return self.outputs.push_back(SupervisorOutput::Recovered {
                 call,

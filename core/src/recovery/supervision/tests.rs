@@ -131,8 +131,8 @@ impl Rig {
 
     fn restart(&mut self, child: &str, cause: ReplacementCause, incarnation: u64) -> Vec<String> {
         let call = self.call();
-        let struck = Some(Incarnation(incarnation));
-        self.machine.handle_restart(&name(child), call, cause, struck, self.now);
+        let faulty = Some(Incarnation(incarnation));
+        self.machine.handle_restart(&name(child), call, cause, faulty, self.now);
         self.outputs()
     }
 
@@ -172,8 +172,8 @@ impl Rig {
     }
 
     fn isolate_struck(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        let (call, struck) = (self.call(), Some(Incarnation(incarnation)));
-        self.machine.handle_isolate(&name(child), struck, true, call, self.now);
+        let (call, faulty) = (self.call(), Some(Incarnation(incarnation)));
+        self.machine.handle_isolate(&name(child), faulty, true, call, self.now);
         self.outputs()
     }
 

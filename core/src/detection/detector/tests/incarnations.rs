@@ -1,4 +1,4 @@
-//! Faults of incarnations that end, begin, and were mended.
+//! Faults of incarnations that end, begin, and were restored.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! The stamp: one thread writes, and what others read of it belongs together.
+//! The activity record: one thread writes, and what others read of it belongs together.
 
 use crate::Model;
 use crate::liveness::activity::ActivityRecord;
