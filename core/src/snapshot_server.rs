@@ -169,12 +169,12 @@ mod tests {
     /// How long a snapshot takes here.
     const TAKING: u64 = 50;
 
-    /// A room with a door, at which any number waits.
+    /// A server with a listen backlog without a limit.
     #[derive(Default)]
     struct Bench {
         server: SnapshotServer,
         now: u64,
-        /// Who waits at the door, and whether he will read.
+        /// The clients in the listen backlog, and whether each will read.
         backlog: VecDeque<bool>,
         readers: BTreeSet<ClientId>,
         taking: Vec<(u64, SnapshotId)>,
@@ -260,7 +260,7 @@ mod tests {
         let mut bench = Bench::default();
         for wave in 0..20 {
             for _ in 0..50 {
-                // As many as the system lets wait at a door.
+                // As many as the system keeps in a listen backlog.
                 let missing = 128usize.saturating_sub(bench.backlog.len());
                 bench.backlog.extend(vec![false; missing]);
                 bench.step();

@@ -76,7 +76,7 @@ impl FaultInjector {
 
     fn announce(&mut self) {
         if self.cut_is_reported {
-            self.outlet.announce_closed("the cable is cut, on purpose: mend it".into());
+            self.outlet.announce_closed("the cable is cut, on purpose: restore it".into());
         } else if let Some(state) = self.state.clone() {
             self.outlet.announce(state);
         }

@@ -27,7 +27,7 @@ use std::time::Duration;
 use std::{io, thread};
 
 /// How often heartbeats are looked at: as often as they beat.
-const PULSES: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
+const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
 /// Every so many looks activity records are looked at too. There are many of them: at every look it
 /// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
@@ -294,7 +294,7 @@ pub(crate) fn start_thread(
     let stop = ended.clone();
     let thread = platform::start_thread("watch", move || {
         while !stop.load(Relaxed) {
-            thread::sleep(PULSES);
+            thread::sleep(HEARTBEATS);
             sampler.look(platform::now());
         }
     })?;
@@ -314,7 +314,7 @@ pub(crate) fn start_task(
     let stop = ended.clone();
     actix_rt::spawn(async move {
         while !stop.load(Relaxed) {
-            tokio::time::sleep(PULSES).await;
+            tokio::time::sleep(HEARTBEATS).await;
             sampler.look(platform::now());
         }
     });
@@ -326,9 +326,9 @@ struct Sampler {
     list: SampledComponents,
     scanner: HangDetector,
     looks: u64,
-    stamps: Stamps,
+    activities: SampledActivities,
     /// Each with how many components live on it.
-    pulses: BTreeMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
+    heartbeats: BTreeMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
     arbiters: ArbiterPool,
     monitor: Recipient<LivenessReported>,
     /// It goes by the system's clock, as the processors do.
@@ -337,7 +337,7 @@ struct Sampler {
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
 #[derive(Default)]
-struct Stamps(Vec<Option<Known>>);
+struct SampledActivities(Vec<Option<Known>>);
 
 /// A component, and its record beside it: most looks are at records alone.
 struct Known {
@@ -345,7 +345,7 @@ struct Known {
     component: Arc<SampledComponent>,
 }
 
-impl Stamps {
+impl SampledActivities {
     fn get(&self, slot: u32) -> Option<&Arc<SampledComponent>> {
         self.0.get(slot as usize)?.as_ref().map(|known| &known.component)
     }
@@ -363,7 +363,7 @@ impl Stamps {
     }
 }
 
-impl Looked for Stamps {
+impl Looked for SampledActivities {
     fn activity(&self, slot: SlotId) -> ComponentSample {
         read(self.get(slot))
     }
@@ -391,8 +391,8 @@ impl Sampler {
             list,
             scanner: HangDetector::new(config),
             looks: 0,
-            stamps: Stamps::default(),
-            pulses: BTreeMap::new(),
+            activities: SampledActivities::default(),
+            heartbeats: BTreeMap::new(),
             arbiters,
             monitor,
             is_real,
@@ -402,9 +402,9 @@ impl Sampler {
     fn look(&mut self, now: Instant) {
         self.learn();
         self.scanner.handle_look(now);
-        for (id, (heartbeat, _)) in &self.pulses {
+        for (id, (heartbeat, _)) in &self.heartbeats {
             let running = heartbeat.running();
-            let known = running.and_then(|slot| self.stamps.get(slot));
+            let known = running.and_then(|slot| self.activities.get(slot));
             let beat = heartbeat.beats();
             let stands = self.scanner.stands(*id, beat);
             if heartbeat.owes_exits()
@@ -425,12 +425,12 @@ impl Sampler {
             self.scanner.handle_heartbeat(*id, reading);
         }
         if self.looks.is_multiple_of(STAMPS) {
-            let times = self.pulses.iter().filter_map(|(id, (heartbeat, _))| {
+            let times = self.heartbeats.iter().filter_map(|(id, (heartbeat, _))| {
                 let time = heartbeat.thread().filter(|_| self.is_real)?.processor_time()?;
                 Some((*id, time))
             });
             times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
-            self.scanner.handle_stamps(&self.stamps);
+            self.scanner.handle_activities(&self.activities);
             let missed = self.scanner.missed_rounds().collect();
             *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
@@ -458,28 +458,28 @@ impl Sampler {
         }
         for slot in changed {
             let entry = self.list.lock().get(&slot).cloned();
-            let known = self.stamps.get(slot);
+            let known = self.activities.get(slot);
             if let (Some(entry), Some(known)) = (&entry, known)
                 && entry.object == known.object
                 && entry.heartbeat.id() == known.heartbeat.id()
             {
-                self.stamps.enter(slot, entry.clone());
+                self.activities.enter(slot, entry.clone());
                 continue;
             }
-            if let Some(known) = self.stamps.leave(slot) {
+            if let Some(known) = self.activities.leave(slot) {
                 self.scanner.handle_leave(slot);
-                if let Some((_, population)) = self.pulses.get_mut(&known.heartbeat.id()) {
+                if let Some((_, population)) = self.heartbeats.get_mut(&known.heartbeat.id()) {
                     *population = population.saturating_sub(1);
                 }
             }
             let Some(entry) = entry else { continue };
             self.scanner.handle_enter(slot, entry.judged());
             let heartbeat = || (entry.heartbeat.clone(), 0);
-            self.pulses.entry(entry.heartbeat.id()).or_insert_with(heartbeat).1 += 1;
-            self.stamps.enter(slot, entry);
+            self.heartbeats.entry(entry.heartbeat.id()).or_insert_with(heartbeat).1 += 1;
+            self.activities.enter(slot, entry);
         }
         let scanner = &mut self.scanner;
-        self.pulses.retain(|id, (heartbeat, population)| {
+        self.heartbeats.retain(|id, (heartbeat, population)| {
             // A fenced arbiter is followed until it comes back or is lost, also without components.
             let awaited = heartbeat.is_fenced() && !heartbeat.is_lost();
             let kept = awaited || *population > 0;
@@ -492,7 +492,7 @@ impl Sampler {
 
     fn translate(&self, event: LivenessEvent) -> Option<LivenessReported> {
         let during_of = |slot| {
-            let known = self.stamps.get(slot);
+            let known = self.activities.get(slot);
             let unwinds = |known: &Arc<SampledComponent>| {
                 known.heartbeat.running() == Some(slot) && known.heartbeat.unwinding().is_some()
             };
@@ -504,7 +504,7 @@ impl Sampler {
         Some(match event {
             LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
                 object,
-                incarnation: read(self.stamps.get(slot)).incarnation,
+                incarnation: read(self.activities.get(slot)).incarnation,
                 during: during_of(slot),
                 age,
                 victims: victims.into(),
@@ -542,7 +542,7 @@ impl Sampler {
             }
             LivenessEvent::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then its components stay.
-                if !self.arbiters.mark_lost(&self.pulses.get(&arbiter)?.0) {
+                if !self.arbiters.mark_lost(&self.heartbeats.get(&arbiter)?.0) {
                     return None;
                 }
                 LivenessReported::Lost { culprit, victims: victims.into() }

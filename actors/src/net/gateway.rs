@@ -399,7 +399,7 @@ impl GatewayActor {
     fn forget(&mut self, peer: NodeId, why: &DeliveryError) {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
-            peer.send_state.forget_rooms();
+            peer.send_state.forget_backlog();
         }
         let all = (peer, 0)..=(peer, u32::MAX);
         let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();
@@ -487,7 +487,7 @@ impl Supervised for GatewayActor {
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
-        self.peers.values().for_each(|peer| peer.send_state.forget_rooms());
+        self.peers.values().for_each(|peer| peer.send_state.forget_backlog());
         self.skeletons.clear();
         self.notices.clear();
         self.credit = None;

@@ -194,7 +194,7 @@ impl PeerSendState {
     }
 
     /// What was said of objects there does not count any more.
-    pub(super) fn forget_rooms(&self) {
+    pub(super) fn forget_backlog(&self) {
         self.lock_full().clear();
         self.any_full.store(false, Relaxed);
         self.changed.notify_waiters();

@@ -23,20 +23,20 @@ pub trait CreditPool: Send + Sync {
 ///
 /// actix mailboxes have no bound. A sender holds itself to the credit that it has taken.
 pub struct Credit {
-    lender: Arc<dyn CreditPool>,
+    pool: Arc<dyn CreditPool>,
     bytes: usize,
 }
 
 impl Credit {
     /// Room for so many bytes, that has been taken.
-    pub fn new(lender: Arc<dyn CreditPool>, bytes: usize) -> Self {
-        Credit { lender, bytes }
+    pub fn new(pool: Arc<dyn CreditPool>, bytes: usize) -> Self {
+        Credit { pool, bytes }
     }
 }
 
 impl Drop for Credit {
     fn drop(&mut self) {
-        self.lender.give_back(self.bytes);
+        self.pool.give_back(self.bytes);
     }
 }
 

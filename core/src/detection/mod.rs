@@ -1,10 +1,10 @@
-//! The observing half of the fault chain: who lives, what is wrong, who is told.
+//! The observing half of the fault chain: liveness, faults, and their report to recoverers.
 //!
 //! ```text
-//! activity records ───► Scanner ──┐
-//! answers ──► Inquiry ──┤
-//! exits, states, links ─┴─ Monitor ══► Detector ══► Notifier ══► recoverers
-//!                           sees        judges       tells
+//! activity records ─► HangDetector ─┐
+//! ping replies ────► PingMonitor ───┤
+//! exits, states, links ─────────────┴─ Monitor ══► Detector ══► Notifier ══► recoverers
+//!                                      observes    decides      reports
 //! ```
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
 //! middleware's own objects have none, and are asked.

@@ -46,7 +46,7 @@ impl UndeliveredEvents {
         }
     }
 
-    /// Brings to the office what was counted.
+    /// Records the counted losses in the dead-letter log.
     fn collect(&self) {
         for (reason, count) in REASONS.into_iter().zip(&self.counts) {
             match count.swap(0, Relaxed) {
@@ -90,7 +90,7 @@ impl GatewayActor {
         })
     }
 
-    /// Brings to the office what was counted since the last look.
+    /// Records in the dead-letter log the losses counted since the last call.
     pub(super) fn collect_losses(&self) {
         self.forwards.values().for_each(|forwarded| forwarded.losses.collect());
         self.past.values().for_each(|past| past.losses.collect());

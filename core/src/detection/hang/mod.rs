@@ -372,7 +372,7 @@ impl HangDetector {
     }
 
     /// Looks at all components. One that rests costs the comparison of its mark.
-    pub fn handle_stamps(&mut self, looked: &impl Looked) {
+    pub fn handle_activities(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
         self.judge_processors();
         let HangDetector { config, arbiters, components, awake, outputs, .. } = self;

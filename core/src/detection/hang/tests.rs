@@ -50,13 +50,13 @@ struct World {
 }
 
 struct Samples {
-    stamps: [ComponentSample; 3],
+    activities: [ComponentSample; 3],
     queues: [QueueReading; 3],
 }
 
 impl Looked for Samples {
     fn activity(&self, slot: SlotId) -> ComponentSample {
-        self.stamps[slot as usize]
+        self.activities[slot as usize]
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -88,7 +88,7 @@ impl World {
             scanner,
             now: 0,
             heartbeat,
-            samples: Samples { stamps: [activity; 3], queues },
+            samples: Samples { activities: [activity; 3], queues },
             every: 1,
             processor: None,
         }
@@ -120,7 +120,7 @@ impl World {
         let now = at(self.now);
         self.scanner.handle_look(now);
         // As the watch does: the culprit's activity record is read with the heartbeat.
-        let read = |slot: SlotId| self.samples.stamps.get(slot as usize).copied();
+        let read = |slot: SlotId| self.samples.activities.get(slot as usize).copied();
         let activity = self.heartbeat.running.filter(|slot| self.scanner.judged(*slot).is_some());
         let heartbeat = ArbiterSample { activity: activity.and_then(read), ..self.heartbeat };
         self.scanner.handle_heartbeat(HOME, heartbeat);
@@ -128,7 +128,7 @@ impl World {
             if let Some(time) = self.processor {
                 self.scanner.handle_processor_time(HOME, time);
             }
-            self.scanner.handle_stamps(&self.samples);
+            self.scanner.handle_activities(&self.samples);
         }
         std::iter::from_fn(|| self.scanner.poll_output()).collect()
     }
@@ -146,7 +146,7 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
     let mut world = World::new();
     world.pass(100, true);
     world.heartbeat.running = Some(0);
-    world.samples.stamps[0].turn = 1;
+    world.samples.activities[0].turn = 1;
 
     let seen = world.pass(2000, false);
 
@@ -171,7 +171,7 @@ fn many_turns_in_one_poll_are_no_hang() {
     let mut world = World::new();
     world.heartbeat.running = Some(0);
     for turns in 1..20 {
-        world.samples.stamps[0].turn = 2 * turns;
+        world.samples.activities[0].turn = 2 * turns;
         assert_eq!(world.pass(400, false), []);
     }
 }
@@ -179,8 +179,8 @@ fn many_turns_in_one_poll_are_no_hang() {
 #[test]
 fn a_declared_long_operation_is_no_hang_before_its_time() {
     let mut world = World::new();
-    world.samples.stamps[0].allowance = ms(2000);
-    world.samples.stamps[0].turn = 1;
+    world.samples.activities[0].allowance = ms(2000);
+    world.samples.activities[0].turn = 1;
     world.pass(20, true);
     world.heartbeat.running = Some(0);
 
@@ -190,14 +190,14 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 }
 
 #[test]
-fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short_limit() {
+fn an_operation_declared_after_sampling_is_no_hang_with_a_short_limit() {
     let mut world = World::new();
     world.every = 10;
     let quick = judged_by("culprit", HangLimits { max_block: ms(20), ..limits() });
     world.scanner.handle_enter(0, quick);
     world.pass(110, true);
 
-    (world.samples.stamps[0].turn, world.samples.stamps[0].allowance) = (1, ms(2000));
+    (world.samples.activities[0].turn, world.samples.activities[0].allowance) = (1, ms(2000));
     world.heartbeat.running = Some(0);
 
     assert_eq!(world.pass(1990, false), []);
@@ -207,11 +207,11 @@ fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short
 #[test]
 fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
     let mut world = World::new();
-    (world.samples.stamps[0].turn, world.samples.stamps[0].allowance) = (1, ms(2000));
+    (world.samples.activities[0].turn, world.samples.activities[0].allowance) = (1, ms(2000));
     world.heartbeat.running = Some(0);
     assert_eq!(world.pass(1500, false), []);
 
-    world.samples.stamps[0].allowance = Duration::ZERO;
+    world.samples.activities[0].allowance = Duration::ZERO;
 
     assert_eq!(world.pass(490, false), []);
     assert!(matches!(world.pass(30, false)[..], [LivenessEvent::Hangs { .. }]));
@@ -234,7 +234,7 @@ fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
 #[test]
 fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() {
     let mut world = World::new();
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
     world.heartbeat.running = Some(0);
     let seen = world.pass(1000, false);
@@ -250,7 +250,7 @@ fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() 
     let objects = vec![name("victim"), name("culprit")];
     assert_eq!(seen, [LivenessEvent::Resumed { objects }]);
     assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
-    world.samples.stamps[2].alive += 1;
+    world.samples.activities[2].alive += 1;
     let spoke = LivenessEvent::Spoke { object: object.clone(), incarnation };
     assert_eq!(world.pass(100, true), [spoke], "once");
 }
@@ -291,7 +291,7 @@ fn a_fence_that_is_lifted_in_time_loses_nothing() {
 fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let mut world = World::new();
     world.look();
-    world.samples.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
 
     let seen = world.pass(3000, true);
 
@@ -300,7 +300,7 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
-    world.samples.stamps[2].turn = 3;
+    world.samples.activities[2].turn = 3;
     let seen = world.pass(3000, true);
     assert!(matches!(seen[..], [LivenessEvent::Resumed { .. }, LivenessEvent::Waits { .. }]));
 }
@@ -309,32 +309,32 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
 fn a_handler_that_ends_after_it_was_found_waiting_is_told_to_have_resumed_once() {
     let mut world = World::new();
     world.look();
-    world.samples.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(1500, true);
 
-    world.samples.stamps[2].turn = 2;
+    world.samples.activities[2].turn = 2;
 
     assert_eq!(world.pass(100, true), [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
-    world.samples.stamps[2].turn = 4;
+    world.samples.activities[2].turn = 4;
     assert_eq!(world.pass(3000, true), []);
 }
 
 #[test]
 fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence() {
     let mut world = World::new();
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
     let last = |world: &World| world.scanner.last_signs().collect::<Vec<_>>();
     assert_eq!(last(&world), [(2, None)], "it gave none so far, and the other need give none");
 
-    world.samples.stamps[2].alive = 1;
+    world.samples.activities[2].alive = 1;
     world.pass(10, true);
     world.pass(100, true);
     assert_eq!(last(&world), [(2, Some(at(10)))]);
     world.heartbeat.running = Some(0);
     world.pass(5000, false);
     assert_eq!(last(&world), [(2, Some(at(10)))], "a victim gives none");
-    world.samples.stamps[2].incarnation = Incarnation(2);
+    world.samples.activities[2].incarnation = Incarnation(2);
     world.look();
     assert_eq!(last(&world), [(2, None)]);
 }
@@ -342,10 +342,10 @@ fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence
 #[test]
 fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let mut world = World::new();
-    world.samples.stamps[0].speaks = true;
+    world.samples.activities[0].speaks = true;
     world.look();
     for _ in 0..5 {
-        world.samples.stamps[0].alive += 1;
+        world.samples.activities[0].alive += 1;
         assert_eq!(world.pass(290, true), []);
     }
 
@@ -355,7 +355,7 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let silent = LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
     assert_eq!(seen, [silent]);
 
-    world.samples.stamps[0].alive += 1;
+    world.samples.activities[0].alive += 1;
     assert_eq!(world.pass(100, true), [LivenessEvent::Spoke { object, incarnation }]);
 }
 
@@ -363,9 +363,9 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
 fn silence_counts_only_where_signs_are_expected() {
     let mut world = World::new();
     assert_eq!(world.pass(1000, true), []);
-    world.samples.stamps[0].speaks = true;
+    world.samples.activities[0].speaks = true;
     assert_eq!(world.pass(590, true), []);
-    world.samples.stamps[0].allowance = ms(1000);
+    world.samples.activities[0].allowance = ms(1000);
     assert_eq!(world.pass(400, true), [], "a long operation was declared");
     let quiet = judged_by("quiet", HangLimits { max_silence: None, ..limits() });
     world.scanner.handle_enter(0, quiet);
@@ -375,11 +375,11 @@ fn silence_counts_only_where_signs_are_expected() {
 #[test]
 fn a_new_incarnation_begins_with_a_clean_record() {
     let mut world = World::new();
-    (world.samples.stamps[0].speaks, world.samples.stamps[0].turn) = (true, 1);
+    (world.samples.activities[0].speaks, world.samples.activities[0].turn) = (true, 1);
     world.look();
     assert_eq!(world.pass(1000, true).len(), 2, "silent and waiting");
 
-    world.samples.stamps[0].incarnation = Incarnation(2);
+    world.samples.activities[0].incarnation = Incarnation(2);
     assert_eq!(world.pass(590, true), [], "its first sign may take longer");
     assert_eq!(world.pass(100, true).len(), 1, "silent again");
 }
@@ -387,8 +387,8 @@ fn a_new_incarnation_begins_with_a_clean_record() {
 #[test]
 fn what_the_scanner_missed_condemns_nobody() {
     let mut world = World::new();
-    world.samples.stamps[0].speaks = true;
-    world.samples.stamps[2].turn = 1;
+    world.samples.activities[0].speaks = true;
+    world.samples.activities[2].turn = 1;
     world.heartbeat.running = Some(0);
     world.heartbeat.fenced = true;
     world.look();
@@ -404,7 +404,7 @@ fn what_the_scanner_missed_condemns_nobody() {
 fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
     let mut world = World::new();
     world.heartbeat.running = Some(0);
-    world.samples.stamps[0].turn = 1;
+    world.samples.activities[0].turn = 1;
     world.look();
 
     let mut seen = Vec::new();
@@ -423,7 +423,7 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
 fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
     let mut world = World::new();
     world.heartbeat.running = Some(0);
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
 
     assert_eq!(world.starve(1500, 2), [], "neither is its victim silent: it had 300 ms");
@@ -513,12 +513,12 @@ fn a_component_that_rests_is_only_compared_with_its_mark() {
         world.now += 100;
         world.scanner.handle_look(at(world.now));
         let looked = Counted { samples: &world.samples, looks: Default::default() };
-        world.scanner.handle_stamps(&looked);
+        world.scanner.handle_activities(&looked);
         looked.looks.get()
     };
     assert_eq!(close(&mut world), 0);
 
-    world.samples.stamps[2].turn += 2;
+    world.samples.activities[2].turn += 2;
     assert!(close(&mut world) > 0, "it has served something");
     assert!(close(&mut world) > 0, "it may do so again");
     assert_eq!(close(&mut world), 0, "it rests again");
@@ -529,7 +529,7 @@ fn a_component_that_has_rested_is_judged_from_when_it_took_something_up() {
     let mut world = at_rest();
     world.pass(5000, true);
 
-    world.samples.stamps[2].turn += 1;
+    world.samples.activities[2].turn += 1;
 
     assert_eq!(world.pass(1000, true), []);
     assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { slot: 2, .. }]));
@@ -544,7 +544,7 @@ fn messages_that_expire_while_a_component_has_nothing_in_service_are_counted() {
     let mut world = at_rest();
     let mut seen = Vec::new();
     for _ in 0..30 {
-        world.samples.stamps[2].expired += 1;
+        world.samples.activities[2].expired += 1;
         seen.extend(world.pass(100, true));
     }
     assert!(matches!(seen[..], [LivenessEvent::Overloaded { .. }, ..]), "{seen:?}");

@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_stamps_are_no_more_than_wrong() {
+    fn absurd_timestamps_are_no_more_than_wrong() {
         let mut ages = AgeEstimator::new(u64::MAX, at(0));
         ages.handle(0, Instant::from_nanos(u64::MAX));
         ages.handle(u64::MAX, at(0));

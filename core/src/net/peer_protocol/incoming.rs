@@ -225,8 +225,8 @@ impl PeerProtocol {
             self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        let rooms = session.let_out(peer, &waiting);
-        self.outputs.extend(rooms);
+        let backlogs = session.let_out(peer, &waiting);
+        self.outputs.extend(backlogs);
         for QueuedMessage { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));

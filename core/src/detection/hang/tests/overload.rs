@@ -21,10 +21,10 @@ impl Road {
     fn new(kept: u64, rounds: u64) -> Self {
         let mut world = World::new();
         world.every = 10;
-        world.samples.stamps[2].interval = ms(20);
-        world.samples.stamps[2].speaks = true;
+        world.samples.activities[2].interval = ms(20);
+        world.samples.activities[2].speaks = true;
         // The planner is not expected to give signs of life.
-        world.samples.stamps[0].speaks = true;
+        world.samples.activities[0].speaks = true;
         world
             .scanner
             .handle_enter(0, judged_by("culprit", HangLimits { max_silence: None, ..limits() }));
@@ -38,12 +38,12 @@ impl Road {
             let runs = look % 10 < self.kept;
             self.world.heartbeat.running = runs.then_some(0);
             // Each handler ends within 30 ms, so that no beat stands for long.
-            self.world.samples.stamps[0].turn += if runs { 2 } else { 0 };
-            self.world.samples.stamps[0].alive += u64::from(runs && self.planner_speaks);
+            self.world.samples.activities[0].turn += if runs { 2 } else { 0 };
+            self.world.samples.activities[0].alive += u64::from(runs && self.planner_speaks);
             if self.rounds > 0 && look.is_multiple_of(self.rounds) {
-                self.world.samples.stamps[2].turn += 2;
-                self.world.samples.stamps[2].rounds += 1;
-                self.world.samples.stamps[2].alive += 1;
+                self.world.samples.activities[2].turn += 2;
+                self.world.samples.activities[2].rounds += 1;
+                self.world.samples.activities[2].alive += 1;
             }
             if let Some((used, waited)) = self.processor {
                 let time = self.world.processor.get_or_insert_default();
@@ -192,7 +192,7 @@ fn timers_that_miss_their_ticks_are_an_overload_and_counted_as_rounds() {
     let mut world = World::new();
     let mut seen = Vec::new();
     for _ in 0..50 {
-        let activity = &mut world.samples.stamps[0];
+        let activity = &mut world.samples.activities[0];
         (activity.ticks, activity.missed_ticks) = (activity.ticks + 70, activity.missed_ticks + 30);
         activity.turn += 2;
         seen.extend(world.pass(100, true).into_iter().map(|seen| (0, seen)));
@@ -202,9 +202,9 @@ fn timers_that_miss_their_ticks_are_an_overload_and_counted_as_rounds() {
     assert!(matches!(missed[..], [(0, 1200..=1500)]), "{missed:?}");
 
     let mut world = World::new();
-    world.samples.stamps[0].ticks = u32::MAX - 100;
+    world.samples.activities[0].ticks = u32::MAX - 100;
     for _ in 0..50 {
-        let activity = &mut world.samples.stamps[0];
+        let activity = &mut world.samples.activities[0];
         activity.ticks = activity.ticks.wrapping_add(80);
         activity.missed_ticks += 20;
         activity.turn += 2;
@@ -273,14 +273,14 @@ fn a_victim_that_says_nothing_after_the_overload_is_silent_of_itself() {
 #[test]
 fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
     let mut world = World::new();
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
-    world.samples.stamps[2].alive += 1;
+    world.samples.activities[2].alive += 1;
     world.pass(100, true);
     let patient = judged_by("culprit", HangLimits { max_block: ms(10_000), ..limits() });
     world.scanner.handle_enter(0, patient);
     world.heartbeat.running = Some(0);
-    world.samples.stamps[0].turn = 1;
+    world.samples.activities[0].turn = 1;
     world.look();
 
     let seen: Vec<_> = world.pass(1000, false).into_iter().map(|seen| (0, seen)).collect();
@@ -291,12 +291,12 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
 #[test]
 fn messages_that_wait_for_a_component_that_is_not_at_work_are_no_overload() {
     let mut road = Road::new(3, 2);
-    road.world.samples.stamps[0].speaks = false;
+    road.world.samples.activities[0].speaks = false;
     road.world.samples.queues[0] = QueueReading { queued: 1, oldest: ms(1500) };
 
     assert_eq!(names(&road.pass(5000)), [""; 0]);
 
-    road.world.samples.stamps[0].speaks = true;
+    road.world.samples.activities[0].speaks = true;
     assert_eq!(names(&road.pass(5000)), ["culprit overloads []"]);
 }
 
@@ -327,9 +327,9 @@ fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not
     let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked);
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
-    world.samples.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(1100, true);
     world.samples.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
 
@@ -347,9 +347,9 @@ fn a_stuck_component_misses_its_rounds_by_that_and_is_not_overloaded_as_well() {
     let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked);
-    (world.samples.stamps[2].speaks, world.samples.stamps[2].interval) = (true, ms(20));
+    (world.samples.activities[2].speaks, world.samples.activities[2].interval) = (true, ms(20));
     world.look();
-    world.samples.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(500, true);
     world.samples.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
 
@@ -377,7 +377,7 @@ fn messages_that_nobody_waits_for_any_more_are_an_overload() {
     let mut world = World::new();
     let mut seen = Vec::new();
     for _ in 0..50 {
-        world.samples.stamps[0].expired += 1;
+        world.samples.activities[0].expired += 1;
         seen.extend(world.pass(100, true).into_iter().map(|seen| (0, seen)));
     }
     assert_eq!(names(&seen), ["culprit overloads []"]);
@@ -412,7 +412,7 @@ fn looks_that_come_late(world: &mut World, rounds: u64) -> Vec<LivenessEvent> {
     for _ in 0..200 {
         world.now += 60;
         world.heartbeat.beat += 1;
-        let activity = &mut world.samples.stamps[2];
+        let activity = &mut world.samples.activities[2];
         (activity.rounds, activity.turn) = (activity.rounds + rounds, activity.turn + 2 * rounds);
         activity.alive += 1;
         activity.expired += 1;
@@ -423,8 +423,8 @@ fn looks_that_come_late(world: &mut World, rounds: u64) -> Vec<LivenessEvent> {
 
 fn fast_component() -> World {
     let mut world = World::new();
-    world.samples.stamps[2].interval = ms(20);
-    world.samples.stamps[2].speaks = true;
+    world.samples.activities[2].interval = ms(20);
+    world.samples.activities[2].speaks = true;
     world
 }
 
@@ -444,7 +444,7 @@ fn rounds_that_were_run_between_late_looks_are_no_credit() {
     let mut seen = Vec::new();
     for look in 0..400 {
         let runs = u64::from(look % 8 == 0);
-        let activity = &mut world.samples.stamps[2];
+        let activity = &mut world.samples.activities[2];
         (activity.rounds, activity.turn, activity.alive) =
             (activity.rounds + runs, activity.turn + 2 * runs, activity.alive + runs);
         seen.extend(world.pass(10, true).into_iter().map(|seen| (0, seen)));
