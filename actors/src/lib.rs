@@ -3,7 +3,7 @@
 //! A robot is made of [components](Component), which send each other [messages](Contract) and live
 //! on [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema
 //! finds the fault, names it, and recovers from it in bounded time, or brings the robot to the safe
-//! state. The application says what its parts are and what depends on what.
+//! state. The application declares its components and their dependencies.
 //!
 //! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the
 //! scanner's next incarnation:

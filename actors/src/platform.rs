@@ -1,4 +1,4 @@
-//! What the operating system gives: the one place that reads a clock, starts threads and knows
+//! Access to the operating system: the only file that reads a clock, starts threads and knows
 //! processes.
 
 pub(crate) mod errors;

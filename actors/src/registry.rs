@@ -131,7 +131,7 @@ pub(crate) trait RemoteStub: Send + Sync {
 /// One contract that one object takes.
 pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
-    /// Its type, for people.
+    /// Its type, for display.
     named: &'static str,
     /// A `Sender<M>`.
     sender: Box<dyn Any + Send + Sync>,

@@ -1,4 +1,5 @@
-//! What an arbiter says about itself: it turns, whom it is running, whether it has been given up.
+//! The state that an arbiter publishes: its heartbeat, the running component, and whether it is
+//! lost.
 //!
 //! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.

@@ -1,4 +1,4 @@
-//! Ends of a component's incarnations that were not told yet.
+//! Ends of a component's incarnations that were not reported yet.
 //!
 //! They stand with the cell and not with the executor, so that they are told also where what
 //! follows an end blocks its thread: by the watch, or by the supervisor that gives the next

@@ -1,4 +1,4 @@
-//! The body of the claims: names of the whole robot, as this node knows them.
+//! The actor of the global names.
 
 use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
 use crate::net::fault_reporter::FaultReporter;

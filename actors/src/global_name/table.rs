@@ -1,4 +1,4 @@
-//! The holders of global names that this node knows, readable on every thread.
+//! The holders of global names known to this node, readable on every thread.
 
 use super::{ClaimRow, ClaimState};
 use crate::platform;

@@ -1,4 +1,4 @@
-//! A reference to one component, of which the sender knows the type.
+//! A typed reference to one component.
 
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;

@@ -1,4 +1,4 @@
-//! What a component says about itself by working: turns, signs of life, and what it is doing.
+//! The activity record of a component: its turns, its signs of life, and its current handler.
 //!
 //! Every store is plain and every activity record has one writer, the thread that runs its
 //! component. Who wants to know since when looks twice.

@@ -1,5 +1,5 @@
-//! The watch: it looks at heartbeats and activity records at even intervals, and tells the monitor
-//! what it sees.
+//! The sampler: reads heartbeats and activity records at even intervals, and reports to the
+//! monitor.
 //!
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
 //! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
@@ -552,7 +552,7 @@ impl Sampler {
     }
 }
 
-/// What runs, for people.
+/// What runs, for display.
 fn during(reading: &ActivitySample) -> &'static str {
     match reading {
         ActivitySample { condition: true, .. } => label::CONDITION,

@@ -1,4 +1,4 @@
-//! The threads that components live on, for people.
+//! The threads that components run on, for display.
 
 use super::sampler::{ArbiterResidents, SampledComponents};
 use crate::arbiter::pool::{ArbiterPool, ArbiterThread, ThreadKind};

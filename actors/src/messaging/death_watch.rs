@@ -1,4 +1,4 @@
-//! Death watch: anyone may ask to be told when an incarnation of an object ends.
+//! Death watch: reports the end of an object's incarnation to each watcher.
 
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;

@@ -1,4 +1,4 @@
-//! Faults that a test puts into a component which knows nothing of it.
+//! Faults that a test injects into an unmodified component.
 //!
 //! They belong to the component, not to an incarnation: silence and delay act on every one until
 //! they are taken out; a hang acts once, failed initialisations as often as was said, and a panic

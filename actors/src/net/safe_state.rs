@@ -1,4 +1,4 @@
-//! Who of the nodes is in the safe state: this one tells all others, and hears it of them.
+//! Reports this node's safe state to all other nodes, and receives theirs.
 //!
 //! A node in the safe state stays on the network: it forwards packets, answers who it is, and
 //! votes. Without this its peers would find out only by what does not come.

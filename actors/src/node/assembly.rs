@@ -1,4 +1,4 @@
-//! How a node is put together: the one place that knows all actors.
+//! The assembly of a node: the only file that names all of its actors.
 
 mod chain;
 #[cfg(feature = "journal")]

@@ -1,4 +1,4 @@
-//! What a node says of its networks.
+//! The methods of a node that show its networks.
 
 use super::Node;
 use super::network::Cable;

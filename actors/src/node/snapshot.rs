@@ -1,4 +1,4 @@
-//! Everything that a node knows of itself at one moment, for people and for their tools.
+//! The state of a node at one moment, for display and for tools.
 
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;

@@ -175,7 +175,7 @@ pub struct CloseSessions;
 #[rtype(result = "Vec<SessionRow>")]
 pub struct ReadSessions;
 
-/// One session, for people.
+/// One session, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
     /// With whom.

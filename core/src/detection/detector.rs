@@ -82,19 +82,16 @@ pub struct DetectorLimits {
     pub offences: u32,
     /// See `offences`.
     pub offences_period: Duration,
-    /// So many restarts of another node within `crash_loop_period` are a crash loop. More forgives
-    /// more.
+    /// This many restarts of another node within `crash_loop_period` are a crash loop.
     pub crash_loop_restarts: u32,
     /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
-    /// A pause of this node from this length on is a fault. A shorter one is a fault only if a link
-    /// or node suffers from it, up to this long after it. A shorter limit reports each short
-    /// overload of the computer.
+    /// A pause of this length is a fault. A shorter one is a fault only if a link or node suffers
+    /// from it, up to this long after it.
     pub pause: Duration,
-    /// The time that links and other nodes have to return after a pause that is a fault. A link or
-    /// node still down then is a fault of its own. A longer time attributes more faults to the
-    /// pause.
+    /// The time for links and other nodes to return after a pause that is a fault. A link or node
+    /// that is still down then has a fault of its own.
     pub after_pause: Duration,
     /// The hand-over to the notifier.
     pub handover: ConfirmedQueueLimits,
@@ -105,14 +102,12 @@ impl Default for DetectorLimits {
         DetectorLimits {
             // A day with a fault every minute and a half.
             record: 1024,
-            // The slowest built-in watch (a link's, over wireless) finds its fault within two
-            // seconds.
+            // Links over wireless, the slowest, find a fault within two seconds.
             hindsight: Duration::from_secs(2),
             // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
             decision: Duration::from_secs(1),
             reminders: 3,
-            // A flood is told every three seconds; a process that dies five times in a minute will
-            // again.
+            // A flood is reported every three seconds; a fifth crash in a minute foretells a sixth.
             offences: 5,
             offences_period: Duration::from_secs(60),
             // An update and a second attempt restart a node twice; systemd itself ceases to start a
@@ -135,7 +130,7 @@ impl Default for DetectorLimits {
 pub enum DetectorOutput {
     /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
     HandOver {
-        /// The number under which it is confirmed.
+        /// The number of its confirmation.
         number: u64,
         /// What the notifier must know.
         notice: FaultNotice,
@@ -188,8 +183,7 @@ enum Cause {
     Above,
     /// This one.
     Known(FaultId),
-    /// This one, on the same thread. There is nothing to be done about it where it is found: it is
-    /// told, and handed over only if it is still there afterwards.
+    /// This one, on the same thread: reported, and handed over only if it is still open afterwards.
     Behind(FaultId),
 }
 
@@ -292,8 +286,7 @@ impl Detector {
         self.stale
     }
 
-    /// A detector that knows the same plain facts, for a body that was struck in the middle of an
-    /// input.
+    /// The detector with the same facts, for an actor that panicked within an input.
     #[must_use]
     pub fn restarted(self, now: Instant) -> Self {
         Detector { handover: self.handover.restarted(now), ..self }

@@ -1,4 +1,4 @@
-//! Who is told about a fault: the ports to recoverers, here and on other nodes.
+//! The notification of recoverers about a fault, on this and on other nodes.
 
 use super::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultNotice};
 use crate::{FaultId, Instant, Machine, NodeName};

@@ -1,4 +1,4 @@
-//! Names of the whole robot: who claims them, and who is next.
+//! Global names: their claimants, holders and successors.
 //!
 //! An object's address names its node. A *claim* is a name without one, such as `map`: one node
 //! holds it, others may stand by, and all know who does. There is no broker: each node tells every

@@ -45,8 +45,8 @@ impl RecoveryAction {
         }
     }
 
-    /// How long it is given unless the plan says otherwise: about ten times what it takes on a busy
-    /// computer, and for a restart the deadlines of a group of children one after the other.
+    /// The default limit of this action: about ten times what it takes on a busy computer, and for
+    /// a restart the deadlines of a group of children one after the other.
     fn usual_limit(&self) -> Duration {
         match self {
             RecoveryAction::Observe | RecoveryAction::Isolate => Duration::from_secs(1),

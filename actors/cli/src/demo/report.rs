@@ -220,7 +220,7 @@ pub(crate) fn counted(number: u64, thing: &str) -> String {
     format!("{number} {thing}{ending}")
 }
 
-/// Milliseconds with the precision of a microsecond's tenth, for people and JSON alike.
+/// Milliseconds with the precision of a microsecond's tenth, for display and JSON.
 pub(crate) fn millis(span: Duration) -> f64 {
     (span.as_secs_f64() * 10_000_000.0).round() / 10_000.0
 }

@@ -1,4 +1,4 @@
-//! What follows when a hook has ended: the next state of the life cycle, and who is told.
+//! The end of a hook: the next state of the life cycle, and its reports.
 
 use super::ComponentExecutor;
 use super::outbox::DeferredReport;

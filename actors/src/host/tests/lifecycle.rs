@@ -1,4 +1,4 @@
-//! The hooks, their order, and what is told of them.
+//! The hooks, their order, and the reports about them.
 
 use super::{Stage, order};
 use crate::messaging::death_watch::Watchable;

@@ -1,4 +1,4 @@
-//! Death watch: no notice is lost to a full queue, and no watch outlives who asked for it.
+//! Death watch: no notice is lost to a full queue, and no watch outlives its watcher.
 
 use super::{Acc, Boom, Stage, acc, boom, order};
 use crate::messaging::queue::WhenFull;

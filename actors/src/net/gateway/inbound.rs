@@ -1,4 +1,4 @@
-//! What other nodes send to the objects of this one: who takes it, and what waits for room.
+//! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
 use super::GatewayActor;
 use crate::platform;

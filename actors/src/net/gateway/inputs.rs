@@ -1,4 +1,4 @@
-//! What the gateway is told and asked.
+//! The messages that the gateway handles.
 
 use super::peer::GatewayPeer;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};

@@ -1,4 +1,4 @@
-//! Every finding in every state, roots and symptoms, and what is said of them.
+//! Every finding in every state, roots and symptoms, and the reports of them.
 
 mod findings;
 mod incarnations;

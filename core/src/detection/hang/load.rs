@@ -1,4 +1,4 @@
-//! Who is late, and who keeps the thread meanwhile.
+//! Late components, and the component that occupies their thread.
 
 use super::lateness::{Counts, OverloadRoot};
 use super::{

@@ -1,5 +1,5 @@
-//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write
-//! in passing.
+//! Finds hangs, stuck queues, silence and overload of components, from the counters that workers
+//! write in passing.
 //!
 //! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
 //! for each the time at which it first saw it stand. An arbiter whose beat stands while a component

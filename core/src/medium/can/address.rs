@@ -1,4 +1,4 @@
-//! Who speaks to whom on a bus that has no addresses of its own: both stand in the identifier.
+//! Sender and receiver on a bus without addresses: both are encoded in the identifier.
 //!
 //! ```text
 //! 29 bits, the "normal fixed" addressing of ISO 15765-2, which leaves has_buffer for J1939 beside it:

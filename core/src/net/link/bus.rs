@@ -1,4 +1,4 @@
-//! A link on a bus, where one greeting says hello to all.
+//! A link on a bus, where one frame carries the hellos to all neighbours.
 
 use super::{HELLO_INTERVAL_RANGE, Link, LinkConfig, percent};
 use crate::Instant;

@@ -1,4 +1,4 @@
-//! What an exchange does with what a peer says.
+//! Handles the messages of a peer.
 
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;

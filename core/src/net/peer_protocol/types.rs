@@ -1,4 +1,4 @@
-//! What an exchange is told, and wants done.
+//! Inputs and outputs of the peer protocol.
 
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::session::ordering_key::OrderingKey;

@@ -1,4 +1,4 @@
-//! What was told of as a fault, until it is over.
+//! Alarms that were reported as faults, until they clear.
 //!
 //! A condition that lasts is reported again and again: announcements are repeated every ten
 //! seconds, and the holder of a name is asked as often. A condition that is not reported for a

@@ -1,4 +1,4 @@
-//! How a session stands, for people.
+//! The status of a session, for display.
 
 use super::duplicates::DuplicateDiscard;
 use super::round_trip::RttEstimator;

@@ -1,4 +1,4 @@
-//! What routers tell their neighbours: who has which links, and who knows what.
+//! The messages between neighbouring routers: the links of each node, and database summaries.
 //!
 //! ```text
 //! announce:  0 │ advertisement … to the frame's end

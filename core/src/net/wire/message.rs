@@ -1,4 +1,4 @@
-//! What nodes say to each other within a session: bindings, requests, events, names, faults.
+//! The messages between nodes within a session: bindings, requests, events, names, faults.
 //!
 //! ```text
 //! kind 1 │ fields in the order of the variant

@@ -1,4 +1,4 @@
-//! What a recoverer orders, is told, and is bounded by.
+//! Outputs, inputs and limits of a recoverer.
 
 use super::RecoveryAction;
 use crate::{Fault, FaultId, FaultLocation, Incarnation};

@@ -1,4 +1,4 @@
-//! What a supervisor knows of one child.
+//! A supervisor's record of one child.
 
 use super::CallId;
 use crate::recovery::{ChildRules, Restart, RestartWindow, SupervisorRules};

@@ -1,4 +1,4 @@
-//! What is a fault and what is none, and how often it is told.
+//! Which findings are faults, and how often a fault is reported.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! What becomes of faults that stand, and what the record says of them.
+//! The treatment of open faults, and their record.
 
 use super::*;
 use proptest::prelude::*;

@@ -1,4 +1,4 @@
-//! How one incarnation begins, ends, and is told of.
+//! The start, the end and the reports of one incarnation.
 
 use super::*;
 
