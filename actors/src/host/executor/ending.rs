@@ -19,8 +19,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 impl<C: Component> ComponentExecutor<C> {
-    /// A condition that the component gave has panicked. Gives the panic back where the incarnation
-    /// is over already: it has one end.
+    /// What the component's own runs outside of the executor's polls has panicked: a handler or a
+    /// condition at a hub. Gives the panic back where the incarnation is over already: it has one
+    /// end.
     pub(crate) fn die_of(
         &mut self,
         payload: Box<dyn Any + Send>,
@@ -30,16 +31,17 @@ impl<C: Component> ComponentExecutor<C> {
             return Some(payload);
         }
         self.died(payload, during);
+        // The hub's turn may be long: what follows in it is another's.
         self.flush();
         if let Some(waker) = &self.waker {
-            waker.wake_by_ref();
+            waker.wake_by_ref(); // The replacement begins in the executor's own poll.
         }
         None
     }
 
-    pub(super) fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
-        let during = label::name(self.slot.stamp.read().during);
-        self.died(payload, during);
+    /// The name of what is in service, or was last.
+    pub(crate) fn in_service(&self) -> &'static str {
+        label::name(self.slot.stamp.read().during)
     }
 
     /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
@@ -85,7 +87,7 @@ impl<C: Component> ComponentExecutor<C> {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
-        let contract = label::name(self.slot.stamp.read().during);
+        let contract = self.in_service();
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);

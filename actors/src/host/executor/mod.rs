@@ -29,7 +29,7 @@ use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{self, FACTORY, TASK, TIMER, label};
+use crate::liveness::label::{FACTORY, TASK, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
@@ -267,7 +267,7 @@ impl<C: Component> ComponentExecutor<C> {
                     }
                 }
                 Ok(Progress::Over) => return true,
-                Err(payload) => self.died_in_service(payload),
+                Err(payload) => self.died(payload, self.in_service()),
             }
             if !self.budget.lasts() {
                 return self.over;
@@ -373,32 +373,47 @@ impl<C: Component> ComponentExecutor<C> {
         None
     }
 
-    /// Fills the contract's slot, or builds it.
+    /// Fills the contract's slot.
     #[inline]
-    fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
+    fn begin_message(&mut self, brief: &EnvelopeHeader, mail: &mut dyn Envelope<C>) {
+        let at = self.note_message(brief, mail);
         let Some(component) = &self.component else { return };
+        if self.nests[at].future_slot.as_mut().refill(mail.contents(), component) {
+            self.service = Service::Message(at);
+        } else {
+            self.slot.stamp.step();
+        }
+    }
+
+    /// Names what is taken into service, and says which slot its future has.
+    #[inline]
+    fn note_message<E>(&mut self, brief: &EnvelopeHeader, mail: &E) -> usize
+    where
+        E: Envelope<C> + ?Sized,
+    {
         self.state.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
             self.logged = Some((id, brief.name, mail.revocable().is_some()));
             let record = &self.cell.record;
             message_log::begun(id, brief.name, &record.name, self.state.incarnation);
         }
-        if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
-            let nested = &mut self.nests[at];
-            self.slot.stamp.begin(nested.label);
-            if nested.future_slot.as_mut().refill(mail.contents(), component) {
-                self.service = Service::Message(at);
-            } else {
-                self.slot.stamp.step();
-            }
-            return;
-        }
-        let label = label(brief.name);
-        self.slot.stamp.begin(label);
-        let Some(future_slot) = mail.future_slot(component) else { return self.slot.stamp.step() };
+        let known = self.nests.iter().position(|nested| nested.contract == brief.contract);
+        let at = known.unwrap_or_else(|| self.add_slot(brief, mail.future_slot()));
+        self.slot.stamp.begin(self.nests[at].label);
+        at
+    }
+
+    /// One more contract is served.
+    #[cold]
+    fn add_slot(
+        &mut self,
+        brief: &EnvelopeHeader,
+        future_slot: Pin<Box<dyn FutureSlot<C>>>,
+    ) -> usize {
         self.nests.truncate(NESTS - 1);
-        self.nests.push(Nested { contract: brief.contract, label, future_slot });
-        self.service = Service::Message(self.nests.len() - 1);
+        let (contract, label) = (brief.contract, label(brief.name));
+        self.nests.push(Nested { contract, label, future_slot });
+        self.nests.len() - 1
     }
 
     fn begin_hook(&mut self, hook: Hook) {
@@ -416,24 +431,31 @@ impl<C: Component> ComponentExecutor<C> {
                 if self.nests[*at].future_slot.as_mut().poll(cx).is_pending() {
                     return self.wait();
                 }
-                self.service = Service::Idle;
-                if self.followed {
-                    self.followed = false;
-                    self.cell.record.end_service();
-                }
-                if let Some((id, contract, replies)) = self.logged.take() {
-                    message_log::served(id, contract, &self.cell.record.name, replies);
-                }
+                self.end_message();
             }
             Service::Hook(hook, future) => {
                 let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
                 let hook = *hook;
                 self.service = Service::Idle;
                 self.hook_done(hook, result);
+                self.slot.stamp.step();
             }
         }
-        self.slot.stamp.step();
         Progress::More
+    }
+
+    /// The message in service has been served.
+    #[inline]
+    fn end_message(&mut self) {
+        self.service = Service::Idle;
+        if self.followed {
+            self.followed = false;
+            self.cell.record.end_service();
+        }
+        if let Some((id, contract, replies)) = self.logged.take() {
+            message_log::served(id, contract, &self.cell.record.name, replies);
+        }
+        self.slot.stamp.step();
     }
 
     /// What is in service awaits something, perhaps what it has just started.
@@ -523,7 +545,7 @@ impl<C: Component> ComponentExecutor<C> {
             let within = self.cell.record.limits.shutdown_within;
             // Who gives it no time at all wants it cut off.
             if !within.is_zero() {
-                self.lifecycle.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.lifecycle.handle_cut_off(self.in_service(), within);
                 self.pass_reports();
             }
             self.drop_service();
