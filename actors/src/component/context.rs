@@ -25,6 +25,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// Objects of other nodes that are watched, and whether they still are.
+type FarWatches = Vec<(ObjectAddress, Rc<Cell<bool>>)>;
+
 /// A component's way to its host, lent to every hook and handler.
 ///
 /// What is started here, tasks and timers, belongs to the present incarnation: it ends with it, and
@@ -34,13 +37,13 @@ pub struct Context<C: Component> {
     pub(crate) state: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
     pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
-    /// Objects of other nodes that are watched, and whether they still are.
-    far_watches: Vec<(ObjectAddress, Rc<Cell<bool>>)>,
+    /// Boxed, since few components watch others.
+    far_watches: Option<Box<FarWatches>>,
 }
 
 impl<C: Component> Context<C> {
     pub(crate) fn new(cell: Arc<ComponentCell<C>>, state: Rc<IncarnationState<C>>) -> Self {
-        Context { cell, state, publishers: RefCell::default(), far_watches: Vec::new() }
+        Context { cell, state, publishers: RefCell::default(), far_watches: None }
     }
 
     /// The component's name.
@@ -300,10 +303,11 @@ impl<C: Component> Context<C> {
             }
             Some(node) => {
                 let address = ObjectAddress { node, object };
-                self.far_watches.retain(|(_, goes_on)| goes_on.get());
-                if self.far_watches.iter().all(|(known, _)| *known != address) {
+                let watches = self.far_watches.get_or_insert_default();
+                watches.retain(|(_, goes_on)| goes_on.get());
+                if watches.iter().all(|(known, _)| *known != address) {
                     let goes_on = Rc::new(Cell::new(true));
-                    self.far_watches.push((address.clone(), goes_on.clone()));
+                    watches.push((address.clone(), goes_on.clone()));
                     let follow = remote_watch::follow(registry, address, tell);
                     self.spawn(async move {
                         follow.await;

@@ -91,9 +91,10 @@ pub(crate) struct IncarnationState<C: Component> {
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     /// There only where something was asked for.
-    wishes: RefCell<Option<Box<DeferredCommands>>>,
+    wishes: Cell<Option<Box<DeferredCommands>>>,
     wished: Cell<bool>,
-    pub(crate) timers: Rc<TimerTable<C>>,
+    /// There only where one was set.
+    pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
 }
 
 impl<C: Component> IncarnationState<C> {
@@ -104,9 +105,9 @@ impl<C: Component> IncarnationState<C> {
             token: Arc::default(),
             stamp,
             captured_at: Cell::new(None),
-            wishes: RefCell::default(),
+            wishes: Cell::default(),
             wished: Cell::new(false),
-            timers: Rc::default(),
+            timers: OnceCell::new(),
         }
     }
 
@@ -117,12 +118,14 @@ impl<C: Component> IncarnationState<C> {
 
     pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands)) {
         self.wished.set(true);
-        make(self.wishes.borrow_mut().get_or_insert_default());
+        let mut wishes = self.wishes.take().unwrap_or_default();
+        make(&mut wishes);
+        self.wishes.set(Some(wishes));
     }
 
     #[track_caller]
     pub(crate) fn set_timer(&self, mode: TimerMode, action: TimerAction<C>) -> TimerId {
-        let table = &self.timers;
+        let table = self.timers.get_or_init(Rc::default);
         let held = table.standing.borrow().len();
         assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
         table.last.set(table.last.get() + 1);
@@ -133,9 +136,10 @@ impl<C: Component> IncarnationState<C> {
     }
 
     pub(crate) fn cancel_timer(&self, id: TimerId) {
-        let timer = self.timers.standing.borrow_mut().remove(&id.0);
+        let Some(table) = self.timers.get() else { return };
+        let timer = table.standing.borrow_mut().remove(&id.0);
         let Some(Timer { entry, .. }) = &timer else { return };
-        if id.0 <= self.timers.taken.get() {
+        if id.0 <= table.taken.get() {
             self.defer(|wishes| wishes.cancelled.push(*entry));
         }
     }

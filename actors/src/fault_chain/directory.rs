@@ -41,7 +41,9 @@ impl SupervisorDirectory {
         let ports = Arc::new(ports);
         let mut entries = self.entries();
         entries.supervisors.insert(name.clone(), ports.clone());
-        entries.keepers.extend(children.map(|child| (child.clone(), ports.clone())));
+        // A map that grows child by child has nodes that are half empty.
+        let mut keepers = children.map(|child| (child.clone(), ports.clone())).collect();
+        entries.keepers.append(&mut keepers);
     }
 
     /// The supervisor `name` keeps one more child.

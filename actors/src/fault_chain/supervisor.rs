@@ -94,11 +94,21 @@ impl SupervisorActor {
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, .. } = setup;
         let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
-        let mut supervisor = SupervisorActor {
+        let mut machine = Supervisor::new(rules);
+        let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
+            let taken = machine.add_child(child.name().clone(), *rules, platform::now());
+            if let Err(why) = &taken {
+                error!(supervisor = %name, child = %child.name(), %why, "a child was refused");
+            }
+            taken.is_ok()
+        };
+        let children = given.into_iter().filter(is_taken_in);
+        let children = children.map(|(child, _)| (child.name().clone(), child)).collect();
+        SupervisorActor {
             name,
-            machine: Supervisor::new(rules),
+            machine,
             wake: WakeTimer::default(),
-            children: BTreeMap::new(),
+            children,
             waiting: BTreeMap::new(),
             calls: 0,
             parent: None,
@@ -109,14 +119,7 @@ impl SupervisorActor {
             directory,
             watched,
             again: false,
-        };
-        for (child, rules) in given {
-            let name = child.name().clone();
-            if let Err(why) = supervisor.take_in(child, rules) {
-                error!(supervisor = %supervisor.name, child = %name, %why, "a child was refused");
-            }
         }
-        supervisor
     }
 
     fn take_in(&mut self, child: Box<dyn Child>, rules: ChildRules) -> Result<(), GiveUpReason> {

@@ -91,7 +91,7 @@ impl<C: Component> ComponentExecutor<C> {
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);
-        if let Some((id, ..)) = logged {
+        if let Some((id, ..)) = logged.map(|logged| *logged) {
             message_log::lost(id, contract, &record.name, &why);
         }
     }
@@ -106,12 +106,13 @@ impl<C: Component> ComponentExecutor<C> {
             return false;
         }
         let now = platform::now();
-        while self.deaths.front().is_some_and(|&death| now - death > period) {
-            self.deaths.pop_front();
+        let deaths = self.deaths.get_or_insert_default();
+        while deaths.front().is_some_and(|&death| now - death > period) {
+            deaths.pop_front();
         }
-        let allowed = self.deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
+        let allowed = deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
         if allowed {
-            self.deaths.push_back(now);
+            deaths.push_back(now);
         }
         allowed
     }
@@ -153,7 +154,7 @@ impl<C: Component> ComponentExecutor<C> {
         // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
         // to be told before it, such as why the component could not go on.
         record.exits.settle(incarnation, supervisor, place == 0);
-        self.pulse.owe_exits(true);
+        self.arbiter.pulse.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
         self.outbox.splice(place..place, [exited].into_iter().chain(child));
     }
@@ -226,11 +227,11 @@ impl<C: Component> ComponentExecutor<C> {
         let present = self.state.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
-        self.pulse.owe_exits(false);
-        if self.pulse.is_lost() {
+        self.arbiter.pulse.owe_exits(false);
+        if self.arbiter.pulse.is_lost() {
             self.arbiter.return_late();
         } else {
-            self.pulse.lift();
+            self.arbiter.pulse.lift();
         }
     }
 
@@ -243,7 +244,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
         // Those that stand on a lost thread have been found, and their supervisors are about to
         // give them up: that the thread returns meanwhile is no second fault.
-        if self.is_abandoned() || self.pulse.is_lost() {
+        if self.is_abandoned() || self.arbiter.pulse.is_lost() {
             return self.leave();
         }
         let incarnation = self.state.incarnation;

@@ -18,7 +18,6 @@ use outbox::DeferredReport;
 
 use super::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleStep};
 use super::schedule::{DueWork, ScheduledWork};
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
@@ -60,6 +59,12 @@ enum Service {
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
 
+/// The id and contract of a message in the log, and whether a reply is wanted.
+type LoggedMessage = (LogId, &'static str, bool);
+
+/// The latest restarts by a guard, as far back as they count.
+type RestartTimes = VecDeque<Instant>;
+
 struct Nested<C: Component> {
     contract: TypeId,
     label: u32,
@@ -92,19 +97,19 @@ pub(crate) struct ComponentExecutor<C: Component> {
     message_next: bool,
     slot: ActivitySlot,
     arbiter: ArbiterSlot,
-    pulse: Arc<ArbiterHeartbeat>,
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
-    /// The message in service in the log: its id and contract, and whether a reply is wanted.
-    logged: Option<(LogId, &'static str, bool)>,
+    /// The message in service in the log. Boxed, since few programs keep one.
+    logged: Option<Box<LoggedMessage>>,
     /// When the incarnation began, until it first awaits something.
     began: Option<Instant>,
     /// The supervisor knows that the incarnation did not come to work.
     start_failed: bool,
     /// This incarnation is over, and none comes after it here.
     over: bool,
-    deaths: VecDeque<Instant>,
+    /// When its guard restarted the component. There only where it has.
+    deaths: Option<Box<RestartTimes>>,
     outbox: Vec<DeferredReport>,
     supervisor: Arc<Recipient<ChildReport>>,
     commands: Arc<CommandQueue>,
@@ -133,7 +138,6 @@ impl<C: Component> ComponentExecutor<C> {
             step_first: false,
             message_next: false,
             slot,
-            pulse: arbiter.pulse.clone(),
             arbiter,
             waker: None,
             followed: false,
@@ -141,7 +145,7 @@ impl<C: Component> ComponentExecutor<C> {
             began: None,
             start_failed: false,
             over: false,
-            deaths: VecDeque::new(),
+            deaths: None,
             outbox: Vec::new(),
             supervisor,
             commands,
@@ -152,7 +156,7 @@ impl<C: Component> ComponentExecutor<C> {
         let watched = SampledComponent {
             object: record.name.clone(),
             inside: cell,
-            pulse: executor.pulse.clone(),
+            pulse: executor.arbiter.pulse.clone(),
             stamp: executor.slot.stamp,
             limits: record.limits.hang.clone(),
         };
@@ -167,7 +171,7 @@ impl<C: Component> ComponentExecutor<C> {
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
         let placement = CurrentPlacement { arbiter, slot: self.place(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
-        self.schedule.begin(record.limits.interval, self.state.timers.clone());
+        self.schedule.begin(record.limits.interval);
         self.slot.stamp.run_every(record.limits.interval);
         self.began = self.lifecycle.is_starting().then(platform::now);
         // An incarnation that was abandoned before its placement was known was not told so.
@@ -208,7 +212,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.leave();
             return Poll::Ready(());
         }
-        if self.pulse.is_lost() {
+        if self.arbiter.pulse.is_lost() {
             return Poll::Pending; // The arbiter came back too late; the successor is on its way.
         }
         if self.budget.is_resting() {
@@ -216,17 +220,17 @@ impl<C: Component> ComponentExecutor<C> {
         }
         let muted = self.state.token.is_muted();
         if muted {
-            self.pulse.mute(true);
+            self.arbiter.pulse.mute(true);
         }
-        self.pulse.run(Some(self.slot.index));
+        self.arbiter.pulse.run(Some(self.slot.index));
         let guarded = PanicGuard::enter();
         self.budget.begin();
         let over = self.turn(cx);
         self.budget.end(cx.waker());
         drop(guarded);
-        self.pulse.run(None);
+        self.arbiter.pulse.run(None);
         if muted {
-            self.pulse.mute(false);
+            self.arbiter.pulse.mute(false);
         }
         if self.is_abandoned() {
             self.leave();
@@ -393,7 +397,7 @@ impl<C: Component> ComponentExecutor<C> {
     {
         self.state.captured_at.set(Some(brief.captured_at));
         if let Some(id) = brief.logged {
-            self.logged = Some((id, brief.name, mail.revocable().is_some()));
+            self.logged = Some(Box::new((id, brief.name, mail.revocable().is_some())));
             let record = &self.cell.record;
             message_log::begun(id, brief.name, &record.name, self.state.incarnation);
         }
@@ -452,7 +456,8 @@ impl<C: Component> ComponentExecutor<C> {
             self.followed = false;
             self.cell.record.end_service();
         }
-        if let Some((id, contract, replies)) = self.logged.take() {
+        if let Some(logged) = self.logged.take() {
+            let (id, contract, replies) = *logged;
             message_log::served(id, contract, &self.cell.record.name, replies);
         }
         self.slot.stamp.step();
@@ -499,7 +504,8 @@ impl<C: Component> ComponentExecutor<C> {
         if wishes.stop {
             self.lifecycle.handle_stop(EndReason::Returned);
         }
-        self.schedule.take_on(wishes.tasks, &wishes.cancelled, &self.budget);
+        let timers = self.state.timers.get();
+        self.schedule.take_on(wishes.tasks, &wishes.cancelled, timers, &self.budget);
         self.pass_reports();
     }
 

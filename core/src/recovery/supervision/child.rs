@@ -1,7 +1,7 @@
 //! What a supervisor knows of one child.
 
 use super::CallId;
-use crate::recovery::{ChildRules, Restart, RestartWindow, SupervisorRules};
+use crate::recovery::{ChildRules, Restart, RestartWindow};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 
@@ -123,13 +123,12 @@ pub(super) struct SupervisedChild {
     /// Its guard holds a standing order.
     pub(super) ordered: bool,
     /// When its guard restarted it by itself, as far back as it counts; never more than the
-    /// intensity allows, and one.
-    pub(super) on_the_spot: RestartWindow,
+    /// intensity allows, and one. There only where it has.
+    pub(super) on_the_spot: Option<Box<RestartWindow>>,
 }
 
 impl SupervisedChild {
-    pub(super) fn new(name: ObjectName, rules: ChildRules, keeper: &SupervisorRules) -> Self {
-        let counted = keeper.intensity.saturating_add(1);
+    pub(super) fn new(name: ObjectName, rules: ChildRules) -> Self {
         SupervisedChild {
             name,
             rules,
@@ -141,7 +140,7 @@ impl SupervisedChild {
             restarts: 0,
             isolated: false,
             ordered: false,
-            on_the_spot: RestartWindow::new(counted, keeper.period),
+            on_the_spot: None,
         }
     }
 

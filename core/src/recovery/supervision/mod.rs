@@ -156,7 +156,7 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        let child = SupervisedChild::new(name.clone(), rules, &self.rules);
+        let child = SupervisedChild::new(name.clone(), rules);
         self.children.insert(key, Box::new(child));
         if self.at_work() {
             self.coming.insert(key);
@@ -181,6 +181,9 @@ impl Supervisor {
         self.incarnation = incarnation;
         self.phase = Phase::Starting;
         self.budget.clear();
+        // Maps that grow child by child have nodes that are half empty.
+        self.index = std::mem::take(&mut self.index).into_iter().collect();
+        self.children = std::mem::take(&mut self.children).into_iter().collect();
         let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             let child = self.kept(key);
