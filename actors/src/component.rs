@@ -150,7 +150,7 @@ pub trait Handle<M: Contract>: Component {
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    /// What went wrong, in words for a person.
+    /// What went wrong, for display.
     pub reason: String,
     /// This incarnation cannot be saved by a reset.
     pub fatal: bool,

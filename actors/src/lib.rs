@@ -3,7 +3,7 @@
 //! A robot is made of [components](Component), which send each other [messages](Contract) and live
 //! on [nodes](Node). When one of them panics, hangs, falls silent or cannot be reached, Blastema
 //! finds the fault, names it, and recovers from it in bounded time, or brings the robot to the safe
-//! state. The application says what its parts are and what depends on what.
+//! state. The application declares its components and their dependencies.
 //!
 //! Here a request kills a laser scanner. The caller learns so, and the same sender reaches the
 //! scanner's next incarnation:
@@ -186,7 +186,7 @@ pub use blastema_core::detection::{
 };
 pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifecycle, Severity};
 
-/// What an application needs for a medium of its own; it is given to [`Network::own`].
+/// Types to implement a medium of one's own, which is passed to [`Network::own`].
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
     pub use blastema_transports::frame_medium::{
@@ -195,7 +195,7 @@ pub mod medium {
     pub use bytes::Bytes;
 }
 
-/// Plans, ladders and rules of restarts, and what strategies of an application's own answer.
+/// Plans, ladders and rules of restarts, and the types of custom recovery strategies.
 pub mod recovery {
     pub use blastema_core::recovery::{
         Backoff, Ladder, LadderStep, Plan, PlanError, RecoveryAction, RecoveryDone, RecoveryFailed,
@@ -203,7 +203,7 @@ pub mod recovery {
     };
 }
 
-/// How components are watched, and what the monitor's table and the record of faults say.
+/// Types of monitoring: liveness, checks, the monitor's table and the record of faults.
 pub mod detection {
     pub use blastema_core::detection::{
         CheckFailed, CurrentHandler, FaultEntry, FaultRecord, FaultStatus, FaultTransition,
@@ -212,11 +212,11 @@ pub mod detection {
     };
 }
 
-/// The machines behind all of it; for those who work on the middleware, and for what the derives
-/// write.
+/// The state machines behind the facade: for development of the middleware, and for the code that
+/// the derives generate.
 pub use blastema_core as core;
 
-/// Everything that an application usually needs.
+/// The types that most applications need.
 pub mod prelude {
     pub use crate::detection::Liveness;
     pub use crate::recovery::{Ladder, Plan, RecoveryAction, Restart, Strategy, WhenExceeded};
@@ -227,17 +227,18 @@ pub mod prelude {
     };
 }
 
-/// What [`main`](macro@main) writes and `blastema-testkit` needs; not for use by hand.
+/// Used by the code that [`main`](macro@main) generates and by `blastema-testkit`; not for direct
+/// use.
 #[doc(hidden)]
 pub mod program {
     pub use crate::liveness::sampler::Running;
     pub use crate::platform::errors::{Fatal, ReportBoxed};
 }
 
-/// Runs a future on this thread until it is done, with everything that nodes need around it.
+/// Runs a future on this thread until it completes, in a runtime that nodes can start in.
 ///
-/// `#[blastema::main]` does the same to a whole program. One that prints and whose reader has gone,
-/// as `head` does, ends with the status 141, like other programs, and says no more than that its
+/// `#[blastema::main]` does the same for a whole program. If the reader of the program's output has
+/// closed the pipe, as `head` does, the program ends with status 141, and reports only that its
 /// nodes were dropped.
 pub fn run<F: Future>(future: F) -> F::Output {
     crate::platform::panics::install_hook();

@@ -121,12 +121,10 @@ impl<C: Component> ComponentCell<C> {
 }
 
 impl<P: Parameters> VariableRef<P> {
-    /// Sets one parameter and leaves the others as they are. Answers the revision.
+    /// Sets one parameter. Returns the new revision.
     ///
-    /// # Errors
-    /// As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] says what is wrong
-    /// with the value: its range, its type, or that there is no such parameter, with the nearest
-    /// name.
+    /// # Errors As [`write_if`](VariableRef::write_if); [`DeliveryError::CheckFailed`] names the
+    /// problem: the value's range, its type, or an unknown parameter, with the nearest name.
     pub async fn set(&self, key: &str, value: ParameterValue) -> Result<u64, DeliveryError> {
         loop {
             let reading = self.read().await?;
@@ -152,11 +150,11 @@ impl ComponentEnvironment {
 }
 
 impl<C: Component> Ports<C> {
-    /// Has parameters, with the values that the
+    /// Declares parameters, with the values that the
     /// [configuration](crate::NodeBuilder::parameters_from) gives them, or their defaults. The
     /// component reads them by [`Context::parameters`](crate::Context::parameters) in
-    /// `on_initialize`, and receives them by its handler whenever one is set. A component has
-    /// one set of parameters.
+    /// `on_initialize`, and receives them by its handler whenever one is set. A component has one
+    /// set of parameters.
     pub fn parameters<P: Parameters>(&mut self) -> &mut Self
     where
         C: Handle<P>,

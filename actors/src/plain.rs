@@ -47,7 +47,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
 
-/// A message on its way to a component. The answer says what became of it.
+/// A message to a component. The reply reports the result of its delivery.
 #[derive(Debug)]
 pub struct Deliver<M>(pub M);
 
@@ -55,7 +55,7 @@ impl<M: Contract> Message for Deliver<M> {
     type Result = Result<M::Reply, DeliveryError>;
 }
 
-/// A message on its way to a plain actor, which answers as the contract says.
+/// A message to a plain actor, which replies as the contract requires.
 #[derive(Debug)]
 pub struct ServeRequest<M>(pub M);
 
@@ -68,7 +68,7 @@ impl<M: Contract> Message for ServeRequest<M> {
 /// # Panics
 /// Outside of an actix arbiter.
 pub fn recipient<M: Contract>(sender: &Sender<M>) -> Recipient<Deliver<M>> {
-    Door(sender.clone()).start().recipient()
+    Forwarder(sender.clone()).start().recipient()
 }
 
 /// The way to a plain actor, for components and all others that want a [`Sender`]. It lives on the
@@ -81,13 +81,13 @@ pub fn sender<M: Contract>(recipient: Recipient<ServeRequest<M>>) -> Sender<M> {
 }
 
 /// Between `Recipient`s and one component.
-struct Door<M: Contract>(Sender<M>);
+struct Forwarder<M: Contract>(Sender<M>);
 
-impl<M: Contract> Actor for Door<M> {
+impl<M: Contract> Actor for Forwarder<M> {
     type Context = Context<Self>;
 }
 
-impl<M: Contract> Handler<Deliver<M>> for Door<M> {
+impl<M: Contract> Handler<Deliver<M>> for Forwarder<M> {
     type Result = ResponseFuture<Result<M::Reply, DeliveryError>>;
 
     fn handle(&mut self, Deliver(message): Deliver<M>, _: &mut Self::Context) -> Self::Result {
@@ -160,7 +160,7 @@ impl<M: Contract> MessageSink<M> for Outside<M> {
         self.pass(message, None)
     }
 
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         // An actix mailbox does not report that it has capacity again.
         Box::pin(tokio::time::sleep(heartbeat::HEARTBEAT_INTERVAL))
     }

@@ -1,4 +1,4 @@
-//! What the operating system gives: the one place that reads a clock, starts threads and knows
+//! Access to the operating system: the only file that reads a clock, starts threads and knows
 //! processes.
 
 pub(crate) mod errors;
@@ -56,7 +56,7 @@ fn origin() -> &'static Origin {
     })
 }
 
-/// The time on this thread's clock.
+/// Returns the time of this thread's clock.
 ///
 /// It is the system's monotonic clock, so that instants of two processes of one machine compare,
 /// and it stands still and leaps as tokio's clock does where a test has paused that.

@@ -66,19 +66,19 @@ pub(crate) type CapacityFuture = Pin<Box<dyn Future<Output = ()> + Send>>;
 /// The way into an object for messages that come from outside the process.
 pub(crate) trait Skeleton: Send + Sync {
     /// Decodes the message and hands it over. Where `reply_to` is given it is called in every case;
-    /// the error then repeats what it was told. Where it is not, and there is [`room`](Self::room)
-    /// to wait for, a message that is refused as [`DeliveryError::Full`] or
+    /// the error then repeats what it was told. Where it is not, and there is
+    /// [`space`](Self::space) to wait for, a message that is refused as [`DeliveryError::Full`] or
     /// [`DeliveryError::Restarting`] remains the caller's: to be tried again, or
     /// [recorded](Self::record_dead_letter).
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused; `None` where nothing waits.
-    fn room(&self) -> Option<CapacityFuture> {
+    fn space(&self) -> Option<CapacityFuture> {
         None
     }
 
@@ -90,11 +90,11 @@ pub(crate) trait Skeleton: Send + Sync {
         None
     }
 
-    /// Reports a fault that was found at the door, such as a caller with another contract.
+    /// Reports a fault that was found at the skeleton, such as a caller with another contract.
     fn declare(&self, kind: FaultKind, detail: String);
 
     /// What was declared of the object is over.
-    fn mend(&self, _kind: FaultKind) {}
+    fn clear_fault(&self, _kind: FaultKind) {}
 
     /// Whether the object is at work, so that what is delivered is served at once.
     fn is_at_work(&self) -> bool {
@@ -105,7 +105,7 @@ pub(crate) trait Skeleton: Send + Sync {
 /// The ways to objects of other nodes, provided by the network.
 pub(crate) trait StubFactory: Send + Sync {
     /// A way to this object for this contract. What stands in its way is found when it is used.
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
 }
 
 /// The way to one object of another node, for one contract.
@@ -122,14 +122,16 @@ pub(crate) trait RemoteStub: Send + Sync {
     ) -> Result<(), DeliveryError>;
 
     /// Completes when there may be room for a message that was refused so.
-    fn room<'a>(&'a self, refused: &DeliveryError)
-    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn space<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 }
 
 /// One contract that one object takes.
 pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
-    /// Its type, for people.
+    /// Its type, for display.
     named: &'static str,
     /// A `Sender<M>`.
     sender: Box<dyn Any + Send + Sync>,
@@ -173,7 +175,7 @@ pub(crate) trait NameResolver: Send + Sync {
 
 /// Messages of one contract to an object of another node.
 struct Outlet<M: Contract> {
-    door: Arc<dyn RemoteStub>,
+    stub: Arc<dyn RemoteStub>,
     to: ObjectAddress,
     sends: PhantomData<fn(M)>,
 }
@@ -186,7 +188,7 @@ impl<M: Contract> Outlet<M> {
         }
         let encoded = codec::encode_out_of(message);
         let (parcel, taken) = encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
-        let sent = self.door.send(parcel, asked);
+        let sent = self.stub.send(parcel, asked);
         if sent.is_err() {
             taken.put_back(message);
         }
@@ -209,11 +211,11 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
         Some(Receiver { node, object, contract, queue: None, unavailable: None, deadline: None })
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.door.room(refused)
+        self.stub.space(refused)
     }
 
     fn ask(
@@ -259,18 +261,19 @@ impl<M: Contract> MessageSink<M> for Outlet<M> {
 pub struct NameTaken {
     /// The name.
     pub name: ObjectName,
-    /// What has it: a component, a service, a supervisor, or an object of the middleware.
+    /// The kind of its holder: a component, a service, a supervisor, or an object of the
+    /// middleware.
     pub by: &'static str,
 }
 
 struct Entry {
     ports: SortedMap<&'static str, ContractPort>,
-    mortal: Arc<dyn Watchable>,
+    watchable: Arc<dyn Watchable>,
 }
 
 impl Entry {
     fn kind(&self) -> &'static str {
-        if self.mortal.component_type().is_some() { "a component" } else { "a service" }
+        if self.watchable.component_type().is_some() { "a component" } else { "a service" }
     }
 
     fn not_served(&self, object: &ObjectName, contract: &str) -> DeliveryError {
@@ -371,14 +374,14 @@ impl Registry {
         &self,
         name: &ObjectName,
         ports: SortedMap<&'static str, ContractPort>,
-        mortal: Arc<dyn Watchable>,
+        watchable: Arc<dyn Watchable>,
     ) -> Result<(), NameTaken> {
         let mut inner = self.lock();
         let known = inner.objects.get(name).map(Entry::kind);
         if let Some(by) = known.or_else(|| inner.reserved.get(name).copied()) {
             return Err(NameTaken { name: name.clone(), by });
         }
-        inner.objects.insert(name.clone(), Entry { ports, mortal });
+        inner.objects.insert(name.clone(), Entry { ports, watchable });
         inner.revision += 1;
         Ok(())
     }
@@ -434,8 +437,8 @@ impl Registry {
                     let remote = inner.remote.clone();
                     let remote = remote.ok_or_else(|| inner.out_of_reach(&address))?;
                     drop(inner);
-                    let door = remote.door(address.clone(), ContractIdentity::of::<M>());
-                    let outlet = Outlet::<M> { door, to: address, sends: PhantomData };
+                    let stub = remote.stub(address.clone(), ContractIdentity::of::<M>());
+                    let outlet = Outlet::<M> { stub, to: address, sends: PhantomData };
                     return Ok(Sender(Arc::new(outlet)));
                 }
                 address.object
@@ -513,14 +516,14 @@ impl Registry {
 
     /// The cell of the component of this name.
     pub(crate) fn cell(&self, object: &ObjectName) -> Option<Arc<dyn Any + Send + Sync>> {
-        let mortal = self.lock().objects.get(object)?.mortal.clone();
-        mortal.cell()
+        let watchable = self.lock().objects.get(object)?.watchable.clone();
+        watchable.cell()
     }
 
     /// The type of the component of this name.
     pub(crate) fn component_type(&self, object: &ObjectName) -> Option<&'static str> {
         let inner = self.lock();
-        inner.objects.get(object).and_then(|entry| entry.mortal.component_type())
+        inner.objects.get(object).and_then(|entry| entry.watchable.component_type())
     }
 
     /// Puts a fault into the object of this name.
@@ -528,9 +531,9 @@ impl Registry {
         let inner = self.lock();
         let object = ObjectName::new(name).ok();
         let entry = object.and_then(|object| inner.objects.get(&object));
-        let mortal = entry.ok_or_else(|| inner.misspelt(name))?.mortal.clone();
+        let watchable = entry.ok_or_else(|| inner.misspelt(name))?.watchable.clone();
         drop(inner);
-        mortal.inject(injection);
+        watchable.inject(injection);
         Ok(())
     }
 
@@ -538,11 +541,11 @@ impl Registry {
     /// live.
     pub(crate) fn watch(&self, object: ObjectName, watcher: Watcher) {
         let inner = self.lock();
-        let mortal = inner.objects.get(&object).map(|entry| entry.mortal.clone());
+        let watchable = inner.objects.get(&object).map(|entry| entry.watchable.clone());
         let deaths = inner.deaths.clone();
         drop(inner);
-        let unknown = match mortal {
-            Some(mortal) => return mortal.watch(watcher),
+        let unknown = match watchable {
+            Some(watchable) => return watchable.watch(watcher),
             None => deaths.watch(&object, watcher),
         };
         if let Some(watcher) = unknown {

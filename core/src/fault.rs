@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
 
-/// What kind of fault it is. It decides the recovery.
+/// The kind of a fault. The plan chooses the recovery by it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum FaultKind {
     /// A component panicked in a handler, hook, timer or task of its own.
     Panic,
-    /// A component ended without having been told to.
+    /// A component ended without an order to stop.
     UnexpectedExit,
     /// A handler keeps its arbiter, or waits, longer than it may.
     Hang,
@@ -45,9 +45,9 @@ pub enum FaultKind {
     NameTaken,
     /// A commander is gone without giving its actuator back, and none has claimed it since.
     CommanderGone,
-    /// A whole node has enter the safe state: its safe outputs were applied, and nothing of it
+    /// A whole node is in the safe state: its safe outputs were applied, and nothing of it
     /// serves.
-    NodeAtRest,
+    NodeInSafeState,
     /// A service goes on, and too few others hold its state for it to outlive the node that serves.
     Unreplicated,
     /// A service went on without a part of its state for which callers had been answered: no node
@@ -109,7 +109,7 @@ impl FaultKind {
         FaultKind::NodeFaulty,
         FaultKind::NameTaken,
         FaultKind::CommanderGone,
-        FaultKind::NodeAtRest,
+        FaultKind::NodeInSafeState,
         FaultKind::Unreplicated,
         FaultKind::StateLost,
         FaultKind::ServiceUnavailable,
@@ -139,7 +139,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "B15",
             FaultKind::NameTaken => "B16",
             FaultKind::CommanderGone => "B17",
-            FaultKind::NodeAtRest => "B18",
+            FaultKind::NodeInSafeState => "B18",
             FaultKind::Unreplicated => "B19",
             FaultKind::StateLost => "B20",
             FaultKind::ServiceUnavailable => "B21",
@@ -170,7 +170,7 @@ impl FaultKind {
             FaultKind::NodeFaulty => "node faulty",
             FaultKind::NameTaken => "name taken",
             FaultKind::CommanderGone => "commander gone",
-            FaultKind::NodeAtRest => "node at rest",
+            FaultKind::NodeInSafeState => "node in safe state",
             FaultKind::Unreplicated => "service unreplicated",
             FaultKind::StateLost => "state lost",
             FaultKind::ServiceUnavailable => "service unavailable",
@@ -181,7 +181,7 @@ impl FaultKind {
         }
     }
 
-    /// How bad it is unless the plan says otherwise.
+    /// Returns the default severity of this kind.
     pub fn severity(&self) -> Severity {
         match self {
             FaultKind::Overload
@@ -194,7 +194,7 @@ impl FaultKind {
             | FaultKind::NodeLost
             | FaultKind::RestartStorm
             | FaultKind::NodeFaulty
-            | FaultKind::NodeAtRest
+            | FaultKind::NodeInSafeState
             | FaultKind::StateLost
             | FaultKind::CrashLoop => Severity::Critical,
             _ => Severity::Error,
@@ -239,7 +239,7 @@ impl fmt::Display for FaultLocation {
     }
 }
 
-/// One fault's number, given by the detector of the node that found it.
+/// The number of a fault, assigned by the detector of the node that found it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FaultId(pub u64);
 
@@ -255,12 +255,12 @@ impl fmt::Display for FaultId {
 pub struct Fault {
     /// Its number in the finder's record.
     pub id: FaultId,
-    /// What it is.
+    /// The kind of the fault.
     pub kind: FaultKind,
     /// How bad it is.
     pub severity: Severity,
     /// Where it is.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
     /// Which incarnation of the place it struck.
     pub incarnation: Incarnation,
     /// The particulars: a panic's text and source line, a check's value and limit. Of one that was
@@ -277,7 +277,7 @@ pub struct Fault {
 impl fmt::Display for Fault {
     /// As in `error: hang of module1:arm: a handler of Drive keeps its thread`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {} of {}", self.severity, self.kind, self.place)?;
+        write!(f, "{}: {} of {}", self.severity, self.kind, self.location)?;
         match self.detail.as_str() {
             "" => Ok(()),
             detail => write!(f, ": {detail}"),
@@ -291,16 +291,17 @@ impl Fault {
     /// It does for an object: a component that was restarted is as good as new. A link or a node is
     /// repaired only when it is there again, whatever path the traffic takes meanwhile.
     pub fn is_repaired_by_recovery(&self) -> bool {
-        matches!(self.place, FaultLocation::Object(_))
+        matches!(self.location, FaultLocation::Object(_))
     }
 
-    /// A fault of a whole node that its keeper found itself: it stands in no detector's record.
+    /// A fault of a whole node that its controller found itself: it stands in no detector's record.
+    #[doc(hidden)]
     pub fn of_node(node: NodeName, kind: FaultKind, detail: String, found_at: Instant) -> Self {
         Fault {
             id: FaultId(0),
             severity: Severity::Critical,
             kind,
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation: Incarnation::FIRST,
             detail,
             found_at,

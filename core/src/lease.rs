@@ -20,7 +20,7 @@ use std::time::Duration;
 /// How soon safe outputs that did not get through are applied again: one beat.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// Who commands.
+/// The identity of a commander.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommanderId {
     /// Its name, unique in the robot.
@@ -47,7 +47,7 @@ pub enum LeaseEnd {
     Released,
 }
 
-/// How a lease stands, for people.
+/// The status of a lease, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseStatus {
     /// There is no commander; the outputs are safe.
@@ -68,7 +68,7 @@ pub enum LeaseStatus {
     },
 }
 
-/// What is to be done.
+/// An output of the lease's machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LeaseOutput {
     /// Apply the safe outputs, and tell [`Lease::handle_applied`] what came of it. Where this is
@@ -118,7 +118,7 @@ impl Lease {
         Lease { actuator, span, last_epoch, state: State::Free, outputs: VecDeque::new() }
     }
 
-    /// Who holds the lease, and under which epoch.
+    /// Returns the holder of the lease and its epoch.
     pub fn holder(&self) -> Option<(&CommanderId, u64)> {
         match &self.state {
             State::Held { commander, .. } => Some((commander, self.last_epoch)),
@@ -127,7 +127,7 @@ impl Lease {
     }
 
     /// How it stands at `now`.
-    pub fn standing(&self, now: Instant) -> LeaseStatus {
+    pub fn status(&self, now: Instant) -> LeaseStatus {
         match &self.state {
             State::Free => LeaseStatus::Free,
             State::Held { commander, due } => LeaseStatus::Held {
@@ -309,12 +309,12 @@ mod tests {
         let commander = who("planner", 1);
         let (now, left) = (ms(40), SPAN - Duration::from_millis(40));
         let held = LeaseStatus::Held { commander: commander.clone(), epoch, left };
-        assert_eq!(lease.standing(now), held);
+        assert_eq!(lease.status(now), held);
         lease.handle_timeout(ms(100));
-        assert_eq!(lease.standing(ms(100)), LeaseStatus::Settling { commander });
+        assert_eq!(lease.status(ms(100)), LeaseStatus::Settling { commander });
         lease.handle_applied(true, ms(101));
         lease.handle_cut_off_returned();
-        assert_eq!(lease.standing(ms(102)), LeaseStatus::Free);
+        assert_eq!(lease.status(ms(102)), LeaseStatus::Free);
     }
 
     #[test]

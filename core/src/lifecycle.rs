@@ -69,25 +69,13 @@ impl Lifecycle {
         ]
     };
 
-    /// Whether one incarnation may go from here to there in one step.
-    ///
-    /// ```
-    /// use blastema_core::Lifecycle;
-    /// assert!(Lifecycle::Error.may_become(Lifecycle::Initialized));
-    /// assert!(!Lifecycle::Created.may_become(Lifecycle::Active));
-    /// ```
-    pub fn may_become(self, next: Lifecycle) -> bool {
+    /// Whether one incarnation may change from this state to `next` in one step.
+    pub(crate) fn may_become(self, next: Lifecycle) -> bool {
         Self::TRANSITIONS.iter().any(|way| way.from == self && way.to == next)
     }
 
-    /// Whether one incarnation may go from here to there, in whatever number of steps.
-    ///
-    /// ```
-    /// use blastema_core::Lifecycle;
-    /// assert!(Lifecycle::Created.may_reach(Lifecycle::Active));
-    /// assert!(!Lifecycle::Fatal.may_reach(Lifecycle::Active));
-    /// ```
-    pub fn may_reach(self, next: Lifecycle) -> bool {
+    /// Whether one incarnation may reach `next` from this state in any number of steps.
+    pub(crate) fn may_reach(self, next: Lifecycle) -> bool {
         let mut reached = vec![self];
         let mut at = 0;
         while let Some(&state) = reached.get(at) {

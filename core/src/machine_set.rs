@@ -144,16 +144,16 @@ mod tests {
         for every in [2, 3] {
             machines.insert(every, Clock { every, next: Instant::ORIGIN, says: None });
         }
-        let mut heard = vec![];
+        let mut outputs = vec![];
         while machines.poll_output().is_some() {}
         for now in 0..=6 {
             machines.handle_timeout(Instant::from_millis(now));
             while let Some((key, says)) = machines.poll_output() {
                 assert_eq!(key, says);
-                heard.push((now, says));
+                outputs.push((now, says));
             }
         }
-        assert_eq!(heard, [(0, 2), (0, 3), (2, 2), (3, 3), (4, 2), (6, 2), (6, 3)]);
+        assert_eq!(outputs, [(0, 2), (0, 3), (2, 2), (3, 3), (4, 2), (6, 2), (6, 3)]);
         assert!(machines.remove(2).is_some() && machines.get(2).is_none());
         assert_eq!(machines.poll_timeout(), Some(Instant::from_millis(9)));
     }

@@ -251,8 +251,8 @@ mod tests {
         check("-rf", "-rf", 0);
         check("arm/-v", "-v", 4);
         for node in [".", "..", "-h"] {
-            let told = NodeName::new(node).expect_err(node).to_string();
-            assert!(told.contains("begin it with a letter"), "{told}");
+            let text = NodeName::new(node).expect_err(node).to_string();
+            assert!(text.contains("begin it with a letter"), "{text}");
         }
         for good in ["...", ".arm", "a-b", "a.b", "_-", "arm/left-1", "1"] {
             assert_eq!(ObjectName::new(good).map(|name| name.to_string()), Ok(good.to_owned()));

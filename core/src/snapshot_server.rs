@@ -170,13 +170,13 @@ mod tests {
     /// How long a snapshot takes here.
     const TAKING: u64 = 50;
 
-    /// A room with a door, at which any number waits.
+    /// A server with a listen backlog without a limit.
     #[derive(Default)]
-    struct Room {
+    struct Bench {
         server: SnapshotServer,
         now: u64,
-        /// Who waits at the door, and whether he will read.
-        door: VecDeque<bool>,
+        /// The clients in the listen backlog, and whether each will read.
+        backlog: VecDeque<bool>,
         readers: SortedSet<ClientId>,
         taking: Vec<(u64, SnapshotId)>,
         served: u64,
@@ -186,13 +186,13 @@ mod tests {
         most_pictures: usize,
     }
 
-    impl Room {
+    impl Bench {
         /// A millisecond.
         fn step(&mut self) {
             self.now += 1;
             let now = Instant::from_millis(self.now);
             while self.server.is_open() {
-                let Some(reads) = self.door.pop_front() else { break };
+                let Some(reads) = self.backlog.pop_front() else { break };
                 let client = self.server.handle_arrival(now);
                 self.readers.extend(reads.then_some(client));
                 self.carry_out();
@@ -229,7 +229,7 @@ mod tests {
         /// One who reads comes; answers after how many milliseconds he is served.
         fn look(&mut self) -> u64 {
             let (began, before) = (self.now, self.served);
-            self.door.push_back(true);
+            self.backlog.push_back(true);
             while self.served == before {
                 self.step();
                 assert!(self.now - began < 60_000, "never");
@@ -240,61 +240,61 @@ mod tests {
 
     #[test]
     fn whoever_comes_alone_is_served_at_once() {
-        let mut room = Room::default();
-        assert_eq!(room.look(), 1 + 10 + TAKING);
-        assert_eq!((room.server.poll_timeout(), room.snapshots), (None, 1));
+        let mut bench = Bench::default();
+        assert_eq!(bench.look(), 1 + 10 + TAKING);
+        assert_eq!((bench.server.poll_timeout(), bench.snapshots), (None, 1));
     }
 
     #[test]
     fn a_crowd_that_does_not_read_delays_whoever_does_by_less_than_a_second() {
-        let mut room = Room::default();
-        room.door.extend([false; 200]);
+        let mut bench = Bench::default();
+        bench.backlog.extend([false; 200]);
 
-        assert!(room.look() < 1_000, "{}", room.now);
+        assert!(bench.look() < 1_000, "{}", bench.now);
 
-        assert_eq!((room.most_seats, room.served), (CLIENTS_MAX, 1));
-        assert!(room.snapshots <= 6, "{}", room.snapshots);
+        assert_eq!((bench.most_seats, bench.served), (CLIENTS_MAX, 1));
+        assert!(bench.snapshots <= 6, "{}", bench.snapshots);
     }
 
     #[test]
     fn a_crowd_that_never_ends_delays_whoever_reads_by_no_more() {
-        let mut room = Room::default();
+        let mut bench = Bench::default();
         for wave in 0..20 {
             for _ in 0..50 {
-                // As many as the system lets wait at a door.
-                let missing = 128usize.saturating_sub(room.door.len());
-                room.door.extend(vec![false; missing]);
-                room.step();
+                // As many as the system keeps in a listen backlog.
+                let missing = 128usize.saturating_sub(bench.backlog.len());
+                bench.backlog.extend(vec![false; missing]);
+                bench.step();
             }
-            let took = room.look();
+            let took = bench.look();
             assert!(took <= 1_000, "wave {wave}: {took}");
         }
-        assert!(room.snapshots <= room.now / 100 + 1, "{} in {}", room.snapshots, room.now);
-        assert!(room.most_pictures <= PICTURES && room.most_seats <= CLIENTS_MAX);
+        assert!(bench.snapshots <= bench.now / 100 + 1, "{} in {}", bench.snapshots, bench.now);
+        assert!(bench.most_pictures <= PICTURES && bench.most_seats <= CLIENTS_MAX);
     }
 
     #[test]
     fn one_after_the_other_who_do_not_read_hold_no_more_pictures_than_there_may_be() {
-        let mut room = Room::default();
+        let mut bench = Bench::default();
         for n in 0..3_000 {
             if n % 100 == 0 {
-                room.door.push_back(false);
+                bench.backlog.push_back(false);
             }
-            room.step();
+            bench.step();
         }
-        assert_eq!(room.most_pictures, PICTURES);
-        assert!(room.look() <= 10 + 100 + READ_TIME_MIN.as_millis() as u64 + TAKING);
+        assert_eq!(bench.most_pictures, PICTURES);
+        assert!(bench.look() <= 10 + 100 + READ_TIME_MIN.as_millis() as u64 + TAKING);
     }
 
     #[test]
     fn whoever_is_in_no_hurry_has_seconds_while_there_is_room_and_not_for_ever() {
-        let mut room = Room::default();
-        room.door.push_back(false);
-        while room.now < 10 + TAKING + 5_000 {
-            room.step();
+        let mut bench = Bench::default();
+        bench.backlog.push_back(false);
+        while bench.now < 10 + TAKING + 5_000 {
+            bench.step();
         }
-        assert_eq!(room.closed, 0);
-        room.step();
-        assert_eq!((room.closed, room.server.clients.len()), (1, 0));
+        assert_eq!(bench.closed, 0);
+        bench.step();
+        assert_eq!((bench.closed, bench.server.clients.len()), (1, 0));
     }
 }

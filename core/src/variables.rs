@@ -327,11 +327,11 @@ impl Variables {
     ) {
         let outputs = &mut self.outputs;
         self.watchers.retain(|&number, watcher| {
-            let told = whom(watcher);
-            if told {
+            let delivered = whom(watcher);
+            if delivered {
                 outputs.push_back(WatchReport { watcher: number, result: what(watcher) });
             }
-            !told
+            !delivered
         });
     }
 }
@@ -487,8 +487,8 @@ mod tests {
         variables.handle_watch(1, key("speed"), first, NOW);
         assert_eq!(variables.poll_output(), None);
         let second = variables.handle_write(vec![write("speed", 1)], NOW).unwrap();
-        let told = variables.poll_output().unwrap();
-        assert_eq!((told.watcher, told.result.unwrap().revision), (1, second));
+        let delivered = variables.poll_output().unwrap();
+        assert_eq!((delivered.watcher, delivered.result.unwrap().revision), (1, second));
         variables.handle_write(vec![write("speed", 2)], NOW).unwrap();
         assert_eq!(variables.poll_output(), None);
 

@@ -66,21 +66,21 @@ const TIMES: [(u64, u64); 2] = [(100, 10_000), (1_000_000, 3_600_000_000)];
 #[test]
 fn a_small_message_has_the_overhead_that_the_documentation_states() {
     let payload = Bytes::from_static(PAYLOAD);
-    let tell = |stamp_us| PeerMessage::Tell {
+    let tell = |timestamp_us| PeerMessage::Tell {
         binding: 5,
-        stamp_us,
+        timestamp_us,
         id: None,
         payload: payload.clone().into(),
     };
-    let event = |stamp_us| PeerMessage::Event {
+    let event = |timestamp_us| PeerMessage::Event {
         subscription: 5,
-        stamp_us,
+        timestamp_us,
         payload: payload.clone().into(),
     };
-    let request = |call, stamp_us: u64| PeerMessage::Request {
+    let request = |call, timestamp_us: u64| PeerMessage::Request {
         binding: 5,
         call,
-        stamp: stamp_us / 100,
+        timestamp: timestamp_us / 100,
         within: 10_000,
         id: None,
         payload: payload.clone().into(),
@@ -104,9 +104,9 @@ fn a_small_message_has_the_overhead_that_the_documentation_states() {
 #[test]
 fn a_small_reading_of_which_the_newest_counts_has_the_overhead_that_is_stated() {
     let payload = Bytes::from_static(PAYLOAD);
-    let overhead = TIMES.map(|(sequence, stamp_us)| {
+    let overhead = TIMES.map(|(sequence, timestamp_us)| {
         let message =
-            PeerMessage::Event { subscription: 5, stamp_us, payload: payload.clone().into() };
+            PeerMessage::Event { subscription: 5, timestamp_us, payload: payload.clone().into() };
         let payload = message.encode().into_bytes();
         frame(&Segment::Datagram(Datagram {
             tag: 7,

@@ -43,20 +43,20 @@ fn genuine() -> Vec<Bytes> {
         loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
     };
-    let stamp = AdvertisementId {
+    let advertisement_id = AdvertisementId {
         origin: NodeId::of(&name("peer")),
         incarnation: Incarnation(1),
         sequence: 2,
     };
     let edges = vec![Edge { to: NodeId::of(&name("own")), incarnation: 1, cost: 1, mtu: 1400 }];
     let announce = RoutingMessage::Announce(vec![Advertisement {
-        stamp,
+        id: advertisement_id,
         node: name("peer"),
         edges,
         withdrawn: false,
     }]);
     let range = Some((NodeId(0), NodeId(u32::MAX)));
-    let have = RoutingMessage::Have { range, stamps: vec![stamp] };
+    let have = RoutingMessage::Have { range, ids: vec![advertisement_id] };
     let ack = Ack { next: 0, window: 100, ranges: vec![(2, 3)] };
     let payload = Bytes::from_static(b"\x05hello");
     let data = Data {
@@ -90,7 +90,8 @@ fn genuine() -> Vec<Bytes> {
         },
         ..packet.clone()
     };
-    let names = PeerMessage::Names { stamp_us: 0, complete: true, added: vec![], removed: vec![] };
+    let names =
+        PeerMessage::Names { timestamp_us: 0, complete: true, added: vec![], removed: vec![] };
     let datagram =
         Datagram { tag: 1, channel: 1, sequence: 1, piece: None, payload: payload.clone().into() };
     vec![
@@ -110,14 +111,14 @@ fn genuine() -> Vec<Bytes> {
         PeerMessage::Request {
             binding: 1,
             call: 1,
-            stamp: 1,
+            timestamp: 1,
             within: 9,
             id: None,
             payload: payload.clone().into(),
         }
         .encode()
         .into_bytes(),
-        PeerMessage::Event { subscription: 1, stamp_us: 5, payload: payload.into() }
+        PeerMessage::Event { subscription: 1, timestamp_us: 5, payload: payload.into() }
             .encode()
             .into_bytes(),
         names.encode().into_bytes(),
@@ -263,12 +264,16 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
     let mut router = router();
     for n in 0..1000 {
         let node = name(&format!("n{n}"));
-        let stamp =
+        let advertisement_id =
             AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
         let edges =
             vec![Edge { to: NodeId::of(&name("peer")), incarnation: 1, cost: 1, mtu: 1400 }];
-        let announce =
-            RoutingMessage::Announce(vec![Advertisement { stamp, node, edges, withdrawn: false }]);
+        let announce = RoutingMessage::Announce(vec![Advertisement {
+            id: advertisement_id,
+            node,
+            edges,
+            withdrawn: false,
+        }]);
         router.handle_routing(LinkId(0), announce.encode(), Instant::ORIGIN);
         router.handle_timeout(Instant::ORIGIN);
         drain(&mut router);

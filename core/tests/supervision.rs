@@ -134,12 +134,12 @@ impl World {
                     self.orders.remove(&child);
                     self.present.remove(&child);
                 }
-                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
                     assert_eq!(self.strategy, Strategy::OneForOne);
                     assert!(order.times > 0 && order.times <= self.intensity);
                     self.orders.insert(child);
                 }
-                SupervisorOutput::StandingOrder { child, order: None } => {
+                SupervisorOutput::RestartGrant { child, order: None } => {
                     self.orders.remove(&child);
                 }
                 SupervisorOutput::Recovered { call, child, incarnation } => {
@@ -186,10 +186,10 @@ impl World {
         CallId(self.calls)
     }
 
-    fn restart(&mut self, name: &ObjectName, cause: ReplacementCause, struck: Incarnation) {
+    fn restart(&mut self, name: &ObjectName, cause: ReplacementCause, faulty: Incarnation) {
         let call = self.call();
         let before = self.machine.restarts_left(self.now);
-        self.machine.handle_restart(name, call, cause, Some(struck), self.now);
+        self.machine.handle_restart(name, call, cause, Some(faulty), self.now);
         if self.machine.restarts_left(self.now) < before {
             self.ordered_restarts.push(self.now);
         }
@@ -424,8 +424,8 @@ proptest! {
 
         let name = world.names[failed].clone();
         let call = world.call();
-        let struck = Some(Incarnation::FIRST);
-        world.machine.handle_restart(&name, call, ReplacementCause::Died, struck, world.now);
+        let faulty = Some(Incarnation::FIRST);
+        world.machine.handle_restart(&name, call, ReplacementCause::Died, faulty, world.now);
         let (mut stops, mut starts) = (Vec::new(), Vec::new());
         while let Some(action) = world.machine.poll_output() {
             match action {

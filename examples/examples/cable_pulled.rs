@@ -125,9 +125,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         node.cable("left").expect("it is faulty").cut(Direction::Both, true);
     }
     while let Some(event) = faults.next().await {
-        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.location else { continue };
         if event.fault.kind == FaultKind::LinkDown && link.as_ref() == "left" {
-            println!("{}: {}", event.fault.kind, event.fault.place);
+            println!("{}: {}", event.fault.kind, event.fault.location);
             break;
         }
     }

@@ -73,7 +73,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     map.tell(Search { exists: false })?; // it will not come back from there
     while let Some(event) = faults.next().await {
         if event.turn == FaultTransition::Found {
-            println!("{} of {}", event.fault.kind, event.fault.place);
+            println!("{} of {}", event.fault.kind, event.fault.location);
             break;
         }
     }

@@ -80,7 +80,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     node.sender::<Slip>("gripper")?.ask(Slip).await?;
 
     while let Some(event) = faults.next().await {
-        println!("{} of {}: {:?}", event.fault.kind, event.fault.place, event.turn);
+        println!("{} of {}: {:?}", event.fault.kind, event.fault.location, event.turn);
         if event.turn == FaultTransition::Recovered {
             break;
         }

@@ -98,10 +98,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// Waits until this link fails, and says so.
 async fn link_down(faults: &mut FaultEvents, name: &str) -> String {
     while let Some(event) = faults.next().await {
-        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.location else { continue };
         let found = event.turn == FaultTransition::Found && link.as_ref() == name;
         if found && event.fault.kind == FaultKind::LinkDown {
-            return format!("{}: {}", event.fault.kind, event.fault.place);
+            return format!("{}: {}", event.fault.kind, event.fault.location);
         }
     }
     "the node has ended".into()

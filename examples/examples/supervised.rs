@@ -70,12 +70,12 @@ async fn main() -> Result<(), StartError> {
         // A drive that has given up is not restarted, and it is essential: the root gives up as
         // well.
         .intensity(0, Duration::from_secs(10))
-        .safe_outputs(|fault| println!("brakes on: {} of {}", fault.kind, fault.place))
+        .safe_outputs(|fault| println!("brakes on: {} of {}", fault.kind, fault.location))
         .start()
         .await?;
 
     if let NodeState::InSafeState { reason } = node.ended().await {
-        println!("at rest: {reason}");
+        println!("in safe state: {reason}");
     }
     node.shutdown().await;
     Ok(())

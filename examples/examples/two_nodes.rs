@@ -102,9 +102,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("300 requests answered, one after the other");
 
     while let Some(event) = faults.next().await {
-        let FaultLocation::Link { link, .. } = &event.fault.place else { continue };
+        let FaultLocation::Link { link, .. } = &event.fault.location else { continue };
         if event.fault.kind == FaultKind::LinkDown && link.as_ref() == "ethernet" {
-            println!("{}: {}", event.fault.kind, event.fault.place);
+            println!("{}: {}", event.fault.kind, event.fault.location);
             break;
         }
     }

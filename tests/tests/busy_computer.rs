@@ -57,7 +57,7 @@ fn used() -> Duration {
 }
 
 fn is_computers(entry: &FaultEntry) -> bool {
-    entry.fault.kind == FaultKind::Overload && entry.fault.place.to_string() == "m"
+    entry.fault.kind == FaultKind::Overload && entry.fault.location.to_string() == "m"
 }
 
 #[test]
@@ -87,11 +87,11 @@ fn a_computer_that_has_no_time_is_the_root_of_an_overload_and_no_component_is() 
         assert!(computers[0].fault.detail.contains("waited for a processor"), "{record:#?}");
         let overloads = |entry: &&FaultEntry| entry.fault.kind == FaultKind::Overload;
         let stands = |entry: &&FaultEntry| entry.stands();
-        let mut standing = record.entries.iter().filter(overloads).filter(stands);
-        assert!(standing.all(is_computers), "{record:#?}");
+        let mut open_faults = record.entries.iter().filter(overloads).filter(stands);
+        assert!(open_faults.all(is_computers), "{record:#?}");
         for name in ["safety", "fast"] {
             let table = node.table().await;
-            let row = table.iter().find(|row| row.place.to_string() == format!("m:{name}"));
+            let row = table.iter().find(|row| row.location.to_string() == format!("m:{name}"));
             assert_eq!(row.expect("it is watched").incarnation, Incarnation(1), "{name}");
         }
         drop(load);

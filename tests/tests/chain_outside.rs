@@ -100,11 +100,12 @@ async fn incarnation(node: &Node, joint: &str) -> Option<u64> {
     node.sender::<Ask>(joint).unwrap().ask(Ask).await.ok()
 }
 
-/// What stands of `place` in the record of faults: that it was found, and whether it has ended.
-async fn fault_of(node: &Node, place: &str) -> Option<(FaultKind, String, bool)> {
+/// What stands of `location` in the record of faults: that it was found, and whether it has ended.
+async fn fault_of(node: &Node, location: &str) -> Option<(FaultKind, String, bool)> {
     let entries = node.faults().await.entries;
-    let place = format!("module1:{place}");
-    let entry = entries.into_iter().rev().find(|entry| entry.fault.place.to_string() == place)?;
+    let location = format!("module1:{location}");
+    let entry =
+        entries.into_iter().rev().find(|entry| entry.fault.location.to_string() == location)?;
     let ended = !entry.stands();
     Some((entry.fault.kind, entry.fault.detail, ended))
 }
@@ -137,7 +138,7 @@ impl RecoveryStrategy for Oil {
         order: &RecoveryOrder,
         tools: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        if order.fault.place.to_string().ends_with("joint1") {
+        if order.fault.location.to_string().ends_with("joint1") {
             self.0.block();
         }
         tools.restart(&order.fault).await
@@ -163,7 +164,7 @@ fn a_strategy_that_blocks_is_named_and_the_fault_chain_goes_on_without_it() {
         assert!(named.1.contains("oil") && named.1.contains("200ms"), "{}", named.1);
         assert_eq!(node.abandoned_threads(), 1);
         assert!(
-            node.table().await.iter().any(|row| row.place.to_string().ends_with("strategy/oil"))
+            node.table().await.iter().any(|row| row.location.to_string().ends_with("strategy/oil"))
         );
 
         drop(hold);
@@ -315,7 +316,8 @@ fn a_node_comes_to_rest_although_its_safe_outputs_block() {
 
         leak(&node, "joint1").await;
 
-        let state = tokio::time::timeout(PATIENCE, node.ended()).await.expect("it comes to rest");
+        let state =
+            tokio::time::timeout(PATIENCE, node.ended()).await.expect("it enters the safe state");
         assert!(matches!(state, NodeState::InSafeState { .. }), "{state:?}");
         until(async || fault_of(&node, "safe-outputs").await).await;
         drop(hold);

@@ -91,7 +91,7 @@ async fn outlive_the_one_between(medium: &str) {
     drop(two);
     while let Some(event) = faults.next().await {
         if event.fault.kind == FaultKind::NodeLost {
-            assert_eq!(event.fault.place.to_string(), "module2");
+            assert_eq!(event.fault.location.to_string(), "module2");
             break;
         }
     }
@@ -149,7 +149,7 @@ fn a_flood_of_forged_beacons_is_a_fault_and_harms_nobody() {
         let liar = Liar::start(group);
         let named = async {
             while let Some(event) = faults.next().await {
-                if event.fault.place.to_string() == "module1:net/discovery" {
+                if event.fault.location.to_string() == "module1:net/discovery" {
                     return event.fault;
                 }
             }

@@ -32,7 +32,7 @@ impl Handle<Strike> for Lamp {
     }
 }
 
-/// A node that comes to rest at the first blow.
+/// A node that enters the safe state at the first panic.
 fn fragile(socket: &Path) -> blastema::NodeBuilder {
     Node::builder("module1")
         .child(ChildSpec::new("lamp", || Lamp).essential())
@@ -87,7 +87,7 @@ fn a_node_is_seen_at_safe_rest_with_the_reason_and_not_once_it_is_shut_down() {
         strike.ask_within(Strike, LONG).await.unwrap_err();
         assert!(matches!(node.ended().await, NodeState::InSafeState { .. }));
         let seen = look(&socket).await;
-        assert!(seen.contains(r#""state":"at rest""#) && seen.contains("struck"), "{seen}");
+        assert!(seen.contains(r#""state":"in safe state""#) && seen.contains("struck"), "{seen}");
 
         node.shutdown().await;
         until(async || !socket.exists()).await;
@@ -157,7 +157,7 @@ fn that_a_socket_cannot_be_made_again_is_a_fault_until_it_can() {
             let entries = record.entries.iter().map(|entry| {
                 let fault = &entry.fault;
                 (
-                    format!("{} {}", fault.place, fault.detail),
+                    format!("{} {}", fault.location, fault.detail),
                     entry.status() != blastema::FaultStatus::Open,
                 )
             });

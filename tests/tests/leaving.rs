@@ -60,7 +60,7 @@ async fn a_node_that_leaves_in_order_is_no_fault_and_its_return_no_recovery() {
     let why = sum.ask(Add(1)).await.unwrap_err().kind;
     assert_eq!(why, DeliveryError::Left { node: "there".into() });
     here.expect_no_faults().await;
-    assert_eq!(here.row("there").await.opinion, Opinion::AtRest);
+    assert_eq!(here.row("there").await.opinion, Opinion::Stopped);
 
     let there = TestNode::start(module(&medium, "there", "here")).await;
     here.advance(5000 * MS).await;

@@ -226,7 +226,7 @@ fn a_serial_cable_that_is_pulled_and_plugged_in_again_carries_on() {
         cable.inject(&cable.left(), b"\r\nDebian GNU/Linux 12 module2 ttyS0\r\n\0");
         cable.unplug();
         let fault = link_fault(&mut faults).await;
-        assert_eq!(fault.place.to_string(), "module1 -cable- module2");
+        assert_eq!(fault.location.to_string(), "module1 -cable- module2");
         cable.plug();
 
         assert!(pair.near.connected("module2", PATIENCE).await, "{:?}", pair.near.links().await);
@@ -285,7 +285,7 @@ fn a_port_that_is_taken_is_a_fault_that_says_what_to_do_and_ends_when_the_port_i
                 if peers == 0 {
                     let cleared = async {
                         while !node.table().await.iter().any(|row| {
-                            row.place.to_string().contains("ethernet")
+                            row.location.to_string().contains("ethernet")
                                 && row.opinion == blastema::Opinion::Trusted
                         }) {
                             tokio::task::yield_now().await;

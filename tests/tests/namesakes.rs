@@ -97,13 +97,11 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
             add().await;
         }
 
-        let places = [&of_first, &of_second].map(|fault| fault.place.to_string());
-        assert_eq!(places, ["arm:net/router", "arm:net/router"]);
+        let locations = [&of_first, &of_second].map(|fault| fault.location.to_string());
+        assert_eq!(locations, ["arm:net/router", "arm:net/router"]);
         assert!(of_first.detail.contains("kept out; end it"), "{}", of_first.detail);
         assert!(of_second.detail.contains("give it another name"), "{}", of_second.detail);
-        assert!(
-            second.sessions().await.iter().all(|session| session.standing.incarnation.is_none())
-        );
+        assert!(second.sessions().await.iter().all(|session| session.status.incarnation.is_none()));
 
         // Callers on that node get the reason why there is no answer.
         let elsewhere: Sender<Add> = second.sender("head:sum").expect("a name");
@@ -147,7 +145,7 @@ fn neighbours_of_one_name_are_told_so_until_one_is_called_otherwise() {
         let faults = [taken(of_arm).await, taken(of_other).await];
 
         for fault in faults {
-            assert_eq!(fault.place.to_string(), "arm:net/links/ethernet");
+            assert_eq!(fault.location.to_string(), "arm:net/links/ethernet");
             assert!(fault.detail.contains("also called arm"), "{}", fault.detail);
         }
         other.shutdown().await;

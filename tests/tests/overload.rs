@@ -103,9 +103,9 @@ async fn start(builder: NodeBuilder) -> TestNode {
 
 /// Waits for the overload of a component; it is the computer's where that has hardly any time.
 async fn await_overload(node: &Node, name: &str) {
-    let place = format!("m:{name}");
+    let location = format!("m:{name}");
     let is_overload =
-        |entry: &FaultEntry| is_of(entry, &FaultKind::Overload, &place) || is_computers(entry);
+        |entry: &FaultEntry| is_of(entry, &FaultKind::Overload, &location) || is_computers(entry);
     until("an overload", node, |record| record.entries.iter().any(is_overload)).await;
 }
 
@@ -121,8 +121,8 @@ async fn until(what: &str, node: &Node, mut holds: impl FnMut(&FaultRecord) -> b
     }
 }
 
-fn is_of(entry: &FaultEntry, kind: &FaultKind, place: &str) -> bool {
-    entry.fault.kind == *kind && entry.fault.place.to_string() == place
+fn is_of(entry: &FaultEntry, kind: &FaultKind, location: &str) -> bool {
+    entry.fault.kind == *kind && entry.fault.location.to_string() == location
 }
 
 /// The computer is overloaded, which it may be wherever tests are run.

@@ -76,10 +76,10 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
         for restarts in 0..5 {
             let mut process = start("bystander", &addresses);
             let seen = async {
-                let place =
+                let location =
                     blastema::FaultLocation::Node(blastema::NodeName::new("module1").unwrap());
                 while !node.table().await.iter().any(|row| {
-                    row.place == place && row.restarts == restarts && row.incarnation.0 > 0
+                    row.location == location && row.restarts == restarts && row.incarnation.0 > 0
                 }) {
                     sleep(Duration::from_millis(5)).await;
                 }
@@ -92,7 +92,7 @@ fn a_node_that_is_killed_and_started_over_and_over_is_one_fault_that_stands() {
         assert_eq!(found.len(), 1, "{found:?}");
         assert!(found[0].stands(), "{found:?}");
         assert_eq!(
-            (found[0].fault.count, found[0].fault.place.to_string().as_str()),
+            (found[0].fault.count, found[0].fault.location.to_string().as_str()),
             (2, "module1")
         );
         node.shutdown().await;

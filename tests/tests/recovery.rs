@@ -137,8 +137,8 @@ async fn record(node: &Node) -> Vec<String> {
             (None, None, Some((_, reason))) => reason,
             (None, None, None) => "stands".into(),
         };
-        let place = entry.fault.place.to_string();
-        format!("{} of {}: {end}", entry.fault.kind, place.trim_start_matches("here:"))
+        let location = entry.fault.location.to_string();
+        format!("{} of {}: {end}", entry.fault.kind, location.trim_start_matches("here:"))
     };
     node.faults().await.entries.into_iter().map(told).collect()
 }

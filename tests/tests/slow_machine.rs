@@ -78,8 +78,8 @@ async fn tell_faults() {
             root.map_or_else(String::new, |root| root.fault.kind.code().to_owned())
         };
         let row = |entry: &blastema::core::detection::FaultEntry| {
-            let blastema::Fault { kind, place, symptom_of, .. } = &entry.fault;
-            (kind.code().to_owned(), place.to_string(), code(*symptom_of))
+            let blastema::Fault { kind, location, symptom_of, .. } = &entry.fault;
+            (kind.code().to_owned(), location.to_string(), code(*symptom_of))
         };
         found.send_replace(entries.iter().map(row).collect());
     }

@@ -102,7 +102,7 @@ pub struct CanNode<P> {
     machine: Option<IsoTp>,
     /// Whose the address is.
     claim: Option<AddressClaim>,
-    standing: AddressState,
+    status: AddressState,
     /// What the machine had refused when it was last looked at.
     refusals: IsoTpErrorCounts,
     /// A frame that the bus has not taken yet.
@@ -133,7 +133,7 @@ impl<P: CanPort> CanNode<P> {
             now,
             machine: None,
             claim: None,
-            standing: AddressState::Claiming,
+            status: AddressState::Claiming,
             refusals: IsoTpErrorCounts::default(),
             ready: None,
             arrivals: VecDeque::new(),
@@ -209,7 +209,7 @@ impl<P: CanPort> CanNode<P> {
                     // If the queue to all is full, the nodes on the bus are received anyway.
                     let _ = machine.handle_urgent(BusAddress::ALL, seal_claim(&claim), now);
                 }
-                AddressClaimOutput::Held => self.standing = AddressState::Held,
+                AddressClaimOutput::Held => self.status = AddressState::Held,
                 AddressClaimOutput::Kept { from } => {
                     let (address, own) = (self.config.address, own(&self.config));
                     let text = format!(
@@ -218,7 +218,7 @@ impl<P: CanPort> CanNode<P> {
                     );
                     self.arrivals.push_back(MediumEvent::Clash { text });
                 }
-                AddressClaimOutput::Lost { to } => self.standing = AddressState::Lost(to),
+                AddressClaimOutput::Lost { to } => self.status = AddressState::Lost(to),
             }
         }
     }
@@ -228,7 +228,7 @@ impl<P: CanPort> CanNode<P> {
     /// # Errors
     /// It is another node's.
     fn may_speak(&self) -> io::Result<bool> {
-        match &self.standing {
+        match &self.status {
             AddressState::Claiming => Ok(false),
             AddressState::Held => Ok(true),
             AddressState::Lost(to) => {
@@ -440,7 +440,7 @@ impl<P: CanPort> FrameMedium for CanNode<P> {
     fn close(&mut self) {
         self.port.close();
         (self.machine, self.claim) = (None, None);
-        self.standing = AddressState::Claiming;
+        self.status = AddressState::Claiming;
         self.refusals = IsoTpErrorCounts::default();
         self.ready = None;
         self.arrivals.clear();

@@ -36,7 +36,7 @@ impl FaultInjectorConfig {
 
 /// Stands between a link and a transport, and does to frames what it is told: loss, delay,
 /// duplication, reordering, corruption, a limited rate ([`Impair`]), a cut, noticed or silent
-/// ([`Cut`]), a partition from some peers ([`Partition`]), and the mending ([`Restore`]).
+/// ([`Cut`]), a partition from some peers ([`Partition`]), and the restoring ([`Restore`]).
 ///
 /// ```text
 /// link ──Transmit──► FaultInjector ──Transmit──► transport
@@ -76,7 +76,7 @@ impl FaultInjector {
 
     fn announce(&mut self) {
         if self.cut_is_reported {
-            self.outlet.announce_closed("the cable is cut, on purpose: mend it".into());
+            self.outlet.announce_closed("the cable is cut, on purpose: restore it".into());
         } else if let Some(state) = self.state.clone() {
             self.outlet.announce(state);
         }
@@ -107,7 +107,7 @@ impl MediumActor for FaultInjector {
                 self.inner.transmit.do_send(message);
             }
             for turn in 0.. {
-                if self.outlet.poll_room(task).is_pending() {
+                if self.outlet.poll_capacity(task).is_pending() {
                     break;
                 }
                 let Some(Received { from, frame }) = self.incoming.poll_output() else { break };

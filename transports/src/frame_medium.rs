@@ -53,7 +53,7 @@ pub trait FrameMedium: Send + 'static {
 
     /// Ready when the medium can begin with another frame. Until then it is not yet chosen, so that
     /// an urgent one may still go before those that wait.
-    fn poll_room(&mut self, _: &mut Context<'_>) -> Poll<()> {
+    fn poll_capacity(&mut self, _: &mut Context<'_>) -> Poll<()> {
         Poll::Ready(())
     }
 

@@ -91,7 +91,7 @@ impl FrameTransport {
         for _ in 0..BUDGET {
             if self.going.is_none() {
                 // Chosen as late as can be: what is urgent may come while the medium is busy.
-                if self.queue.is_empty() || self.medium.poll_room(task).is_pending() {
+                if self.queue.is_empty() || self.medium.poll_capacity(task).is_pending() {
                     return true;
                 }
                 let next = self.queue.pop();
@@ -127,7 +127,7 @@ impl FrameTransport {
     /// Says whether the medium is still there.
     fn read(&mut self, task: &mut task::Context<'_>) -> bool {
         for _ in 0..BUDGET {
-            if self.outlet.poll_room(task).is_pending() {
+            if self.outlet.poll_capacity(task).is_pending() {
                 return true;
             }
             match self.medium.poll_receive(task) {

@@ -103,6 +103,7 @@ static OF_THIS_PROCESS: LazyLock<MemoryMedium> = LazyLock::new(MemoryMedium::def
 
 impl MemoryMedium {
     /// The medium that `memory://` means: the same for all of this process.
+    #[doc(hidden)]
     pub fn of_this_process() -> Self {
         OF_THIS_PROCESS.clone()
     }
@@ -231,7 +232,7 @@ impl MediumActor for Memory {
         let Some(inbox) = self.inbox.clone() else { return };
         let mut budget = PollBudget::default();
         while budget.next() {
-            if self.outlet.poll_room(task).is_pending() {
+            if self.outlet.poll_capacity(task).is_pending() {
                 return;
             }
             let Some((from, frame)) = inbox.pop(task) else { return };

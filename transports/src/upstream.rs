@@ -100,7 +100,7 @@ impl Upstream {
     }
 
     /// Whether another frame may be handed on; if not, the task is woken when it may.
-    pub(crate) fn poll_room(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
+    pub(crate) fn poll_capacity(&mut self, task: &mut task::Context<'_>) -> Poll<()> {
         while self.unconfirmed.len() >= BATCHES {
             let oldest = self.unconfirmed.front_mut().expect("a full queue has a front");
             // An error means that the receiver is gone or died over it: nothing to wait for either.

@@ -217,7 +217,7 @@ fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told
         let second = named(2, 7, "adder");
         let reason = second.closed().await;
         let clash = |report: &TransportReport| matches!(report, TransportReport::Clash { .. });
-        let TransportReport::Clash { reason: told } = first.reports.wait(clash).await else {
+        let TransportReport::Clash { reason: text } = first.reports.wait(clash).await else {
             unreachable!("it was waited for")
         };
 
@@ -225,7 +225,7 @@ fn who_comes_second_with_an_address_is_silent_until_it_is_free_and_both_are_told
         let lost = "node zebra has the address 7, which this node, adder, claims: give one of the two another";
         assert!(reason.starts_with(&port(2)) && reason.contains(lost), "{reason}");
         let kept = "node adder claims the address 7, which this node, zebra, has and keeps: give one of the two another";
-        assert!(told.starts_with(&port(1)) && told.contains(kept), "{told}");
+        assert!(text.starts_with(&port(1)) && text.contains(kept), "{text}");
         other.send(7, "to the one who has it");
         first.expect(9, "to the one who has it").await;
         assert_eq!(second.frames.recorded(), 0);
@@ -249,9 +249,9 @@ fn a_bus_on_which_nobody_confirms_is_reported_once_with_what_to_do_and_stays_ope
         bus.trouble(1, 0xa0);
         let trouble =
             |report: &TransportReport| matches!(report, TransportReport::NoCarrier { .. });
-        let told = a.reports.wait(trouble).await;
+        let text = a.reports.wait(trouble).await;
 
-        let TransportReport::NoCarrier { reason } = told else { unreachable!("it was waited for") };
+        let TransportReport::NoCarrier { reason } = text else { unreachable!("it was waited for") };
         assert!(reason.contains("check its wires"), "{reason}");
         a.send(2, "for it is not closed");
         b.expect(1, "for it is not closed").await;

@@ -239,7 +239,7 @@ async fn start_with_journal(path: &Path) -> (Node, String) {
     let node = builder.start().await.expect("it starts all the same");
     let found = async {
         while let Some(FaultEvent { fault, turn, .. }) = faults.next().await {
-            let of_journal = fault.place.to_string().ends_with("chain/journal");
+            let of_journal = fault.location.to_string().ends_with("chain/journal");
             if of_journal && turn == FaultTransition::Found {
                 return fault.detail;
             }

@@ -1,4 +1,4 @@
-//! What a commander says to an actuator's node, and hears.
+//! The messages between a commander and an actuator's node.
 
 use blastema_core::DeliveryError;
 use blastema_core::contract::codec;

@@ -51,18 +51,18 @@ impl<M: Contract> ActuatorSpec<M> {
         ActuatorSpec { safe, span: LEASE.default, cut_off: None }
     }
 
-    /// How long a commander may be silent; 200 ms unless this says otherwise, from 20 ms to a
-    /// minute. Shorter stops sooner, and stops for a commander that was merely late.
+    /// Sets how long a commander may be silent: 200 ms by default, 20 ms to 1 min. A shorter lease
+    /// stops the actuator sooner, also for a commander that is only late.
     #[must_use]
     pub fn lease(mut self, span: Duration) -> Self {
         self.span = span;
         self
     }
 
-    /// Also called when a lease ends, as the component is told: what brings the outputs to rest
-    /// although the component hangs. The cut-offs and [safe
-    /// outputs](crate::NodeBuilder::safe_outputs) of a node are called one after the other on a
-    /// thread of their own. One that blocks it for longer than
+    /// Sets a function that sets the outputs to their safe value. It is called when a lease ends,
+    /// in addition to the component's hook, so that a hang of the component does not prevent it.
+    /// The cut-offs and [safe outputs](crate::NodeBuilder::safe_outputs) of a node are called one
+    /// after the other on a thread of their own. One that blocks it for longer than
     /// [`callback_limit`](crate::NodeBuilder::callback_limit) is a fault of the component, and the
     /// others go on on a fresh thread.
     #[must_use]
@@ -218,9 +218,9 @@ impl Drop for CommanderState {
 }
 
 impl<M: Contract> Commander<M> {
-    /// Asks for the lease, and says under which epoch it holds. While the actuator cannot be
-    /// commanded by this commander, a second is waited for it, as by
-    /// [`claim_within`](Self::claim_within).
+    /// Requests the lease and returns its epoch. Waits up to one second, as
+    /// [`claim_within`](Self::claim_within) does, for an actuator that this commander cannot
+    /// command yet.
     ///
     /// # Errors
     /// As [`claim_within`](Self::claim_within).
@@ -228,10 +228,10 @@ impl<M: Contract> Commander<M> {
         self.claim_within(CLAIM_WITHIN).await
     }
 
-    /// Asks for the lease, and says under which epoch it holds. Waits for so long for an actuator
-    /// that is not there yet, that another commander holds, that is being restarted or brought to
-    /// rest, or whose node cannot be reached. It asks again after 10 ms, and less and less often,
-    /// down to every 160 ms: of several commanders that wait, any may get the lease first.
+    /// Requests the lease and returns its epoch. Waits up to `limit` for an actuator that has not
+    /// started, is held by another commander, is being restarted or stopped, or whose node cannot
+    /// be reached. It asks again after 10 ms, and less and less often, down to every 160 ms: of
+    /// several commanders that wait, any may get the lease first.
     ///
     /// A component that claims while it is being activated keeps those waiting that start after it:
     /// where the actuator is one of them, [spawn](crate::Context::spawn) the claim.
@@ -280,8 +280,8 @@ impl<M: Contract> Commander<M> {
         self.0.held().is_some_and(|held| platform::now() < held.until)
     }
 
-    /// Commands, and waits until the command has been carried out, within the span of the lease.
-    /// One command is under way at a time.
+    /// Sends a command and waits until the actuator has executed it, at most for the span of the
+    /// lease. One command is in flight at a time.
     ///
     /// # Errors
     /// [`DeliveryError::LeaseEnded`] where no lease holds any more, [`DeliveryError::Superseded`]

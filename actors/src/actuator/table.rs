@@ -38,15 +38,15 @@ pub(crate) struct DeclaredActuator {
     pub(crate) cut_off: Option<SafeOutputFn>,
 }
 
-/// An actuator and who commands it, for people.
+/// An actuator and its commander, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActuatorRow {
     /// The component.
     pub object: ObjectName,
     /// The contract of its commands.
     pub contract: &'static str,
-    /// Who commands, under which epoch, and for how long unless the lease is renewed.
-    pub standing: LeaseStatus,
+    /// The commander, the epoch of its lease, and the time until the lease ends unless renewed.
+    pub status: LeaseStatus,
 }
 
 /// One actuator: one contract of commands to one component.
@@ -141,15 +141,15 @@ impl ActuatorTable {
         drop(gone);
     }
 
-    /// The node comes to rest: every lease ends now, and none is granted before it goes to work
-    /// again.
+    /// The node enters the safe state: every lease ends now, and none is granted before it goes to
+    /// work again.
     pub(crate) fn rest(&self) {
         self.rests.store(true, SeqCst);
         let now = platform::now();
         let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
         for actuator in all {
             let mut lease = lock(&actuator.lease);
-            if let LeaseStatus::Held { epoch, .. } = lease.standing(now) {
+            if let LeaseStatus::Held { epoch, .. } = lease.status(now) {
                 lease.handle_release(epoch);
             }
             drop(lease);
@@ -167,7 +167,7 @@ impl ActuatorTable {
     pub(crate) fn are_at_rest(&self) -> bool {
         let now = platform::now();
         let all: Vec<_> = lock(&self.actuators).values().cloned().collect();
-        all.iter().all(|actuator| lock(&actuator.lease).standing(now) == LeaseStatus::Free)
+        all.iter().all(|actuator| lock(&actuator.lease).status(now) == LeaseStatus::Free)
     }
 
     /// The node goes to work again.
@@ -181,7 +181,7 @@ impl ActuatorTable {
         let row = |actuator: &Arc<Actuator>| ActuatorRow {
             object: actuator.object.clone(),
             contract: actuator.identity.name,
-            standing: lock(&actuator.lease).standing(now),
+            status: lock(&actuator.lease).status(now),
         };
         let actuators: Vec<_> = lock(&self.actuators).values().cloned().collect();
         actuators.iter().map(row).collect()
@@ -267,7 +267,7 @@ impl ActuatorTable {
             let waits =
                 |other: &Arc<Actuator>| other.object == actuator.object && other.lost.load(Relaxed);
             if !lock(&self.actuators).values().any(waits) {
-                actuator.skeleton.mend(FaultKind::CommanderGone);
+                actuator.skeleton.clear_fault(FaultKind::CommanderGone);
             }
         }
     }
@@ -345,7 +345,7 @@ impl ActuatorTable {
                 let detail = match outcome {
                     CallOutcome::Done => return,
                     CallOutcome::ReturnedLate => {
-                        return actuator.skeleton.mend(FaultKind::CheckFailed);
+                        return actuator.skeleton.clear_fault(FaultKind::CheckFailed);
                     }
                     CallOutcome::Panicked(text) => format!("the cut-off panicked: {text}"),
                     CallOutcome::Blocked(limit) => {

@@ -54,14 +54,14 @@ impl Deadlines {
     /// Removes the requests that are due, and those that only this table still holds.
     fn sweep(&mut self, now: Instant) -> Vec<Arc<dyn Cancel>> {
         let mut due = Vec::new();
-        for (at, place) in self.waiting.iter_mut().enumerate() {
-            let Some(waiting) = place else { continue };
+        for (at, entry) in self.waiting.iter_mut().enumerate() {
+            let Some(waiting) = entry else { continue };
             if let Due::After(span) = waiting.due {
                 waiting.due = Due::At(now + span);
             }
             let over = matches!(waiting.due, Due::At(at) if at <= now);
             if over || Arc::strong_count(&waiting.slot) == 1 {
-                due.extend(place.take().map(|waiting| waiting.slot));
+                due.extend(entry.take().map(|waiting| waiting.slot));
                 self.free.push(at);
             }
         }
@@ -71,7 +71,7 @@ impl Deadlines {
 
 /// One request's place among the deadlines of the arbiter on which it was made.
 pub(crate) struct Deadline {
-    place: usize,
+    slot_index: usize,
     number: u64,
     thread: ThreadId,
 }
@@ -84,17 +84,17 @@ impl Deadline {
             let number = deadlines.next;
             deadlines.next += 1;
             let entry = Some(Waiting { number, due: Due::After(span), slot });
-            let place = match deadlines.free.pop() {
-                Some(place) => {
-                    deadlines.waiting[place] = entry;
-                    place
+            let slot_index = match deadlines.free.pop() {
+                Some(slot_index) => {
+                    deadlines.waiting[slot_index] = entry;
+                    slot_index
                 }
                 None => {
                     deadlines.waiting.push(entry);
                     deadlines.waiting.len() - 1
                 }
             };
-            Deadline { place, number, thread: thread_id() }
+            Deadline { slot_index, number, thread: thread_id() }
         })
     }
 }
@@ -107,9 +107,9 @@ impl Drop for Deadline {
         }
         let entry = DEADLINES.try_with(|deadlines| {
             let mut deadlines = deadlines.borrow_mut();
-            let place = deadlines.waiting.get_mut(self.place)?;
-            let entry = place.take_if(|waiting| waiting.number == self.number)?;
-            deadlines.free.push(self.place);
+            let waiting = deadlines.waiting.get_mut(self.slot_index)?;
+            let entry = waiting.take_if(|waiting| waiting.number == self.number)?;
+            deadlines.free.push(self.slot_index);
             Some(entry)
         });
         drop(entry); // Its slot may hold what is the user's.

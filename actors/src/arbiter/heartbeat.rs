@@ -1,4 +1,5 @@
-//! What an arbiter says about itself: it turns, whom it is running, whether it has been given up.
+//! The state that an arbiter publishes: its heartbeat, the running component, and whether it is
+//! lost.
 //!
 //! A worker reads no clock. Its beat, a task that wakes every 10 ms, counts up, notes the time for
 //! those who need it only roughly, and sweeps the deadlines of requests that were made here.
@@ -31,7 +32,7 @@ pub(crate) struct ArbiterHeartbeat {
     beat: AtomicU64,
     /// 1 + the slot of the component on the thread right now; 0 between polls.
     running: AtomicU32,
-    gate: AtomicU8,
+    flags: AtomicU8,
     /// The component on the thread has ends of incarnations to tell, and tells them when its turn
     /// is over.
     owes_exits: AtomicBool,
@@ -52,8 +53,9 @@ thread_local! {
 /// fence goes up may still land: to be strict would cost every message a lock.
 #[inline]
 pub(crate) fn send_refusal() -> Option<DeliveryError> {
-    let gate = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.gate.load(Relaxed)));
-    match gate.unwrap_or(0) {
+    let flags =
+        HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.flags.load(Relaxed)));
+    match flags.unwrap_or(0) {
         0 => None,
         MUTED => Some(DeliveryError::SenderIsolated),
         _ => Some(DeliveryError::Fenced),
@@ -62,13 +64,14 @@ pub(crate) fn send_refusal() -> Option<DeliveryError> {
 
 /// The slot of the component that runs on this thread.
 pub(crate) fn running_here() -> Option<u32> {
-    HERE.try_with(|here| here.get().and_then(|pulse| pulse.running())).ok().flatten()
+    HERE.try_with(|here| here.get().and_then(|heartbeat| heartbeat.running())).ok().flatten()
 }
 
 /// The time to the precision of the beat.
 #[inline]
 pub(crate) fn coarse_now() -> Instant {
-    let beaten = HERE.try_with(|here| here.get().map_or(0, |pulse| pulse.time.load(Relaxed)));
+    let beaten =
+        HERE.try_with(|here| here.get().map_or(0, |heartbeat| heartbeat.time.load(Relaxed)));
     match beaten.unwrap_or(0) {
         0 => platform::now(),
         nanos => Instant::from_nanos(nanos),
@@ -82,7 +85,7 @@ impl Default for ArbiterHeartbeat {
             id: NEXT.fetch_add(1, Relaxed),
             beat: AtomicU64::new(0),
             running: AtomicU32::new(0),
-            gate: AtomicU8::new(0),
+            flags: AtomicU8::new(0),
             owes_exits: AtomicBool::new(false),
             time: AtomicU64::new(0),
             unwinding: Arc::default(),
@@ -92,7 +95,7 @@ impl Default for ArbiterHeartbeat {
 }
 
 impl ArbiterHeartbeat {
-    /// Tells it from every other pulse of the process.
+    /// Tells it from every other heartbeat of the process.
     pub(crate) fn id(&self) -> u64 {
         self.id
     }
@@ -103,17 +106,17 @@ impl ArbiterHeartbeat {
         BEATS.try_with(Cell::get).unwrap_or(false)
     }
 
-    /// Gives this thread its pulse, and lets it beat while its event loop turns.
+    /// Gives this thread its heartbeat, and lets it beat while its event loop turns.
     ///
     /// # Panics
     /// Outside of an actix arbiter.
     pub(crate) fn enrol_here() -> Arc<ArbiterHeartbeat> {
-        let pulse = HERE.with(|here| here.get_or_init(Arc::default).clone());
-        Unwinding::note_here(&pulse.unwinding);
-        if let Some(beat) = pulse.clone().start_beating() {
+        let heartbeat = HERE.with(|here| here.get_or_init(Arc::default).clone());
+        Unwinding::note_here(&heartbeat.unwinding);
+        if let Some(beat) = heartbeat.clone().start_beating() {
             actix_rt::spawn(beat);
         }
-        pulse
+        heartbeat
     }
 
     /// Gives this fresh thread, whose runtime is its own, a heartbeat that another one reads
@@ -215,33 +218,33 @@ impl ArbiterHeartbeat {
     /// Whether the arbiter has been given up, or is about to be.
     #[inline]
     pub(crate) fn is_fenced(&self) -> bool {
-        self.gate.load(Relaxed) & (FENCED | LOST) != 0
+        self.flags.load(Relaxed) & (FENCED | LOST) != 0
     }
 
     /// Whether its components live elsewhere now.
     #[inline]
     pub(crate) fn is_lost(&self) -> bool {
-        self.gate.load(Relaxed) & LOST != 0
+        self.flags.load(Relaxed) & LOST != 0
     }
 
     /// Lets nothing out until the handler that keeps the thread has returned.
     pub(crate) fn fence(&self) {
-        self.gate.fetch_or(FENCED, Relaxed);
+        self.flags.fetch_or(FENCED, Relaxed);
     }
 
     /// The handler has returned. Too late once the arbiter is lost.
     pub(crate) fn lift(&self) {
-        if self.gate.load(Relaxed) & FENCED != 0 {
-            let _ = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
-                (gate & LOST == 0).then_some(gate & !FENCED)
+        if self.flags.load(Relaxed) & FENCED != 0 {
+            let _ = self.flags.fetch_update(Relaxed, Relaxed, |flags| {
+                (flags & LOST == 0).then_some(flags & !FENCED)
             });
         }
     }
 
     /// The grace time is over. Says whether the arbiter was still fenced.
     pub(crate) fn lose(&self) -> bool {
-        let lost = self.gate.fetch_update(Relaxed, Relaxed, |gate| {
-            (gate & (FENCED | LOST) == FENCED).then_some(gate | LOST)
+        let lost = self.flags.fetch_update(Relaxed, Relaxed, |flags| {
+            (flags & (FENCED | LOST) == FENCED).then_some(flags | LOST)
         });
         lost.is_ok()
     }
@@ -249,9 +252,9 @@ impl ArbiterHeartbeat {
     /// Forbids the component that runs now to send, or ends that.
     pub(crate) fn mute(&self, muted: bool) {
         if muted {
-            self.gate.fetch_or(MUTED, Relaxed);
+            self.flags.fetch_or(MUTED, Relaxed);
         } else {
-            self.gate.fetch_and(!MUTED, Relaxed);
+            self.flags.fetch_and(!MUTED, Relaxed);
         }
     }
 
@@ -269,33 +272,33 @@ mod tests {
 
     #[test]
     fn a_fence_is_lifted_by_the_beat_unless_the_arbiter_is_lost() {
-        let pulse = ArbiterHeartbeat::default();
-        assert!(!pulse.lose(), "only a fenced arbiter can be lost");
-        pulse.fence();
-        assert!(pulse.is_fenced() && !pulse.is_lost());
+        let heartbeat = ArbiterHeartbeat::default();
+        assert!(!heartbeat.lose(), "only a fenced arbiter can be lost");
+        heartbeat.fence();
+        assert!(heartbeat.is_fenced() && !heartbeat.is_lost());
 
-        pulse.beat(Instant::from_millis(1));
-        assert!(!pulse.is_fenced());
+        heartbeat.beat(Instant::from_millis(1));
+        assert!(!heartbeat.is_fenced());
 
-        pulse.fence();
-        assert!(pulse.lose());
-        assert!(!pulse.lose(), "once");
-        pulse.beat(Instant::from_millis(2));
-        assert!(pulse.is_fenced() && pulse.is_lost());
+        heartbeat.fence();
+        assert!(heartbeat.lose());
+        assert!(!heartbeat.lose(), "once");
+        heartbeat.beat(Instant::from_millis(2));
+        assert!(heartbeat.is_fenced() && heartbeat.is_lost());
     }
 
     #[test]
     fn who_is_isolated_is_told_so_and_who_is_fenced_is_told_that() {
         paused(async {
             assert_eq!(send_refusal(), None);
-            let pulse = ArbiterHeartbeat::enrol_here();
-            pulse.mute(true);
+            let heartbeat = ArbiterHeartbeat::enrol_here();
+            heartbeat.mute(true);
             assert_eq!(send_refusal(), Some(DeliveryError::SenderIsolated));
-            pulse.fence();
+            heartbeat.fence();
             assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            pulse.mute(false);
+            heartbeat.mute(false);
             assert_eq!(send_refusal(), Some(DeliveryError::Fenced));
-            pulse.lift();
+            heartbeat.lift();
             assert_eq!(send_refusal(), None);
         });
     }
@@ -305,10 +308,10 @@ mod tests {
         for _ in 0..2 {
             assert!(!ArbiterHeartbeat::beats_here());
             paused(async {
-                let pulse = ArbiterHeartbeat::enrol_here();
-                let before = pulse.beats();
+                let heartbeat = ArbiterHeartbeat::enrol_here();
+                let before = heartbeat.beats();
                 advance(Duration::from_millis(100)).await;
-                assert!((9..=11).contains(&(pulse.beats() - before)));
+                assert!((9..=11).contains(&(heartbeat.beats() - before)));
                 assert!(platform::now() - coarse_now() <= HEARTBEAT_INTERVAL);
                 assert!(now() > Instant::ORIGIN && ArbiterHeartbeat::beats_here());
             });

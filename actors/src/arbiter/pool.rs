@@ -18,14 +18,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use std::{fmt, io};
 
-/// Who may live on a thread.
+/// Which components may run on a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ThreadKind {
     /// Any component.
     Shared,
-    /// One component, which asked for it, or whose incarnation before had kept another thread.
+    /// One component: it asked for a thread of its own, or its previous incarnation kept another
+    /// thread.
     Own,
-    /// Components and the rest of the application: it is the one that started the node.
+    /// Components and the rest of the application: the thread that started the node.
     Starter,
 }
 
@@ -61,7 +62,7 @@ pub(crate) struct ArbiterSlot(Arc<ArbiterEntry>);
 /// One arbiter.
 pub(crate) struct ArbiterEntry {
     pub(crate) handle: ArbiterHandle,
-    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    pub(crate) heartbeat: Arc<ArbiterHeartbeat>,
     own_thread: bool,
 }
 
@@ -74,20 +75,20 @@ impl Deref for ArbiterSlot {
 }
 
 impl ArbiterSlot {
-    fn new(handle: ArbiterHandle, pulse: Arc<ArbiterHeartbeat>, own_thread: bool) -> Self {
-        ArbiterSlot(Arc::new(ArbiterEntry { handle, pulse, own_thread }))
+    fn new(handle: ArbiterHandle, heartbeat: Arc<ArbiterHeartbeat>, own_thread: bool) -> Self {
+        ArbiterSlot(Arc::new(ArbiterEntry { handle, heartbeat, own_thread }))
     }
 
     /// Another incarnation of the same component can begin here.
     pub(crate) fn is_usable(&self) -> bool {
-        !self.own_thread && !self.pulse.is_fenced() && self.answers(platform::now())
+        !self.own_thread && !self.heartbeat.is_fenced() && self.answers(platform::now())
     }
 
     /// Its event loop turns, or will: no component keeps it. One that runs no component and is late
     /// was not given a processor; another thread would wait for one as well.
     fn answers(&self, now: Instant) -> bool {
-        let beats = self.pulse.last_beat().is_none_or(|at| now - at <= ANSWERS_WITHIN);
-        (beats || self.pulse.running().is_none()) && self.handle.alive()
+        let beats = self.heartbeat.last_beat().is_none_or(|at| now - at <= ANSWERS_WITHIN);
+        (beats || self.heartbeat.running().is_none()) && self.handle.alive()
     }
 
     fn kind(&self) -> ThreadKind {
@@ -155,18 +156,18 @@ struct KeptThread {
 
 impl KeptThread {
     fn is_kept(&self) -> bool {
-        self.slot.as_ref().is_none_or(|slot| slot.pulse.is_fenced() && slot.handle.alive())
+        self.slot.as_ref().is_none_or(|slot| slot.heartbeat.is_fenced() && slot.handle.alive())
     }
 
     fn is_lost(&self) -> bool {
-        self.slot.as_ref().is_none_or(|slot| slot.pulse.is_lost() && slot.handle.alive())
+        self.slot.as_ref().is_none_or(|slot| slot.heartbeat.is_lost() && slot.handle.alive())
     }
 }
 
 /// A thread that was begun here and has not ended.
 pub(crate) struct ArbiterThread {
     pub(crate) kind: ThreadKind,
-    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    pub(crate) heartbeat: Arc<ArbiterHeartbeat>,
     /// The culprit, if it is lost.
     pub(crate) lost_to: Option<ObjectName>,
 }
@@ -176,7 +177,7 @@ impl Pool {
     fn tidy(&mut self) {
         self.kept.retain(KeptThread::is_kept);
         for slots in [&mut self.slots, &mut self.own] {
-            slots.retain(|slot| !slot.pulse.is_lost() && slot.handle.alive());
+            slots.retain(|slot| !slot.heartbeat.is_lost() && slot.handle.alive());
         }
     }
 
@@ -224,8 +225,8 @@ impl ArbiterPool {
     /// It keeps too many threads, the operating system has none left, or the node has ended.
     pub(crate) fn place(&self, object: &ObjectName, own_thread: bool) -> io::Result<ArbiterSlot> {
         if self.0.shared == 0 {
-            let pulse = ArbiterHeartbeat::enrol_here();
-            return Ok(ArbiterSlot::new(Arbiter::current(), pulse, false));
+            let heartbeat = ArbiterHeartbeat::enrol_here();
+            return Ok(ArbiterSlot::new(Arbiter::current(), heartbeat, false));
         }
         self.check_share(object)?;
         self.place_in(&mut self.pool_of(), own_thread)
@@ -242,7 +243,7 @@ impl ArbiterPool {
             return Ok(slot);
         }
         let now = platform::now();
-        let turning = || pool.slots.iter().filter(|slot| !slot.pulse.is_fenced());
+        let turning = || pool.slots.iter().filter(|slot| !slot.heartbeat.is_fenced());
         let answering: Vec<&ArbiterSlot> = turning().filter(|slot| slot.answers(now)).collect();
         let wanted = self.0.shared + if answering.is_empty() { SPARE } else { 0 };
         if turning().count() < wanted {
@@ -320,26 +321,26 @@ impl ArbiterPool {
             tokio::runtime::Builder::new_current_thread().enable_all().build()
         })?;
         let handle = arbiter.handle();
-        let pulse = Arc::new(ArbiterHeartbeat::default());
-        let adopted = pulse.clone();
+        let heartbeat = Arc::new(ArbiterHeartbeat::default());
+        let adopted = heartbeat.clone();
         handle.spawn_fn(move || adopted.adopt());
-        Ok(ArbiterSlot::new(handle, pulse, own_thread))
+        Ok(ArbiterSlot::new(handle, heartbeat, own_thread))
     }
 
     /// The culprit keeps this arbiter: nothing that is sent from it gets out any more.
     pub(crate) fn fence(&self, slot: &ArbiterSlot, culprit: &ObjectName) {
         let mut pool = self.pool_of();
         // One that came back and is kept again has one culprit.
-        let is_another = |kept: &ArbiterSlot| kept.pulse.id() != slot.pulse.id();
+        let is_another = |kept: &ArbiterSlot| kept.heartbeat.id() != slot.heartbeat.id();
         pool.kept.retain(|thread| thread.slot.as_ref().is_none_or(is_another));
-        slot.pulse.fence();
+        slot.heartbeat.fence();
         pool.kept.push(KeptThread { culprit: culprit.clone(), slot: Some(slot.clone()) });
     }
 
     /// The grace time of this arbiter is over. Says whether it is really lost, or has just come
     /// back.
-    pub(crate) fn mark_lost(&self, pulse: &ArbiterHeartbeat) -> bool {
-        let lost = pulse.lose();
+    pub(crate) fn mark_lost(&self, heartbeat: &ArbiterHeartbeat) -> bool {
+        let lost = heartbeat.lose();
         if lost {
             self.tell_abandoned();
         }
@@ -382,8 +383,8 @@ impl ArbiterPool {
         let lost = pool.kept.iter().filter(|thread| thread.is_lost());
         let lost = lost.filter_map(|lost| Some((lost.slot.as_ref()?, Some(lost.culprit.clone()))));
         let thread = |(slot, lost_to): (&ArbiterSlot, _)| {
-            let (kind, pulse) = (slot.kind(), slot.pulse.clone());
-            ArbiterThread { kind, pulse, lost_to }
+            let (kind, heartbeat) = (slot.kind(), slot.heartbeat.clone());
+            ArbiterThread { kind, heartbeat, lost_to }
         };
         usable.chain(lost).map(thread).collect()
     }
@@ -435,12 +436,12 @@ mod tests {
     fn keep(slot: &ArbiterSlot) -> Sender<()> {
         let (hold, held) = channel::<()>();
         let (begun, begins) = channel();
-        let pulse = slot.pulse.clone();
+        let heartbeat = slot.heartbeat.clone();
         slot.handle.spawn_fn(move || {
-            pulse.run(Some(0));
+            heartbeat.run(Some(0));
             begun.send(()).unwrap();
             let _ = held.recv();
-            pulse.run(None);
+            heartbeat.run(None);
         });
         begins.recv_timeout(PATIENCE).expect("it begins");
         hold
@@ -449,7 +450,7 @@ mod tests {
     /// Boards an incarnation that says on which thread it begins.
     fn board(arbiters: &ArbiterPool, slot: &ArbiterSlot) -> Receiver<u64> {
         let (begun, begins) = channel();
-        let incarnation = move |slot: ArbiterSlot| begun.send(slot.pulse.id()).unwrap();
+        let incarnation = move |slot: ArbiterSlot| begun.send(slot.heartbeat.id()).unwrap();
         arbiters.board(slot.clone(), Box::new(incarnation));
         begins
     }
@@ -484,12 +485,12 @@ mod tests {
                 let slot = place(&arbiters);
                 holds.push(keep(&slot));
                 until_silent(&slot).await;
-                ids.push(slot.pulse.id());
+                ids.push(slot.heartbeat.id());
             }
             assert!(ids.is_sorted_by(|a, b| a < b), "each on a fresh thread: {ids:?}");
 
             let last = place(&arbiters);
-            assert!(ids.contains(&last.pulse.id()), "none is left that could be started");
+            assert!(ids.contains(&last.heartbeat.id()), "none is left that could be started");
             holds.pop();
             arbiters.stop();
         });
@@ -501,11 +502,11 @@ mod tests {
             let arbiters = ArbiterPool::pool(1);
             let slot = place(&arbiters);
             let begun = board(&arbiters, &slot).recv_timeout(PATIENCE);
-            assert_eq!(begun, Ok(slot.pulse.id()), "it has begun to beat");
+            assert_eq!(begun, Ok(slot.heartbeat.id()), "it has begun to beat");
             let late = platform::now() + Duration::from_secs(3600);
 
             assert!(slot.answers(late), "it waits for a processor");
-            slot.pulse.run(Some(0));
+            slot.heartbeat.run(Some(0));
             assert!(!slot.answers(late), "a component keeps it");
             arbiters.stop();
         });
@@ -518,17 +519,17 @@ mod tests {
             let slot = place(&arbiters);
             let hold = keep(&slot);
             let begins = board(&arbiters, &slot);
-            arbiters.move_boarding(slot.pulse.last_beat().expect("it has beaten"));
+            arbiters.move_boarding(slot.heartbeat.last_beat().expect("it has beaten"));
             until_silent(&slot).await;
             assert!(begins.try_recv().is_err(), "it waits");
 
             arbiters.move_boarding(platform::now());
 
             let begun = begins.recv_timeout(PATIENCE).expect("it begins");
-            assert_ne!(begun, slot.pulse.id());
+            assert_ne!(begun, slot.heartbeat.id());
             drop(hold);
             let after = board(&arbiters, &slot);
-            assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.pulse.id()));
+            assert_eq!(after.recv_timeout(PATIENCE), Ok(slot.heartbeat.id()));
             assert!(begins.try_recv().is_err(), "once");
             arbiters.stop();
         });
@@ -551,8 +552,8 @@ mod tests {
             assert!(refused.to_string().contains("arm keeps 4 threads"), "{refused}");
             let slot = arbiters.place(&leg, true).expect("a thread for another");
             arbiters.fence(&slot, &leg);
-            let kept: Vec<_> = arbiters.pool_of().own.iter().map(|s| s.pulse.clone()).collect();
-            assert!(kept.iter().filter(|pulse| arbiters.mark_lost(pulse)).count() >= 4);
+            let kept: Vec<_> = arbiters.pool_of().own.iter().map(|s| s.heartbeat.clone()).collect();
+            assert!(kept.iter().filter(|heartbeat| arbiters.mark_lost(heartbeat)).count() >= 4);
             assert_eq!(arbiters.lost()[&arm], THREADS_OF_ONE);
 
             holds.clear();

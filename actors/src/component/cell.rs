@@ -63,7 +63,7 @@ pub(crate) struct CellCore {
     pub(crate) environment: Arc<ComponentEnvironment>,
     pub(crate) watchers: Watchers,
     pub(crate) injected: InjectionState,
-    gate: AtomicU8,
+    flags: AtomicU8,
     state: Mutex<CellStatus>,
     /// The incarnation that began last.
     incarnation: AtomicU64,
@@ -124,7 +124,7 @@ impl CellCore {
             environment,
             watchers: Watchers::default(),
             injected: InjectionState::default(),
-            gate: AtomicU8::new(0),
+            flags: AtomicU8::new(0),
             state: Mutex::new(CellStatus {
                 state: Lifecycle::Created,
                 unavailable: None,
@@ -162,11 +162,11 @@ impl CellCore {
     /// An incarnation is in its place. False if a later one has begun elsewhere, whose place stays
     /// known.
     pub(crate) fn enter(&self, incarnation: Incarnation, placement: CurrentPlacement) -> bool {
-        let mut standing = lock(&self.state);
+        let mut status = lock(&self.state);
         let is_newest = incarnation >= self.incarnation();
         if is_newest {
             self.set_incarnation(incarnation);
-            standing.arbiter = Some(placement);
+            status.arbiter = Some(placement);
         }
         is_newest
     }
@@ -176,25 +176,25 @@ impl CellCore {
     }
 
     pub(crate) fn set_state(&self, state: Lifecycle) {
-        let mut standing = lock(&self.state);
-        standing.state = state;
+        let mut status = lock(&self.state);
+        status.state = state;
         // Between two hooks that wait for a device, the component may be initialized.
         if state != Lifecycle::Initialized {
-            standing.unavailable = None;
+            status.unavailable = None;
         }
     }
 
     /// A hook has failed because what it needs is not there yet.
     pub(crate) fn set_unavailable(&self, reason: &str) {
-        let mut standing = lock(&self.state);
-        let since = standing.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
-        standing.unavailable = Some(Box::new((since, reason.to_owned())));
+        let mut status = lock(&self.state);
+        let since = status.unavailable.as_ref().map_or_else(platform::now, |known| known.0);
+        status.unavailable = Some(Box::new((since, reason.to_owned())));
     }
 
     /// What the component waits for, and for how long it has.
     fn unavailable(&self) -> Option<Unavailable> {
-        let standing = lock(&self.state);
-        let (since, reason) = *standing.unavailable.clone()?;
+        let status = lock(&self.state);
+        let (since, reason) = *status.unavailable.clone()?;
         Some(Unavailable { reason, lasts: platform::now() - since })
     }
 
@@ -217,12 +217,12 @@ impl CellCore {
     /// Notes the end of an incarnation whose panic still unwinds on its thread: what the handler
     /// had may block there when it is dropped. Its guard reports it where it catches it before.
     pub(crate) fn keep_unwinding(&self, incarnation: Incarnation, placement: &CurrentPlacement) {
-        let pulse = &placement.arbiter.pulse;
-        if pulse.running() != Some(placement.slot.index) || pulse.is_here() {
+        let heartbeat = &placement.arbiter.heartbeat;
+        if heartbeat.running() != Some(placement.slot.index) || heartbeat.is_here() {
             return;
         }
-        if let Some(PanicRecord { text, at }) = pulse.unwinding() {
-            let during = label::name(placement.slot.stamp.read().during);
+        if let Some(PanicRecord { text, at }) = heartbeat.unwinding() {
+            let during = label::name(placement.slot.activity.read().during);
             self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
     }
@@ -234,7 +234,7 @@ impl CellCore {
 
     #[inline]
     pub(crate) fn is_isolated(&self) -> bool {
-        self.gate.load(Relaxed) & ISOLATED != 0
+        self.flags.load(Relaxed) & ISOLATED != 0
     }
 
     /// The message in service is one whose sender waits, or one that may come again. An asker may
@@ -262,7 +262,7 @@ impl CellCore {
             let quarantine = quarantine.get_or_insert_default();
             quarantine.handle_kill(id, incarnation);
             if quarantine.is_active() {
-                self.gate.fetch_or(QUARANTINE, Relaxed);
+                self.flags.fetch_or(QUARANTINE, Relaxed);
             }
         }
     }
@@ -270,15 +270,15 @@ impl CellCore {
     /// Says why this message is not let in.
     #[inline]
     pub(crate) fn refusal(&self, id: Option<MessageId>) -> Option<DeliveryError> {
-        match self.gate.load(Relaxed) {
+        match self.flags.load(Relaxed) {
             0 => None,
-            gate => self.look_closer(gate, id),
+            flags => self.check_flags(flags, id),
         }
     }
 
     #[cold]
-    fn look_closer(&self, gate: u8, id: Option<MessageId>) -> Option<DeliveryError> {
-        if gate & ISOLATED != 0 {
+    fn check_flags(&self, flags: u8, id: Option<MessageId>) -> Option<DeliveryError> {
+        if flags & ISOLATED != 0 {
             return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
         let kills = lock(&self.quarantine).as_ref()?.refuses(id?)?;
@@ -299,9 +299,9 @@ impl CellCore {
 
     /// What the component had declared is over.
     pub(crate) fn clear(&self, kind: FaultKind) {
-        if let Some(mended) = &self.environment.reports.mended {
+        if let Some(cleared) = &self.environment.reports.cleared {
             let (object, incarnation) = (self.name.clone(), self.incarnation());
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 
@@ -369,9 +369,9 @@ impl<C: Component> ComponentCell<C> {
     /// Forbids the component to send and receive, or allows it again.
     pub(crate) fn isolate(&self, isolated: bool) {
         if isolated {
-            self.record.gate.fetch_or(ISOLATED, Relaxed);
+            self.record.flags.fetch_or(ISOLATED, Relaxed);
         } else {
-            self.record.gate.fetch_and(!ISOLATED, Relaxed);
+            self.record.flags.fetch_and(!ISOLATED, Relaxed);
         }
         if let Some(placement) = self.record.arbiter() {
             placement.token.mute(isolated);
@@ -431,7 +431,7 @@ impl<C: Component> AliveSource for ComponentCell<C> {
         let queued = self.queue.depth();
         let posted_at = match queued {
             0 => None,
-            _ => self.queue.with_oldest(|mail| mail.brief().posted_at),
+            _ => self.queue.with_oldest(|envelope| envelope.header().posted_at),
         };
         let oldest = posted_at.map_or(Duration::ZERO, |posted_at| platform::now() - posted_at);
         QueueReading { queued, oldest }
@@ -454,8 +454,8 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         self.offer_at(message, enqueue_time::<M>())
     }
 
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        Box::pin(self.queue.room())
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+        Box::pin(self.queue.space())
     }
 
     fn receiver(&self) -> Option<Receiver> {
@@ -571,7 +571,7 @@ impl<C: Component> ComponentCell<C> {
         seal: impl FnOnce(M) -> BoxedEnvelope<C>,
     ) -> Result<(), (M, DeliveryError)> {
         if let Some(oldest) = self.queue.push_with(message, seal)? {
-            self.return_mail(oldest, DeliveryError::Full);
+            self.return_envelope(oldest, DeliveryError::Full);
         }
         Ok(())
     }

@@ -25,6 +25,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
 
+/// Objects of other nodes that are watched, and whether they still are.
+type FarWatches = Vec<(ObjectAddress, Rc<Cell<bool>>)>;
+
 /// A component's way to its host, lent to every hook and handler.
 ///
 /// What is started here, tasks and timers, belongs to the present incarnation: it ends with it, and
@@ -34,13 +37,13 @@ pub struct Context<C: Component> {
     pub(crate) state: Rc<IncarnationState<C>>,
     /// Topics under their contract's own name, looked up once.
     pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
-    /// Objects of other nodes that are watched, and whether they still are.
-    far_watches: Vec<(ObjectAddress, Rc<Cell<bool>>)>,
+    /// Boxed, since few components watch others.
+    far_watches: Option<Box<FarWatches>>,
 }
 
 impl<C: Component> Context<C> {
     pub(crate) fn new(cell: Arc<ComponentCell<C>>, state: Rc<IncarnationState<C>>) -> Self {
-        Context { cell, state, publishers: RefCell::default(), far_watches: Vec::new() }
+        Context { cell, state, publishers: RefCell::default(), far_watches: None }
     }
 
     /// The component's name.
@@ -58,8 +61,8 @@ impl<C: Component> Context<C> {
         self.cell.record.state()
     }
 
-    /// Where messages can be sent to the object of this name, `arm/left` here or
-    /// `module2:arm/left` on another node.
+    /// Returns a sender to the object of this name: `arm/left` on this node, or `module2:arm/left`
+    /// on another node.
     ///
     /// # Errors
     /// [`DeliveryError::Misspelt`] or [`DeliveryError::Unknown`] if there is no such object,
@@ -82,10 +85,10 @@ impl<C: Component> Context<C> {
         platform::now()
     }
 
-    /// When the data in the message that is served, or was served last, was captured: as its
-    /// publisher said by [`publish_captured_at`](Self::publish_captured_at), else when the message
-    /// was sent, to the precision of 10 ms unless its contract has a `max_age`. `None` before the
-    /// first message.
+    /// Returns the capture time of the data in the message in service, or in the last one: as its
+    /// publisher set it by [`publish_captured_at`](Self::publish_captured_at), else when the
+    /// message was sent, to the precision of 10 ms unless its contract has a `max_age`. `None`
+    /// before the first message.
     ///
     /// Judge [freshness](crate::Freshness) and [rates](crate::Rate) by it, so that neither the way
     /// nor the queue of a message counts as a change of what it tells.
@@ -173,11 +176,11 @@ impl<C: Component> Context<C> {
         self.state.cancel_timer(timer);
     }
 
-    /// Gives a sign of life. A successful `on_execute` gives one by itself.
+    /// Reports a sign of life. A successful `on_execute` reports one by itself.
     #[inline]
     pub fn alive(&self) {
         if !self.cell.record.injected.is_silent() {
-            self.state.stamp.give_sign();
+            self.state.activity.give_sign();
         }
     }
 
@@ -226,7 +229,7 @@ impl<C: Component> Context<C> {
         }
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the condition holds, and says whether it does.
+    /// Reports [`FaultKind::CheckFailed`] unless the condition holds. Returns whether it holds.
     pub fn check(&self, holds: bool, invariant: &str) -> bool {
         if !holds {
             self.declare_fault(FaultKind::CheckFailed, invariant);
@@ -234,7 +237,7 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range, and says whether it
+    /// Reports [`FaultKind::CheckFailed`] unless the value lies in the range. Returns whether it
     /// does.
     pub fn check_range<T: PartialOrd + Debug>(
         &self,
@@ -250,8 +253,8 @@ impl<C: Component> Context<C> {
         holds
     }
 
-    /// Ends this incarnation in order, when the present handler has ended. What is queued waits for
-    /// the next incarnation, if its supervisor begins one.
+    /// Ends this incarnation in order after the present handler. Queued messages wait for the next
+    /// incarnation, if the supervisor starts one.
     pub fn stop(&mut self) {
         self.state.defer(|wishes| wishes.stop = true);
     }
@@ -262,8 +265,8 @@ impl<C: Component> Context<C> {
         self.state.defer(|wishes| wishes.failure = Some(failure));
     }
 
-    /// Asks to be told, as message [`Down`], whenever an incarnation of this object ends. If it
-    /// does not live now, or is unknown, that is told at once. The object is a component, a
+    /// Subscribes to the message [`Down`], sent whenever an incarnation of this object ends. If the
+    /// object is not running or unknown, `Down` is sent at once. The object is a component, a
     /// supervisor or one of the middleware's own, here or, as `module2:arm`, on another node; of
     /// such a one it is also told when its node is lost, and it is watched further when that is
     /// back.
@@ -300,10 +303,11 @@ impl<C: Component> Context<C> {
             }
             Some(node) => {
                 let address = ObjectAddress { node, object };
-                self.far_watches.retain(|(_, goes_on)| goes_on.get());
-                if self.far_watches.iter().all(|(known, _)| *known != address) {
+                let watches = self.far_watches.get_or_insert_default();
+                watches.retain(|(_, goes_on)| goes_on.get());
+                if watches.iter().all(|(known, _)| *known != address) {
                     let goes_on = Rc::new(Cell::new(true));
-                    self.far_watches.push((address.clone(), goes_on.clone()));
+                    watches.push((address.clone(), goes_on.clone()));
                     let follow = remote_watch::follow(registry, address, tell);
                     self.spawn(async move {
                         follow.await;

@@ -63,7 +63,7 @@ impl From<Instant> for Times {
 }
 
 pub(crate) trait Envelope<C: Component> {
-    fn brief(&self) -> EnvelopeHeader;
+    fn header(&self) -> EnvelopeHeader;
     /// Whether the caller has stopped waiting for the reply.
     fn is_void(&self) -> bool;
     fn id(&self) -> Option<MessageId>;
@@ -71,8 +71,8 @@ pub(crate) trait Envelope<C: Component> {
     fn revocable(&self) -> Option<Arc<dyn Cancel>>;
     /// Tells the asker that the message was not taken up, and gives it back.
     fn give_back(&mut self, why: DeliveryError);
-    /// A slot for the futures of this contract, filled with this message.
-    fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>>;
+    /// A slot for the futures of this contract.
+    fn future_slot(&self) -> Pin<Box<dyn FutureSlot<C>>>;
     /// Where such a slot finds the message.
     fn contents(&mut self) -> &mut dyn Any;
 }
@@ -82,6 +82,13 @@ pub(crate) trait Envelope<C: Component> {
 pub(crate) trait FutureSlot<C: Component> {
     fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool;
     fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
+    /// Both.
+    fn begin(
+        self: Pin<&mut Self>,
+        contents: &mut dyn Any,
+        slot: &Rc<ComponentSlot<C>>,
+        cx: &mut Context<'_>,
+    ) -> Poll<()>;
 }
 
 struct Contents<M: Contract> {
@@ -122,7 +129,7 @@ where
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn brief(&self) -> EnvelopeHeader {
+    fn header(&self) -> EnvelopeHeader {
         EnvelopeHeader {
             contract: TypeId::of::<M>(),
             name: M::NAME,
@@ -158,11 +165,8 @@ where
         }
     }
 
-    fn future_slot(&mut self, slot: &Rc<ComponentSlot<C>>) -> Option<Pin<Box<dyn FutureSlot<C>>>> {
-        let make = self.make;
-        let mut future_slot = Box::pin(HandlerFuture { make, answer: None, future: None::<F> });
-        FutureSlot::<C>::refill(future_slot.as_mut(), &mut self.contents, slot)
-            .then_some(future_slot as _)
+    fn future_slot(&self) -> Pin<Box<dyn FutureSlot<C>>> {
+        Box::pin(HandlerFuture { make: self.make, answer: None, future: None::<F> })
     }
 
     fn contents(&mut self) -> &mut dyn Any {
@@ -200,6 +204,19 @@ where
         }
         this.future.set(None);
         Poll::Ready(())
+    }
+
+    fn begin(
+        mut self: Pin<&mut Self>,
+        contents: &mut dyn Any,
+        slot: &Rc<ComponentSlot<C>>,
+        cx: &mut Context<'_>,
+    ) -> Poll<()> {
+        if FutureSlot::<C>::refill(self.as_mut(), contents, slot) {
+            FutureSlot::<C>::poll(self, cx)
+        } else {
+            Poll::Ready(())
+        }
     }
 }
 

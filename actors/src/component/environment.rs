@@ -1,4 +1,4 @@
-//! What a node gives every component: whom its guard tells, where it lives, whom it finds.
+//! The parts of a node that every component uses: fault reports, arbiters, the registry.
 
 use crate::arbiter::pool::ArbiterPool;
 use crate::component::extension::Extensions;

@@ -1,4 +1,4 @@
-//! Ends of a component's incarnations that were not told yet.
+//! Ends of a component's incarnations that were not reported yet.
 //!
 //! They stand with the cell and not with the executor, so that they are told also where what
 //! follows an end blocks its thread: by the watch, or by the supervisor that gives the next
@@ -85,12 +85,12 @@ impl UntoldExits {
 
     /// Tells the monitor, and the supervisor, each end once.
     pub(crate) fn tell(&self, which: DueExits, object: &ObjectName, reports: &FaultReports) {
-        let is_told = |exited: &mut UntoldExit| match which {
+        let is_reported = |exited: &mut UntoldExit| match which {
             DueExits::Until(until) => exited.incarnation <= until,
             DueExits::Settled => exited.is_settled,
         };
-        let told: Vec<UntoldExit> = self.lock().extract_if(.., is_told).collect();
-        for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in told {
+        let reported: Vec<UntoldExit> = self.lock().extract_if(.., is_reported).collect();
+        for UntoldExit { incarnation, exit, restarted_as, supervisor, .. } in reported {
             let exit = Arc::unwrap_or_clone(exit);
             if let Some(exits) = &reports.exits {
                 let (object, exit) = (object.clone(), exit.clone());

@@ -51,7 +51,7 @@ pub(crate) struct Timer<C: Component> {
 /// The timers of one incarnation, under their numbers: those that the schedule has taken over, and
 /// behind them those that were set since.
 pub(crate) struct TimerTable<C: Component> {
-    pub(crate) standing: RefCell<SortedMap<u64, Timer<C>>>,
+    pub(crate) active: RefCell<SortedMap<u64, Timer<C>>>,
     last: Cell<u64>,
     /// The last one that was taken over.
     taken: Cell<u64>,
@@ -59,7 +59,7 @@ pub(crate) struct TimerTable<C: Component> {
 
 impl<C: Component> Default for TimerTable<C> {
     fn default() -> Self {
-        TimerTable { standing: RefCell::default(), last: Cell::new(0), taken: Cell::new(0) }
+        TimerTable { active: RefCell::default(), last: Cell::new(0), taken: Cell::new(0) }
     }
 }
 
@@ -67,7 +67,7 @@ impl<C: Component> TimerTable<C> {
     /// The numbers of those that were set since this was asked before.
     pub(crate) fn take_new(&self) -> Vec<TimerId> {
         let new = self.taken.replace(self.last.get()) + 1;
-        self.standing.borrow().range(new..).map(|(id, _)| TimerId(*id)).collect()
+        self.active.borrow().range(new..).map(|(id, _)| TimerId(*id)).collect()
     }
 }
 
@@ -85,57 +85,61 @@ pub(crate) struct DeferredCommands {
 pub(crate) struct IncarnationState<C: Component> {
     pub(crate) incarnation: Incarnation,
     pub(crate) token: Arc<IncarnationToken>,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) activity: &'static ActivityRecord,
     /// There only where one was announced.
     operations: OnceCell<Arc<LongOperations>>,
     /// Of the message that is served, or was last.
     pub(crate) captured_at: Cell<Option<Instant>>,
     /// There only where something was asked for.
-    wishes: RefCell<Option<Box<DeferredCommands>>>,
+    wishes: Cell<Option<Box<DeferredCommands>>>,
     wished: Cell<bool>,
-    pub(crate) timers: Rc<TimerTable<C>>,
+    /// There only where one was set.
+    pub(crate) timers: OnceCell<Rc<TimerTable<C>>>,
 }
 
 impl<C: Component> IncarnationState<C> {
-    pub(crate) fn new(incarnation: Incarnation, stamp: &'static ActivityRecord) -> Self {
+    pub(crate) fn new(incarnation: Incarnation, activity: &'static ActivityRecord) -> Self {
         IncarnationState {
             incarnation,
             operations: OnceCell::new(),
             token: Arc::default(),
-            stamp,
+            activity,
             captured_at: Cell::new(None),
-            wishes: RefCell::default(),
+            wishes: Cell::default(),
             wished: Cell::new(false),
-            timers: Rc::default(),
+            timers: OnceCell::new(),
         }
     }
 
     pub(crate) fn operations(&self) -> &Arc<LongOperations> {
-        let fresh = || Arc::new(LongOperations::new(self.stamp, self.token.clone()));
+        let fresh = || Arc::new(LongOperations::new(self.activity, self.token.clone()));
         self.operations.get_or_init(fresh)
     }
 
     pub(crate) fn defer(&self, make: impl FnOnce(&mut DeferredCommands)) {
         self.wished.set(true);
-        make(self.wishes.borrow_mut().get_or_insert_default());
+        let mut wishes = self.wishes.take().unwrap_or_default();
+        make(&mut wishes);
+        self.wishes.set(Some(wishes));
     }
 
     #[track_caller]
     pub(crate) fn set_timer(&self, mode: TimerMode, action: TimerAction<C>) -> TimerId {
-        let table = &self.timers;
-        let held = table.standing.borrow().len();
+        let table = self.timers.get_or_init(Rc::default);
+        let held = table.active.borrow().len();
         assert!(held < TIMERS, "the component holds {TIMERS} timers and sets yet another");
         table.last.set(table.last.get() + 1);
         let timer = Timer { mode, entry: None, due: None, action: Some(action) };
-        table.standing.borrow_mut().insert(table.last.get(), timer);
+        table.active.borrow_mut().insert(table.last.get(), timer);
         self.wished.set(true);
         TimerId(table.last.get())
     }
 
     pub(crate) fn cancel_timer(&self, id: TimerId) {
-        let timer = self.timers.standing.borrow_mut().remove(&id.0);
+        let Some(table) = self.timers.get() else { return };
+        let timer = table.active.borrow_mut().remove(&id.0);
         let Some(Timer { entry, .. }) = &timer else { return };
-        if id.0 <= self.timers.taken.get() {
+        if id.0 <= table.taken.get() {
             self.defer(|wishes| wishes.cancelled.push(*entry));
         }
     }

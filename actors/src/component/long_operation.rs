@@ -9,14 +9,14 @@ use std::time::Duration;
 
 /// The operations of one incarnation that are under way, each with the time when it is to be over.
 pub(crate) struct LongOperations {
-    stamp: &'static ActivityRecord,
+    activity: &'static ActivityRecord,
     token: Arc<IncarnationToken>,
     ends: Mutex<Vec<Instant>>,
 }
 
 impl LongOperations {
-    pub(crate) fn new(stamp: &'static ActivityRecord, token: Arc<IncarnationToken>) -> Self {
-        LongOperations { stamp, token, ends: Mutex::default() }
+    pub(crate) fn new(activity: &'static ActivityRecord, token: Arc<IncarnationToken>) -> Self {
+        LongOperations { activity, token, ends: Mutex::default() }
     }
 
     pub(crate) fn begin(self: &Arc<Self>, span: Duration) -> LongOperation {
@@ -33,10 +33,10 @@ impl LongOperations {
 
     /// Announces the time until the last of them is to be over.
     fn allow_latest(&self, ends: &[Instant]) {
-        // The stamp may belong to another incarnation by now.
+        // The activity record may belong to another incarnation by now.
         if !self.token.has_ended() {
             let now = platform::now();
-            self.stamp.allow(ends.iter().max().map_or(Duration::ZERO, |end| *end - now));
+            self.activity.allow(ends.iter().max().map_or(Duration::ZERO, |end| *end - now));
         }
     }
 }
@@ -76,8 +76,8 @@ mod tests {
     fn the_latest_end_counts_in_whatever_order_operations_end() {
         paused(async {
             let slot = ActivitySlot::claim();
-            let operations = Arc::new(LongOperations::new(slot.stamp, Arc::default()));
-            let allowance = || slot.stamp.read().allowance;
+            let operations = Arc::new(LongOperations::new(slot.activity, Arc::default()));
+            let allowance = || slot.activity.read().allowance;
 
             let outer = operations.begin(800 * MS);
             let inner = operations.begin(10 * MS);
@@ -100,12 +100,12 @@ mod tests {
     #[test]
     fn what_outlives_its_incarnation_changes_no_later_one() {
         let (slot, token) = (ActivitySlot::claim(), Arc::<IncarnationToken>::default());
-        let late = Arc::new(LongOperations::new(slot.stamp, token.clone())).begin(800 * MS);
+        let late = Arc::new(LongOperations::new(slot.activity, token.clone())).begin(800 * MS);
         token.end();
-        slot.stamp.allow(500 * MS);
+        slot.activity.allow(500 * MS);
 
         drop(late);
 
-        assert_eq!(slot.stamp.read().allowance, 500 * MS);
+        assert_eq!(slot.activity.read().allowance, 500 * MS);
     }
 }

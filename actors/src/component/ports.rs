@@ -10,7 +10,7 @@ use blastema_core::{Event, ObjectName, Request};
 use std::any::Any;
 use std::sync::Arc;
 
-/// Makes the door for one contract.
+/// Makes the skeleton for one contract.
 pub(crate) type PortConstructor<C> = fn(&Arc<ComponentCell<C>>) -> ContractPort;
 
 /// The ports of one component: filled in `Component::ports`.
@@ -30,7 +30,8 @@ impl<C: Component> Ports<C> {
         ports
     }
 
-    /// Answers this request to anyone who knows the component's name, here and on other nodes.
+    /// Serves this request to every object that uses the component's name, on this and on other
+    /// nodes.
     pub fn serve<M: Request>(&mut self) -> &mut Self
     where
         C: Handle<M>,
@@ -40,7 +41,7 @@ impl<C: Component> Ports<C> {
         self
     }
 
-    /// Takes this event, or command, from anyone who knows the component's name.
+    /// Accepts this event, or command, from every object that uses the component's name.
     pub fn accept<M: Event>(&mut self) -> &mut Self
     where
         C: Handle<M>,
@@ -55,8 +56,8 @@ impl<C: Component> Ports<C> {
         self.open.extend(beside);
     }
 
-    /// The doors by which others find the component, by contract.
-    pub(crate) fn doors(
+    /// The skeletons by which other objects reach the component, by contract.
+    pub(crate) fn skeletons(
         &self,
         cell: &Arc<ComponentCell<C>>,
     ) -> SortedMap<&'static str, ContractPort> {

@@ -21,10 +21,10 @@ impl<C: Component> ComponentCell<C> {
     /// `Drop` is the user's and may block, and the caller is a supervisor.
     pub(crate) fn close(self: &Arc<Self>, why: &DeliveryError) {
         let record = &self.record;
-        for mail in self.queue.stop() {
-            let contract = mail.brief().name;
+        for envelope in self.queue.stop() {
+            let contract = envelope.header().name;
             let (cell, why) = (self.clone(), why.clone());
-            let give_back = move || cell.return_mail(mail, why);
+            let give_back = move || cell.return_envelope(envelope, why);
             let (cell, declared) = (self.clone(), AtomicBool::new(false));
             let outcome = move |outcome| cell.record.handle_returned(contract, outcome, &declared);
             record.environment.callbacks.call(CallKind::Return, &record.name, give_back, outcome);
@@ -35,19 +35,20 @@ impl<C: Component> ComponentCell<C> {
     /// begun.
     pub(crate) fn close_by(&self, incarnation: Incarnation) {
         let left = self.queue.stop_by(incarnation);
-        left.into_iter().for_each(|mail| self.return_mail(mail, DeliveryError::Stopped));
+        left.into_iter()
+            .for_each(|envelope| self.return_envelope(envelope, DeliveryError::Stopped));
     }
 
     /// A message that is not going to be served.
-    pub(crate) fn return_mail(&self, mut mail: BoxedEnvelope<C>, why: DeliveryError) {
-        let EnvelopeHeader { name: contract, logged, .. } = mail.brief();
+    pub(crate) fn return_envelope(&self, mut envelope: BoxedEnvelope<C>, why: DeliveryError) {
+        let EnvelopeHeader { name: contract, logged, .. } = envelope.header();
         self.record.record_dead_letter(contract, &why);
         if let Some(id) = logged {
             message_log::lost(id, contract, &self.record.name, &why);
         }
         let give_back = move || {
-            mail.give_back(why);
-            drop(mail);
+            envelope.give_back(why);
+            drop(envelope);
         };
         let _ = self.record.guard(|| format!("the Drop of a message of {contract}"), give_back);
     }

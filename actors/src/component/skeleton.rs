@@ -70,7 +70,7 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         // To read it runs what is the user's, on the network's thread.
@@ -81,7 +81,7 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         };
         let read = self.cell.record.guard(what, read);
         match read.and_then(|read| read.map_err(|error| error.to_string())) {
-            Ok(message) => self.hand_over(message, postmark, reply_to),
+            Ok(message) => self.hand_over(message, metadata, reply_to),
             Err(reason) => {
                 let why = DeliveryError::Undecodable { reason };
                 self.cell.record.record_dead_letter(M::NAME, &why);
@@ -93,9 +93,9 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         }
     }
 
-    fn room(&self) -> Option<CapacityFuture> {
+    fn space(&self) -> Option<CapacityFuture> {
         let cell = self.cell.clone();
-        Some(Box::pin(async move { cell.queue.room().await }))
+        Some(Box::pin(async move { cell.queue.space().await }))
     }
 
     fn record_dead_letter(&self, why: &DeliveryError) {
@@ -117,7 +117,7 @@ impl<C: Handle<M>, M: Contract> Skeleton for LocalSkeleton<C, M> {
         self.cell.record.declare(kind, detail);
     }
 
-    fn mend(&self, kind: FaultKind) {
+    fn clear_fault(&self, kind: FaultKind) {
         self.cell.record.clear(kind);
     }
 }

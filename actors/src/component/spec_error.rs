@@ -16,8 +16,8 @@ pub enum SpecError {
     /// The name of a supervisor does not parse.
     #[error("the name of a supervisor: {0}")]
     Supervisor(NameError),
-    /// Another object has its name: a component, a supervisor (`root` is one), or one of the
-    /// middleware's own.
+    /// The name is in use by another component, a supervisor (such as `root`), or an object of the
+    /// middleware.
     #[error(transparent)]
     Taken(#[from] NameTaken),
     /// Its name begins as those of the middleware's own objects do: `chain/` or `net/`.
@@ -28,7 +28,7 @@ pub enum SpecError {
         /// The name.
         name: ObjectName,
     },
-    /// It listens to a topic that carries another contract of the same name.
+    /// The component listens to a topic that carries another contract of the same name.
     #[error("{name} cannot listen to a topic: {why}")]
     Topic {
         /// The component.
@@ -36,8 +36,8 @@ pub enum SpecError {
         /// What differs.
         why: DeliveryError,
     },
-    /// One of its variables cannot be: its default is larger than its contract allows, or refused
-    /// by its own check.
+    /// A variable is invalid: its default is larger than its contract allows, or its own check
+    /// refuses it.
     #[error("a variable of {name} cannot be: {why}")]
     Variable {
         /// The component.
@@ -53,7 +53,7 @@ pub enum SpecError {
         /// What is wrong.
         error: ParameterError,
     },
-    /// One of its actuators cannot be: its safe command is larger than its contract allows.
+    /// An actuator is invalid: its safe command is larger than its contract allows.
     #[error("an actuator of {name} cannot be: {why}")]
     Actuator {
         /// The component.
@@ -61,8 +61,8 @@ pub enum SpecError {
         /// What is wrong.
         why: DeliveryError,
     },
-    /// It was added to a node that runs, and depends on what does not exist there, or on itself,
-    /// perhaps by way of others.
+    /// The component was added to a running node, and depends on an object that does not exist
+    /// there, or, directly or through others, on itself.
     #[error(transparent)]
     Dependency(#[from] DependencyError),
     /// The root supervisor did not take it: it is ending, or has ended.
@@ -102,7 +102,7 @@ pub enum SpecError {
         /// The topic.
         topic: String,
     },
-    /// Two of its ports are for contracts of one name, so that only one of them could be reached.
+    /// Two ports have contracts of one name, so only one of them could be reached.
     #[error("{name} has two ports for {contract:?}, {ports}: leave one of them out")]
     PortTwice {
         /// The component.

@@ -1,4 +1,4 @@
-//! The subscriptions of a component, as its cell knows them.
+//! The subscriptions of a component, kept in its cell.
 
 use crate::component::Component;
 use crate::component::cell::ComponentCell;

@@ -53,10 +53,10 @@ impl DetectorActor {
             FaultNotice::Found(fault) => {
                 self.await_confirmation(number, self.found.send(FaultFound { fault }), context)
             }
-            FaultNotice::Cleared { id, place } => {
+            FaultNotice::Cleared { id, location } => {
                 self.await_confirmation(
                     number,
-                    self.cleared.send(FaultCleared { id, place }),
+                    self.cleared.send(FaultCleared { id, location }),
                     context,
                 );
             }
@@ -122,7 +122,7 @@ impl Actor for DetectorActor {
 
 impl Supervised for DetectorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.machine = self.machine.clone().reborn(platform::now());
+        self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
     }
 }

@@ -26,7 +26,7 @@ pub(crate) struct SupervisorDirectory(Arc<Mutex<Entries>>);
 
 #[derive(Default)]
 struct Entries {
-    keepers: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
+    supervisor_of: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
     supervisors: SortedMap<ObjectName, Arc<SupervisorRecipients>>,
 }
 
@@ -41,32 +41,33 @@ impl SupervisorDirectory {
         let ports = Arc::new(ports);
         let mut entries = self.entries();
         entries.supervisors.insert(name.clone(), ports.clone());
-        entries.keepers.extend(children.map(|child| (child.clone(), ports.clone())));
+        entries.supervisor_of.extend(children.map(|child| (child.clone(), ports.clone())));
     }
 
     /// The supervisor `name` keeps one more child.
     pub(crate) fn add(&self, name: &ObjectName, child: ObjectName) {
         let mut entries = self.entries();
         if let Some(ports) = entries.supervisors.get(name).cloned() {
-            entries.keepers.insert(child, ports);
+            entries.supervisor_of.insert(child, ports);
         }
     }
 
     /// Removes a child that has no supervisor any more.
     pub(crate) fn remove(&self, child: &ObjectName) {
-        self.entries().keepers.remove(child);
+        self.entries().supervisor_of.remove(child);
     }
 
     /// Who keeps this object.
-    pub(crate) fn keeper_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
-        self.entries().keepers.get(object).cloned()
+    pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
+        self.entries().supervisor_of.get(object).cloned()
     }
 
     /// The child whose name is spelt most like this one.
     pub(crate) fn nearest(&self, name: &str) -> Option<ObjectName> {
         let entries = self.entries();
-        let nearest = suggestion::nearest(name, entries.keepers.keys().map(ObjectName::as_str))?;
-        entries.keepers.get_key_value(nearest).map(|(name, _)| name.clone())
+        let nearest =
+            suggestion::nearest(name, entries.supervisor_of.keys().map(ObjectName::as_str))?;
+        entries.supervisor_of.get_key_value(nearest).map(|(name, _)| name.clone())
     }
 
     /// The supervisor of this name.

@@ -9,7 +9,7 @@
 //! | a recovery action has failed, and another attempt or action follows | WARN |
 //! | a symptom is found; a decision, a recovery, a repair | INFO |
 //!
-//! Its fields are `node`, `place`, `object` (of faults of objects), `kind`, `code`, `severity`,
+//! Its fields are `node`, `location`, `object` (of faults of objects), `kind`, `code`, `severity`,
 //! `fault`, `incarnation`, `count`, `symptom_of`, `step` and `detail`. A program without a
 //! subscriber gets the steps of the first three rows on standard error, a line each; a fault that
 //! is found again is not printed again, and attempts that fail alike, one after the other, are
@@ -79,8 +79,8 @@ fn log(node: &NodeName, step: &FaultEvent) {
                 target: TARGET,
                 $level,
                 %node,
-                place = %fault.place,
-                object = object(&fault.place),
+                location = %fault.location,
+                object = object(&fault.location),
                 kind = %fault.kind,
                 code = fault.kind.code(),
                 severity = ?fault.severity,
@@ -115,8 +115,8 @@ fn shown(fault: &Fault, turn: &FaultTransition) -> Shown {
     }
 }
 
-fn object(place: &FaultLocation) -> Option<&str> {
-    match place {
+fn object(location: &FaultLocation) -> Option<&str> {
+    match location {
         FaultLocation::Object(address) => Some(address.object.as_str()),
         FaultLocation::Link { .. } | FaultLocation::Node(_) => None,
     }
@@ -153,15 +153,15 @@ fn line(node: &NodeName, fault: &Fault, turn: &FaultTransition) -> String {
         Severity::Error => "error",
         Severity::Critical => "critical error",
     };
-    let (kind, place) = (&fault.kind, &fault.place);
-    let told = match turn {
-        FaultTransition::GaveUp { reason } => format!("{kind} of {place} is given up: {reason}"),
+    let (kind, location) = (&fault.kind, &fault.location);
+    let text = match turn {
+        FaultTransition::GaveUp { reason } => format!("{kind} of {location} is given up: {reason}"),
         FaultTransition::Failed { action, reason } => {
-            format!("{kind} of {place}: {action} has failed: {reason}")
+            format!("{kind} of {location}: {action} has failed: {reason}")
         }
-        _ => format!("{kind} of {place}: {}", fault.detail),
+        _ => format!("{kind} of {location}: {}", fault.detail),
     };
-    let line = format!("blastema: {severity} on node {node}: {told}");
+    let line = format!("blastema: {severity} on node {node}: {text}");
     // Texts come from other nodes, too, and a terminal would obey their control characters.
     line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -176,7 +176,7 @@ mod tests {
             id: FaultId(7),
             severity: kind.severity(),
             kind,
-            place: FaultLocation::Object("module1:arm".parse().unwrap()),
+            location: FaultLocation::Object("module1:arm".parse().unwrap()),
             incarnation: Incarnation(2),
             detail: "boom\nat arm.rs:7".to_owned(),
             found_at: Instant::ORIGIN,

@@ -104,7 +104,7 @@ impl Actor for MonitorActor {
 
 impl Supervised for MonitorActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.machine = self.machine.clone().reborn(platform::now());
+        self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
     }
 }
@@ -173,7 +173,7 @@ impl Handler<DeclaredFaultCleared> for MonitorActor {
 
     fn handle(&mut self, message: DeclaredFaultCleared, context: &mut Context<Self>) {
         let DeclaredFaultCleared { object, incarnation, kind } = message;
-        self.machine.handle_mended(&object, incarnation, kind, platform::now());
+        self.machine.handle_declared_fault_cleared(&object, incarnation, kind, platform::now());
         self.drive(context);
     }
 }

@@ -17,10 +17,10 @@ pub(crate) struct NotifierActor {
     machine: detection::Notifier,
     wake: WakeTimer,
     /// Where the machine's ports lead.
-    doors: SortedMap<RecovererPort, Door>,
+    recoverers: SortedMap<RecovererPort, RecovererRecipients>,
 }
 
-struct Door {
+struct RecovererRecipients {
     recover: Recipient<Recover>,
     stand_down: Option<Recipient<CancelRecovery>>,
 }
@@ -29,7 +29,7 @@ impl NotifierActor {
     /// A notifier without ports.
     pub(crate) fn new(limits: NotifierLimits) -> Self {
         let machine = detection::Notifier::new(limits);
-        NotifierActor { machine, wake: WakeTimer::default(), doors: SortedMap::new() }
+        NotifierActor { machine, wake: WakeTimer::default(), recoverers: SortedMap::new() }
     }
 
     fn hand_over(
@@ -40,13 +40,18 @@ impl NotifierActor {
         context: &mut Context<Self>,
     ) {
         // A port that was removed in the meantime has nothing under way any more.
-        let Some(door) = self.doors.get(&port) else { return };
-        match (notice, &door.stand_down) {
+        let Some(recoverer) = self.recoverers.get(&port) else { return };
+        match (notice, &recoverer.stand_down) {
             (FaultNotice::Found(fault), _) => {
-                await_confirmation(port, number, door.recover.send(Recover { fault }), context);
+                await_confirmation(
+                    port,
+                    number,
+                    recoverer.recover.send(Recover { fault }),
+                    context,
+                );
             }
-            (FaultNotice::Cleared { id, place }, Some(stand_down)) => {
-                let sent = stand_down.send(CancelRecovery { id, place });
+            (FaultNotice::Cleared { id, location }, Some(stand_down)) => {
+                let sent = stand_down.send(CancelRecovery { id, location });
                 await_confirmation(port, number, sent, context);
             }
             (FaultNotice::Cleared { .. }, None) => {
@@ -105,7 +110,7 @@ impl Actor for NotifierActor {
 
 impl Supervised for NotifierActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        self.machine = self.machine.clone().reborn(platform::now());
+        self.machine = self.machine.clone().restarted(platform::now());
         self.wake = WakeTimer::default();
     }
 }
@@ -125,8 +130,8 @@ impl Handler<FaultCleared> for NotifierActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: FaultCleared, context: &mut Context<Self>) -> Confirmed {
-        let FaultCleared { id, place } = message;
-        self.machine.handle_notice(FaultNotice::Cleared { id, place }, platform::now());
+        let FaultCleared { id, location } = message;
+        self.machine.handle_notice(FaultNotice::Cleared { id, location }, platform::now());
         self.drive(context);
         Confirmed
     }
@@ -138,7 +143,7 @@ impl Handler<AddPort> for NotifierActor {
     fn handle(&mut self, message: AddPort, context: &mut Context<Self>) {
         let AddPort { port, recover, stand_down } = message;
         if self.machine.add_port(port.clone(), platform::now()) {
-            self.doors.insert(port, Door { recover, stand_down });
+            self.recoverers.insert(port, RecovererRecipients { recover, stand_down });
         } else {
             error!(%port, "no more ports are taken: faults are not told there");
         }
@@ -152,7 +157,7 @@ impl Handler<RemovePort> for NotifierActor {
     fn handle(&mut self, message: RemovePort, context: &mut Context<Self>) {
         let RemovePort { port } = message;
         self.machine.remove_port(&port);
-        self.doors.remove(&port);
+        self.recoverers.remove(&port);
         self.drive(context);
     }
 }

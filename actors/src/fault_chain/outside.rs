@@ -68,10 +68,10 @@ impl ChainWatch {
     /// The operating system has no thread left, or nothing for its event loop.
     pub(crate) fn start(setup: OutsideSetup) -> io::Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
-        let (end, told) = oneshot::channel();
+        let (end, end_order) = oneshot::channel();
         let (tell, ended) = mpsc::sync_channel(1);
         platform::start_thread("chain-watch", move || {
-            runtime.block_on(Watching::new(setup).run(told));
+            runtime.block_on(Watching::new(setup).run(end_order));
             // Who started it may not wait.
             let _ = tell.send(());
         })?;
@@ -136,14 +136,14 @@ impl Watching {
         Watching { setup, asked: Arc::default(), silence: Silence::default(), strokes }
     }
 
-    async fn run(mut self, told: oneshot::Receiver<bool>) {
+    async fn run(mut self, end_order: oneshot::Receiver<bool>) {
         let wanted = self.setup.watchdogs.iter().map(|watchdog| watchdog.interval());
         let every = wanted.fold(PING_INTERVAL, Duration::min).max(TICK);
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last = platform::now();
         let (mut round_trip, mut rested) = (Some(self.round_trip()), Duration::ZERO);
-        tokio::pin!(told);
+        tokio::pin!(end_order);
         loop {
             let answered = async {
                 match &mut round_trip {
@@ -153,7 +153,7 @@ impl Watching {
             };
             tokio::select! {
                 biased;
-                in_order = &mut told => {
+                in_order = &mut end_order => {
                     if in_order == Ok(true) {
                         self.setup.watchdogs.iter_mut().for_each(|watchdog| watchdog.close());
                     }

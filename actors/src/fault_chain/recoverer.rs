@@ -76,7 +76,7 @@ impl RecovererActor {
 
     fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
         let due = platform::now() + order.within;
-        info!(place = %order.fault.place, measure = %order.measure, attempt = order.attempt, "recovering");
+        info!(location = %order.fault.location, measure = %order.measure, attempt = order.attempt, "recovering");
         let strategy = self.strategy(&order.measure);
         let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
         let given = order.clone();
@@ -188,7 +188,7 @@ impl MachineActor for RecovererActor {
             }
             RecovererOutput::GiveUpLife { fault } => self.tools.give_up_incarnation(&fault),
             RecovererOutput::LastResort { fault, reason } => {
-                info!(place = %fault.place, kind = %fault.kind, reason, "the node comes to rest");
+                info!(location = %fault.location, kind = %fault.kind, reason, "the node enters the safe state");
                 self.tools.rest_node(&fault, &reason);
             }
         }
@@ -228,8 +228,8 @@ impl Handler<CancelRecovery> for RecovererActor {
     type Result = Confirmed;
 
     fn handle(&mut self, message: CancelRecovery, context: &mut Context<Self>) -> Confirmed {
-        let CancelRecovery { id, place } = message;
-        self.machine.handle_stand_down(id, &place, platform::now());
+        let CancelRecovery { id, location } = message;
+        self.machine.handle_stand_down(id, &location, platform::now());
         self.drive(context);
         Confirmed
     }

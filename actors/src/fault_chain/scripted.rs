@@ -137,7 +137,7 @@ impl Child for Scripted {
         self.call(if isolated { "isolate" } else { "admit" });
     }
 
-    fn standing_order(&mut self, order: Option<RestartGrant>) {
+    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
         self.call(if order.is_some() { "order" } else { "withdraw" });
     }
 }
@@ -209,7 +209,7 @@ pub(crate) fn fault(id: u64, kind: FaultKind, name: &str, incarnation: u64) -> F
         id: FaultId(id),
         severity: kind.severity(),
         kind,
-        place: FaultLocation::Object(format!("here:{name}").parse().expect("a good name")),
+        location: FaultLocation::Object(format!("here:{name}").parse().expect("a good name")),
         incarnation: Incarnation(incarnation),
         detail: String::new(),
         found_at: Instant::ORIGIN,

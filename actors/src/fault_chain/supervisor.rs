@@ -94,11 +94,21 @@ impl SupervisorActor {
     fn new(setup: SupervisorSetup, watched: Deaths) -> Self {
         let SupervisorSetup { name, rules, children: given, .. } = setup;
         let SupervisorSetup { monitor, states, isolation, directory, .. } = setup;
-        let mut supervisor = SupervisorActor {
+        let mut machine = Supervisor::new(rules);
+        let is_taken_in = |(child, rules): &(Box<dyn Child>, ChildRules)| {
+            let taken = machine.add_child(child.name().clone(), *rules, platform::now());
+            if let Err(why) = &taken {
+                error!(supervisor = %name, child = %child.name(), %why, "a child was refused");
+            }
+            taken.is_ok()
+        };
+        let children = given.into_iter().filter(is_taken_in);
+        let children = children.map(|(child, _)| (child.name().clone(), child)).collect();
+        SupervisorActor {
             name,
-            machine: Supervisor::new(rules),
+            machine,
             wake: WakeTimer::default(),
-            children: SortedMap::new(),
+            children,
             waiting: SortedMap::new(),
             calls: 0,
             parent: None,
@@ -109,14 +119,7 @@ impl SupervisorActor {
             directory,
             watched,
             again: false,
-        };
-        for (child, rules) in given {
-            let name = child.name().clone();
-            if let Err(why) = supervisor.take_in(child, rules) {
-                error!(supervisor = %supervisor.name, child = %name, %why, "a child was refused");
-            }
         }
-        supervisor
     }
 
     fn take_in(&mut self, child: Box<dyn Child>, rules: ChildRules) -> Result<(), GiveUpReason> {
@@ -244,9 +247,9 @@ impl MachineActor for SupervisorActor {
                     self.isolation.do_send(IsolationReported { object, isolated });
                 }
             }
-            SupervisorOutput::StandingOrder { child, order } => {
+            SupervisorOutput::RestartGrant { child, order } => {
                 if let Some(child) = self.child(&child) {
-                    child.standing_order(order);
+                    child.set_restart_grant(order);
                 }
             }
             SupervisorOutput::Recovered { call, child, incarnation } => {
@@ -458,9 +461,9 @@ impl Handler<RestartChild> for SupervisorActor {
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
         let cause = fault.as_ref().map_or(ReplacementCause::Asked, ReplacementCause::of);
-        let struck = fault.map(|fault| fault.incarnation);
+        let faulty = fault.map(|fault| fault.incarnation);
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_restart(object, call, cause, struck, now);
+            machine.handle_restart(object, call, cause, faulty, now);
         })
     }
 }
@@ -478,9 +481,9 @@ impl Handler<IsolateChild> for SupervisorActor {
     type Result = ResponseFuture<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
-        let IsolateChild { object, struck, isolated } = message;
+        let IsolateChild { object, faulty, isolated } = message;
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_isolate(object, struck, isolated, call, now);
+            machine.handle_isolate(object, faulty, isolated, call, now);
         })
     }
 }
@@ -586,7 +589,7 @@ impl Child for SupervisorChild {
         self.address.do_send(IsolateAll { isolated });
     }
 
-    fn standing_order(&mut self, _: Option<RestartGrant>) {
+    fn set_restart_grant(&mut self, _: Option<RestartGrant>) {
         // The guardian restarts it by reflex; it needs no permission.
     }
 }

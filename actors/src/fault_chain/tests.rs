@@ -117,7 +117,7 @@ fn a_panic_reaches_the_recoverer_without_any_time_passing() {
         chain.panic("arm");
 
         let fault = chain.recoverer.expect().await.fault;
-        assert_eq!((fault.kind, fault.place.to_string()), (FaultKind::Panic, "m:arm".into()));
+        assert_eq!((fault.kind, fault.location.to_string()), (FaultKind::Panic, "m:arm".into()));
         assert_eq!(fault.detail, "boom, at arm.rs:7, in Move");
         assert_eq!(platform::now(), before);
         assert_eq!(chain.events.expect().await.turn, FaultTransition::Found);
@@ -304,8 +304,8 @@ fn what_was_seen_while_the_detector_was_struck_is_judged_afterwards() {
 
         let (first, second) = (chain.recoverer.expect().await, chain.recoverer.expect().await);
 
-        let places = [first, second].map(|recover| recover.fault.place.to_string());
-        assert_eq!(places, ["m:arm", "m:leg"]);
+        let locations = [first, second].map(|recover| recover.fault.location.to_string());
+        assert_eq!(locations, ["m:arm", "m:leg"]);
         chain.recoverer.expect_none_for(Duration::from_millis(900)).await;
     });
 }
@@ -313,8 +313,8 @@ fn what_was_seen_while_the_detector_was_struck_is_judged_afterwards() {
 #[test]
 fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
     paused(async {
-        let heard = Rc::new(RefCell::new(Vec::new()));
-        let detector = Deaf(heard.clone()).start().recipient();
+        let received = Rc::new(RefCell::new(Vec::new()));
+        let detector = Deaf(received.clone()).start().recipient();
         let monitor = MonitorActor::new(node("m"), MonitorLimits::default(), detector).start();
         for name in ["a", "b"] {
             let enrolment = Registration::new(object(name));
@@ -324,7 +324,7 @@ fn an_observation_that_nobody_confirms_is_given_up_and_the_next_goes_on() {
         advance(Duration::from_secs(60)).await;
 
         let (a, b) = ("m:a".to_string(), "m:b".to_string());
-        assert_eq!(*heard.borrow(), [vec![a; 8], vec![b; 8]].concat());
+        assert_eq!(*received.borrow(), [vec![a; 8], vec![b; 8]].concat());
     });
 }
 
@@ -358,7 +358,7 @@ impl Handler<Observed> for Deaf {
     type Result = ResponseFuture<Confirmed>;
 
     fn handle(&mut self, message: Observed, _: &mut Context<Self>) -> Self::Result {
-        self.0.borrow_mut().push(message.observation.place.to_string());
+        self.0.borrow_mut().push(message.observation.location.to_string());
         Box::pin(std::future::pending())
     }
 }

@@ -1,4 +1,4 @@
-//! The body of the claims: names of the whole robot, as this node knows them.
+//! The actor of the global names.
 
 use crate::global_name::{ClaimCommand, ClaimState, GlobalNameTable};
 use crate::net::fault_reporter::FaultReporter;
@@ -43,14 +43,14 @@ pub(crate) struct GlobalNamesSetup {
     pub(crate) registry: Registry,
     pub(crate) names: GlobalNameTable,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 /// A name that is claimed here.
 struct Own {
     wanted: ClaimRequest,
     number: u64,
-    told: watch::Sender<ClaimState>,
+    state_sender: watch::Sender<ClaimState>,
     unattended: bool,
 }
 
@@ -59,7 +59,7 @@ pub(crate) struct GlobalNamesActor {
     setup: GlobalNamesSetup,
     machine: GlobalNames,
     wake: WakeTimer,
-    letters: PeerChannel,
+    channel: PeerChannel,
     own: SortedMap<ObjectName, Own>,
     /// Nodes that a session is open with.
     peers: SortedMap<NodeId, (NodeName, Incarnation)>,
@@ -70,7 +70,7 @@ pub(crate) struct GlobalNamesActor {
     lost: ActiveAlarms<(ObjectName, u64)>,
     /// Who goes without a name, and what was said of that last.
     without: UnmetClaims,
-    said: Option<String>,
+    reported_conflict: Option<String>,
 }
 
 /// Where the body is told and asked.
@@ -95,14 +95,14 @@ impl GlobalNamesActor {
             GlobalNamesActor {
                 machine: GlobalNames::new(config(&setup), platform::now()),
                 wake: WakeTimer::default(),
-                letters: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
+                channel: PeerChannel::at(crate::net::named("claims"), &setup.registry, reader),
                 own: SortedMap::new(),
                 peers: SortedMap::new(),
                 complaints: RefusalAlarms::default(),
-                faults: FaultReporter::of("claims", setup.faults.clone(), setup.mended.clone()),
+                faults: FaultReporter::of("claims", setup.faults.clone(), setup.cleared.clone()),
                 lost: ActiveAlarms::default(),
                 without: UnmetClaims::default(),
-                said: None,
+                reported_conflict: None,
                 setup,
             }
         };
@@ -118,9 +118,9 @@ impl GlobalNamesActor {
 
     fn tell(&self, name: &ObjectName, state: ClaimState) {
         if let Some(own) = self.own.get(name) {
-            own.told.send_if_modified(|told| {
-                let new = *told != state;
-                *told = state;
+            own.state_sender.send_if_modified(|sent| {
+                let new = *sent != state;
+                *sent = state;
                 new
             });
         }
@@ -147,23 +147,23 @@ impl GlobalNamesActor {
     }
 
     /// Some names are not lost any more. Of those who go without, it is said again.
-    fn mend(&mut self) {
-        self.said = None;
+    fn clear(&mut self) {
+        self.reported_conflict = None;
         if self.without.text().is_some() {
             self.say_who_goes_without();
         } else if self.lost.iter().next().is_none() {
-            self.faults.mend(FaultKind::NameTaken);
+            self.faults.clear(FaultKind::NameTaken);
         }
     }
 
     /// As it is now.
     fn say_who_goes_without(&mut self) {
         match self.without.text() {
-            Some(text) if self.said.as_ref() != Some(&text) => {
-                self.said = Some(text.clone());
+            Some(text) if self.reported_conflict.as_ref() != Some(&text) => {
+                self.reported_conflict = Some(text.clone());
                 self.declare(FaultKind::NameTaken, text);
             }
-            None if self.said.take().is_some() => self.mend(),
+            None if self.reported_conflict.take().is_some() => self.clear(),
             Some(_) | None => {}
         }
     }
@@ -172,7 +172,7 @@ impl GlobalNamesActor {
     fn has_its_name(&mut self, name: ObjectName, number: u64) {
         self.without.handle_end(&name, number);
         if self.lost.clear(&(name, number)) {
-            self.mend();
+            self.clear();
         }
         self.say_who_goes_without();
     }
@@ -200,10 +200,10 @@ impl GlobalNamesActor {
             }
         }
         if self.complaints.take_over(now) {
-            self.faults.mend(FaultKind::CheckFailed);
+            self.faults.clear(FaultKind::CheckFailed);
         }
         if !self.lost.take_over(now).is_empty() {
-            self.mend();
+            self.clear();
         }
     }
 }
@@ -233,15 +233,15 @@ impl Supervised for GlobalNamesActor {
     /// What is claimed here stays so; what others claim, they are asked for.
     fn restarting(&mut self, context: &mut Context<Self>) {
         let (now, mut own) = (platform::now(), Vec::new());
-        for Own { wanted, told, .. } in self.own.values() {
-            let epoch = match *told.borrow() {
+        for Own { wanted, state_sender, .. } in self.own.values() {
+            let epoch = match *state_sender.borrow() {
                 ClaimState::Held { epoch } => Some(epoch),
                 _ => None,
             };
             own.push((wanted.clone(), epoch));
         }
         self.setup.names.forget_all();
-        self.machine = GlobalNames::reborn(config(&self.setup), own, now);
+        self.machine = GlobalNames::restarted(config(&self.setup), own, now);
         for (node, incarnation) in self.peers.values() {
             self.machine.handle_opened(node.clone(), *incarnation, now);
         }
@@ -263,7 +263,7 @@ impl MachineActor for GlobalNamesActor {
 
     fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {
         match output {
-            GlobalNamesOutput::Send { to, message } => self.letters.send(&to, &message),
+            GlobalNamesOutput::Send { to, message } => self.channel.send(&to, &message),
             GlobalNamesOutput::Granted { name, epoch } => {
                 info!(%name, epoch, "a name is ours");
                 self.tell(&name, ClaimState::Held { epoch });
@@ -313,7 +313,7 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
 
     fn handle(&mut self, wish: ClaimCommand, context: &mut Context<Self>) {
         match wish {
-            ClaimCommand::Claim { wanted, number, told, unattended } => {
+            ClaimCommand::Claim { wanted, number, state_sender, unattended } => {
                 let name = wanted.name.clone();
                 match self.own.get(&name) {
                     // The next incarnation of the same component.
@@ -328,12 +328,12 @@ impl Handler<ClaimCommand> for GlobalNamesActor {
                             self.without.handle_doubled(claim, wanted.object, &other);
                             self.say_who_goes_without();
                         }
-                        told.send_replace(ClaimState::Refused(held.into()));
+                        state_sender.send_replace(ClaimState::Refused(held.into()));
                         return;
                     }
                     None => {}
                 }
-                let own = Own { wanted: wanted.clone(), number, told, unattended };
+                let own = Own { wanted: wanted.clone(), number, state_sender, unattended };
                 self.own.insert(name.clone(), own);
                 if let Err(refused) = self.machine.handle_claim(wanted, platform::now()) {
                     self.refused(&name, refused);
@@ -376,7 +376,7 @@ impl Handler<ActorMessageReceived> for GlobalNamesActor {
     type Result = ();
 
     fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
-        self.letters.read_one();
+        self.channel.read_one();
         if let Some((node, _)) = self.peers.get(&letter.from) {
             self.machine.handle_message(node, &letter.bytes, platform::now());
             self.drive(context);
@@ -413,51 +413,51 @@ mod tests {
             registry: Registry::default(),
             names: names.clone(),
             faults: None,
-            mended: None,
+            cleared: None,
         }
     }
 
     #[test]
     fn that_a_component_goes_without_its_name_is_over_when_it_has_it() {
         paused(async {
-            let (declared, mended) =
+            let (declared, cleared) =
                 (Probe::<FaultDeclared>::start(), Probe::<DeclaredFaultCleared>::start());
-            let (faults, over) = (Some(declared.recipient()), Some(mended.recipient()));
+            let (faults, over) = (Some(declared.recipient()), Some(cleared.recipient()));
             let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { faults, mended: over, ..setup(&names) };
+            let setup = GlobalNamesSetup { faults, cleared: over, ..setup(&names) };
             let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let claim = Claim::make(&names, wanted()).await.unwrap();
 
             names.claim_unattended(wanted(), 98);
             assert_eq!(declared.expect().await.kind, FaultKind::NameTaken);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             drop(claim);
             names.claim_unattended(wanted(), 99);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
             // The next incarnation of the one that was refused.
             names.claim_unattended(wanted(), 98);
 
-            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
     }
 
     #[test]
     fn that_a_component_goes_without_its_name_is_over_when_it_is_removed() {
         paused(async {
-            let mended = Probe::<DeclaredFaultCleared>::start();
+            let cleared = Probe::<DeclaredFaultCleared>::start();
             let names = GlobalNameTable::default();
-            let setup = GlobalNamesSetup { mended: Some(mended.recipient()), ..setup(&names) };
+            let setup = GlobalNamesSetup { cleared: Some(cleared.recipient()), ..setup(&names) };
             let _ports = GlobalNamesActor::start(setup, &Guardian::default(), None);
             let _claim = Claim::make(&names, wanted()).await.unwrap();
             names.claim_unattended(wanted(), 98);
             names.claim_unattended(wanted(), 99);
 
             names.withdraw(&wanted().name, 98);
-            mended.expect_none_for(Duration::from_secs(100)).await;
+            cleared.expect_none_for(Duration::from_secs(100)).await;
             names.withdraw(&wanted().name, 99);
 
-            assert_eq!(mended.expect().await.kind, FaultKind::NameTaken);
+            assert_eq!(cleared.expect().await.kind, FaultKind::NameTaken);
         });
     }
 

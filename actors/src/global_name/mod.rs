@@ -127,7 +127,7 @@ impl Claim {
         }
     }
 
-    /// Waits until it stands otherwise than when this was last asked, and says how; `None` once the
+    /// Waits until the state differs from the one last returned, and returns it; `None` once the
     /// node has ended.
     pub async fn changed(&mut self) -> Option<ClaimState> {
         self.state.changed().await.ok()?;
@@ -141,13 +141,13 @@ impl Drop for Claim {
     }
 }
 
-/// Tells who holds a name of the whole robot, whenever that changes. From
+/// Reports each change of the holder of a global name. From
 /// [`Node::watch_name`](crate::Node::watch_name).
 pub struct NameWatch {
     name: ObjectName,
     names: GlobalNameTable,
     revision: watch::Receiver<u64>,
-    told: Option<Option<Holder>>,
+    last_reported: Option<Option<Holder>>,
 }
 
 impl fmt::Debug for NameWatch {
@@ -158,7 +158,7 @@ impl fmt::Debug for NameWatch {
 
 impl NameWatch {
     pub(crate) fn new(names: &GlobalNameTable, name: ObjectName) -> Self {
-        NameWatch { name, names: names.clone(), revision: names.revision(), told: None }
+        NameWatch { name, names: names.clone(), revision: names.revision(), last_reported: None }
     }
 
     /// Returns the holder: at once on the first call, and then whenever it has changed; `None` if
@@ -167,8 +167,8 @@ impl NameWatch {
         loop {
             self.revision.mark_unchanged();
             let holder = self.names.holder(&self.name);
-            if self.told.as_ref() != Some(&holder) {
-                self.told = Some(holder.clone());
+            if self.last_reported.as_ref() != Some(&holder) {
+                self.last_reported = Some(holder.clone());
                 return holder;
             }
             // It ends with the last clone of the names, of which this has one.
@@ -186,12 +186,12 @@ impl NameWatch {
     }
 }
 
-/// A name of the whole robot and who holds it, for people.
+/// A global name and its holder, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimRow {
     /// The name.
     pub name: ObjectName,
-    /// Who holds it, and under which epoch.
+    /// The holder, and the epoch of its claim.
     pub holder: Holder,
     /// In which incarnation of its node.
     pub incarnation: Incarnation,

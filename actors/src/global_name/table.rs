@@ -1,4 +1,4 @@
-//! The holders of global names that this node knows, readable on every thread.
+//! The holders of global names known to this node, readable on every thread.
 
 use super::{ClaimRow, ClaimState};
 use crate::platform;
@@ -22,7 +22,7 @@ pub(crate) enum ClaimCommand {
         /// Which claim it is, of all that were ever made here; a component has one for all its
         /// incarnations.
         number: u64,
-        told: watch::Sender<ClaimState>,
+        state_sender: watch::Sender<ClaimState>,
         /// A component claims: no caller waits for the result, so a refusal is a fault.
         unattended: bool,
     },
@@ -132,9 +132,9 @@ impl GlobalNameTable {
         number: u64,
         unattended: bool,
     ) -> watch::Receiver<ClaimState> {
-        let (told, state) = watch::channel(ClaimState::Waiting);
+        let (state_sender, state) = watch::channel(ClaimState::Waiting);
         if let Some(body) = self.0.body.get() {
-            body.do_send(ClaimCommand::Claim { wanted, number, told, unattended });
+            body.do_send(ClaimCommand::Claim { wanted, number, state_sender, unattended });
         }
         state
     }

@@ -135,14 +135,14 @@ impl<C: Component> Child for ComponentChild<C> {
         if let Some(placement) = placement {
             placement.token.end();
             record.environment.watch_list.leave(placement.slot.index);
-            let reading = placement.slot.stamp.read();
+            let reading = placement.slot.activity.read();
             let during = label::name(reading.during);
             if reading.turn % 2 == 1 && is_message(during) {
                 record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
             }
             record.record_fatal_message(incarnation);
-            let pulse = &placement.arbiter.pulse;
-            if pulse.running() == Some(placement.slot.index) && !pulse.is_here() {
+            let heartbeat = &placement.arbiter.heartbeat;
+            if heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here() {
                 record.environment.arbiters.fence(&placement.arbiter, &record.name);
                 self.kept_thread = true;
             }
@@ -186,7 +186,7 @@ impl<C: Component> Child for ComponentChild<C> {
         }
     }
 
-    fn standing_order(&mut self, order: Option<RestartGrant>) {
+    fn set_restart_grant(&mut self, order: Option<RestartGrant>) {
         self.cell.record.set_order(order);
     }
 }

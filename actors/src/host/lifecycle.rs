@@ -1,4 +1,4 @@
-//! The lifecycle of one incarnation: which hook comes next, and what is told about it.
+//! The lifecycle of one incarnation: the next hook, and the reports about it.
 //!
 //! A pure machine. The executor runs the hooks that it names and says how they ended; orders come
 //! in between.

@@ -9,8 +9,8 @@
 //!  sampler ──► ArbiterHeartbeat of each arbiter, ActivityRecord of each component
 //! ```
 //!
-//! Commands come from the framework alone, on a [queue](crate::component::control) of their own that
-//! the executor looks at first, so that a flooded component, or one that awaits, still obeys.
+//! Commands come from the framework alone, on a [queue](crate::component::control) of their own
+//! that the executor looks at first, so that a flooded component, or one that awaits, still obeys.
 //! Messages of the application travel in the [queue](crate::messaging::queue), which belongs to the
 //! cell.
 //!

@@ -1,4 +1,4 @@
-//! A reference to one component, of which the sender knows the type.
+//! A typed reference to one component.
 
 use crate::component::cell::ComponentCell;
 use crate::component::context::Context;
@@ -14,8 +14,8 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A reference to a component on this node; it outlives restarts. [`Sender`] says what sending
-/// means.
+/// A reference to a component on this node. It stays valid across restarts. [`Sender`] describes
+/// delivery.
 pub struct ActorRef<C: Component>(pub(crate) Arc<ComponentCell<C>>);
 
 impl<C: Component> Clone for ActorRef<C> {
@@ -40,8 +40,8 @@ impl<C: Component> ActorRef<C> {
     where
         C: Handle<M>,
     {
-        let told = MessageSink::tell(&*self.0, message);
-        told.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
+        let result = MessageSink::tell(&*self.0, message);
+        result.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
     /// Hands the message to the component's queue, and waits while it has no room.
@@ -56,7 +56,7 @@ impl<C: Component> ActorRef<C> {
         delivered.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
-    /// Asks, and waits for the reply for one second at most.
+    /// Sends a request and waits up to one second for the reply.
     ///
     /// # Errors
     /// As [`Sender::ask`].
@@ -89,7 +89,7 @@ impl<C: Component> ActorRef<C> {
         asked.await.map_err(|error| error.at(|| MessageSink::<M>::receiver(&*self.0)))
     }
 
-    /// The same for one contract only, with the component's type hidden.
+    /// Returns a sender for one contract, without the component's type.
     pub fn sender<M: Contract>(&self) -> Sender<M>
     where
         C: Handle<M>,

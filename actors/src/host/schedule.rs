@@ -74,8 +74,8 @@ pub(crate) struct ScheduledWork<C: Component> {
     fresh: bool,
     /// There only while it holds something: most components wait for messages and nothing else.
     work: Option<Box<Work>>,
-    /// Shared with the code that sets them.
-    timers: Rc<TimerTable<C>>,
+    /// Shared with the code that sets them, once it has set one.
+    timers: Option<Rc<TimerTable<C>>>,
 }
 
 /// What is planned, due and under way.
@@ -100,13 +100,7 @@ struct Work {
 
 impl<C: Component> Default for ScheduledWork<C> {
     fn default() -> Self {
-        ScheduledWork {
-            interval: None,
-            active: false,
-            fresh: false,
-            work: None,
-            timers: Rc::default(),
-        }
+        ScheduledWork { interval: None, active: false, fresh: false, work: None, timers: None }
     }
 }
 
@@ -129,9 +123,9 @@ fn missed_between(due: Instant, every: Duration, next: Instant) -> u32 {
 }
 
 impl<C: Component> ScheduledWork<C> {
-    /// For an incarnation that begins, with rounds at this interval and these timers.
-    pub(crate) fn begin(&mut self, interval: Option<Duration>, timers: Rc<TimerTable<C>>) {
-        *self = ScheduledWork { interval, timers, ..ScheduledWork::default() };
+    /// For an incarnation that begins, with rounds at this interval.
+    pub(crate) fn begin(&mut self, interval: Option<Duration>) {
+        *self = ScheduledWork { interval, ..ScheduledWork::default() };
     }
 
     #[inline]
@@ -207,6 +201,7 @@ impl<C: Component> ScheduledWork<C> {
         &mut self,
         tasks: Vec<ComponentFuture>,
         cancelled: &[Option<ScheduleEntry>],
+        timers: Option<&Rc<TimerTable<C>>>,
         budget: &Rc<TurnBudget>,
     ) {
         for task in tasks {
@@ -215,19 +210,26 @@ impl<C: Component> ScheduledWork<C> {
             assert!(held < TASKS, "the component holds {TASKS} tasks and starts yet another");
             tasks.push(Spawned { task, budget: budget.clone() });
         }
+        if let Some(timers) = timers {
+            self.timers = Some(timers.clone());
+            self.take_on_timers(cancelled, timers);
+        }
+        self.tidy();
+    }
+
+    fn take_on_timers(&mut self, cancelled: &[Option<ScheduleEntry>], timers: &TimerTable<C>) {
         if let Some(work) = &mut self.work {
-            work.forget_cancelled(cancelled, &self.timers);
+            work.forget_cancelled(cancelled, timers);
         }
         let now = platform::now();
-        for id in self.timers.take_new() {
-            let mode = self.timers.standing.borrow().get(&id.0).map(|timer| timer.mode);
+        for id in timers.take_new() {
+            let mode = timers.active.borrow().get(&id.0).map(|timer| timer.mode);
             let Some(TimerMode::Once(delay) | TimerMode::Every(delay)) = mode else { continue };
             let entry = self.planned().enter(now + delay, DueWork::Timer(id));
-            if let Some(timer) = self.timers.standing.borrow_mut().get_mut(&id.0) {
+            if let Some(timer) = timers.active.borrow_mut().get_mut(&id.0) {
                 timer.entry = Some(entry);
             }
         }
-        self.tidy();
     }
 
     /// Sets one of the limits. One that is set already stays as it is.
@@ -258,7 +260,7 @@ impl<C: Component> ScheduledWork<C> {
     pub(crate) fn poll(&mut self, cx: &mut Context<'_>) {
         self.fresh = false;
         let Some(work) = &mut self.work else { return };
-        work.poll_schedule(self.interval, &self.timers, cx);
+        work.poll_schedule(self.interval, self.timers.as_deref(), cx);
         work.poll_tasks(cx);
     }
 
@@ -272,8 +274,8 @@ impl<C: Component> ScheduledWork<C> {
     /// one. One that is repeated is entered again here, and not when it falls due: what cannot be
     /// kept costs nothing but the calls that are made.
     pub(crate) fn lift(&mut self, id: TimerId) -> Option<(TimerAction<C>, u32)> {
-        let mut standing = self.timers.standing.borrow_mut();
-        let timer = standing.get_mut(&id.0)?;
+        let mut active = self.timers.as_ref()?.active.borrow_mut();
+        let timer = active.get_mut(&id.0)?;
         let mut missed = 0;
         if let (TimerMode::Every(every), Some(at)) = (timer.mode, timer.due.take()) {
             let next = next_tick(at, every, platform::now());
@@ -287,15 +289,16 @@ impl<C: Component> ScheduledWork<C> {
 
     /// After it was run. What was cancelled meanwhile, or is not to run again, ends.
     pub(crate) fn put_back(&mut self, id: TimerId, action: TimerAction<C>) {
-        let mut standing = self.timers.standing.borrow_mut();
-        match standing.get_mut(&id.0) {
+        let Some(timers) = &self.timers else { return };
+        let mut active = timers.active.borrow_mut();
+        match active.get_mut(&id.0) {
             Some(timer) if matches!(timer.mode, TimerMode::Every(_)) => {
                 timer.action = Some(action);
                 return;
             }
-            _ => drop(standing.remove(&id.0)),
+            _ => drop(active.remove(&id.0)),
         }
-        drop(standing);
+        drop(active);
         self.tidy();
     }
 
@@ -304,7 +307,8 @@ impl<C: Component> ScheduledWork<C> {
         let ScheduledWork { work, timers, .. } = std::mem::take(self);
         let tasks = work.and_then(|work| work.tasks).into_iter().flatten();
         let tasks = tasks.map(|spawned| spawned.task);
-        let actions = timers.standing.take().into_values().filter_map(|timer| timer.action);
+        let timers = timers.into_iter().flat_map(|timers| timers.active.take().into_values());
+        let actions = timers.filter_map(|timer| timer.action);
         (tasks.collect(), actions.collect())
     }
 }
@@ -332,8 +336,8 @@ impl Work {
         for entry in cancelled.iter().flatten() {
             self.schedule.remove(entry);
         }
-        let standing = timers.standing.borrow();
-        let is_over = |id: &TimerId| !standing.contains_key(&id.0);
+        let active = timers.active.borrow();
+        let is_over = |id: &TimerId| !active.contains_key(&id.0);
         self.due.retain(|work| !matches!(work, DueWork::Timer(id) if is_over(id)));
     }
 
@@ -351,7 +355,7 @@ impl Work {
     fn poll_schedule<C: Component>(
         &mut self,
         interval: Option<Duration>,
-        timers: &TimerTable<C>,
+        timers: Option<&TimerTable<C>>,
         cx: &mut Context<'_>,
     ) {
         while let Some((&(earliest, _), _)) = self.schedule.first_key_value() {
@@ -379,7 +383,7 @@ impl Work {
         work: DueWork,
         (at, now): (Instant, Instant),
         interval: Option<Duration>,
-        timers: &TimerTable<C>,
+        timers: Option<&TimerTable<C>>,
     ) {
         match work {
             DueWork::Execute => {
@@ -391,8 +395,9 @@ impl Work {
                 }
             }
             DueWork::Timer(id) => {
-                let mut standing = timers.standing.borrow_mut();
-                let Some(timer) = standing.get_mut(&id.0) else { return };
+                let Some(timers) = timers else { return };
+                let mut active = timers.active.borrow_mut();
+                let Some(timer) = active.get_mut(&id.0) else { return };
                 (timer.entry, timer.due) = (None, Some(at));
             }
             DueWork::ReadyLimit | DueWork::StopLimit | DueWork::Retry => {

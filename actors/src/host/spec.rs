@@ -18,7 +18,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What a component is called, how it is built, and how it is run and watched.
+/// Describes a component: its name, its factory, and how it is run and monitored.
 #[must_use = "a child spec does nothing until it is given to a node or a supervisor"]
 pub struct ChildSpec<C: Component> {
     name: String,
@@ -58,8 +58,8 @@ impl<C: Component> ChildSpec<C> {
         }
     }
 
-    /// Declares more ports than `Component::ports` does: those that depend on what only the program
-    /// knows, such as the topic of one of several cameras, or the default of a variable.
+    /// Declares ports in addition to `Component::ports`: those that depend on values of the
+    /// program, such as the topic of one of several cameras, or the default of a variable.
     pub fn with_ports(mut self, declare: impl FnOnce(&mut Ports<C>) + Send + 'static) -> Self {
         self.more_ports.push(Box::new(declare));
         self
@@ -71,8 +71,8 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How many messages may wait, and what happens to one more. A longer queue bridges longer
-    /// pauses and delivers older messages.
+    /// Sets the capacity of the queue, and what happens to a message that exceeds it. A longer
+    /// queue bridges longer pauses and delivers older messages.
     pub fn queue(mut self, capacity: usize, when_full: WhenFull) -> Self {
         self.queue = (capacity, when_full);
         self
@@ -84,14 +84,14 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// Gives it a thread of its own, for one that computes long or calls code that blocks.
+    /// Runs the component on a thread of its own: for long computations or blocking calls.
     pub fn on_own_thread(mut self) -> Self {
         self.limits.own_thread = true;
         self
     }
 
-    /// How long a handler may keep its arbiter before it counts as hanging; at least 10 ms. Longer
-    /// tolerates slow handlers, and leaves neighbours standing longer behind one that really hangs.
+    /// Sets how long a handler may keep its arbiter before it counts as a hang; at least 10 ms. A
+    /// longer limit tolerates slow handlers, and delays neighbours longer behind a hang.
     pub fn max_block(mut self, span: Duration) -> Self {
         self.limits.hang().max_block = span;
         self
@@ -103,7 +103,7 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// How long a message may wait in the queue while the component works, before that is an
+    /// Sets how long a message may wait in the queue while the component works, before it is an
     /// [overload](blastema_core::FaultKind::Overload); one second unless set, at least 1 ms.
     pub fn max_delay(mut self, span: Duration) -> Self {
         self.limits.hang().max_delay = span;
@@ -131,9 +131,9 @@ impl<C: Component> ChildSpec<C> {
         self
     }
 
-    /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
-    /// them is down is taken for a symptom. Those of this node must be there, and none of them may
-    /// depend on this one.
+    /// Names the objects, on any node, without which the component cannot work. While one of them
+    /// is down, a fault of the component counts as its symptom. Objects of this node must exist,
+    /// and none of them may depend on this component.
     pub fn depends_on<'a>(mut self, names: impl IntoIterator<Item = &'a str>) -> Self {
         self.depends_on.extend(names.into_iter().map(str::to_owned));
         self
@@ -185,7 +185,7 @@ impl<C: Component> ChildSpec<C> {
         ports.check(&name)?;
         let record = CellCore::new(name.clone(), limits, environment.clone());
         let cell = Arc::new(ComponentCell::new(record, self.queue, self.factory));
-        environment.registry.register(&name, ports.doors(&cell), cell.clone())?;
+        environment.registry.register(&name, ports.skeletons(&cell), cell.clone())?;
         // From here on the child gives the name back when it is dropped.
         let child = ComponentChild::new(cell.clone());
         ports.bind(&cell)?;

@@ -24,7 +24,7 @@ pub enum ReadError {
         /// The path.
         path: PathBuf,
     },
-    /// A file is there, and it is no journal that this program knows.
+    /// The file is not a journal that this program can read.
     #[error("{} is no journal: {reason}", path.display())]
     NoJournal {
         /// The path.
@@ -42,8 +42,8 @@ pub enum ReadError {
     },
 }
 
-/// One fault of a journal, and what became of it; or, with the code [`NODE_ENDED`], when and why
-/// the node ended, unless its process was killed.
+/// One fault of a journal with its status; or, with the code [`NODE_ENDED`], when and why the node
+/// ended, unless its process was killed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JournalEntry {
@@ -62,7 +62,7 @@ pub struct JournalEntry {
     /// How bad it is: `warning`, `error` or `critical`; `note` for the end of a node.
     pub severity: String,
     /// Where it is.
-    pub place: String,
+    pub location: String,
     /// Which incarnation of the place it struck last.
     pub incarnation: u64,
     /// The particulars.
@@ -89,17 +89,17 @@ pub struct JournalEntry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum JournalStatus {
-    /// It stands, and service is not restored.
+    /// The fault is open, and service is not restored.
     Open,
-    /// It stands, and the recoverer has ceased to try.
+    /// The fault is open, and the recoverer has given it up.
     GivenUp,
     /// Service is restored; the part is not repaired.
     Recovered,
     /// Its cause is away.
     Closed,
-    /// It stood when the node was shut down.
+    /// The fault was open when the node was shut down.
     EndedInOrder,
-    /// It stood when the node's process died.
+    /// The fault was open when the node's process died.
     EndedWithProcess,
 }
 
@@ -132,7 +132,7 @@ impl fmt::Display for JournalStatus {
 /// # Examples
 /// ```no_run
 /// for entry in blastema::journal::read("/var/lib/robot/faults.db".as_ref())? {
-///     println!("{} {} {}: {}", entry.found_at, entry.place, entry.kind, entry.status);
+///     println!("{} {} {}: {}", entry.found_at, entry.location, entry.kind, entry.status);
 /// }
 /// # Ok::<(), blastema::journal::ReadError>(())
 /// ```
@@ -219,7 +219,7 @@ fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
         code,
         kind: row.get("kind")?,
         severity: row.get("severity")?,
-        place: row.get("place")?,
+        location: row.get("place")?,
         incarnation: unsigned(row.get("incarnation")?),
         detail: row.get("detail")?,
         count: unsigned(row.get("count")?),

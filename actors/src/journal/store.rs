@@ -82,7 +82,7 @@ const PUT_END: &str = "INSERT INTO fault
  SELECT run, 0, ?2, 'node ended', 'note', node, incarnation, ?3, 1, ?4, ?5 FROM run WHERE run = ?1
  ON CONFLICT (run, id) DO NOTHING";
 
-/// The code of the entry that says when and why a node ended. No fault has it.
+/// The code of the entry that records when and why a node ended. No fault has this code.
 pub const NODE_ENDED: &str = "B00";
 
 /// The node of the run ended, and its journal was closed.
@@ -284,7 +284,7 @@ fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::
         fault.kind.code(),
         fault.kind.text(),
         fault.severity.to_string(),
-        fault.place.to_string(),
+        fault.location.to_string(),
         number(fault.incarnation.0),
         shortened(&fault.detail),
         fault.count,

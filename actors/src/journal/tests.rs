@@ -51,7 +51,7 @@ fn line(id: u64, found: Moment) -> JournalRow {
         id: FaultId(id),
         severity: FaultKind::LinkDown.severity(),
         kind: FaultKind::LinkDown,
-        place: FaultLocation::Link { node: node("a"), link: "eth".into(), neighbour: None },
+        location: FaultLocation::Link { node: node("a"), link: "eth".into(), neighbour: None },
         incarnation: Incarnation(0),
         detail: "no hello".to_owned(),
         found_at: found.monotonic,
@@ -86,8 +86,8 @@ fn a_fault_is_read_as_it_was_written_step_by_step() {
 
     let entries = read(&path).unwrap();
     let [entry] = entries.as_slice() else { panic!("one fault, and not {entries:?}") };
-    let JournalEntry { node, code, place, measure, given_up, recovered, repaired, .. } = entry;
-    assert_eq!((node.as_str(), code.as_str(), place.as_str()), ("a", "B11", "a -eth-"));
+    let JournalEntry { node, code, location, measure, given_up, recovered, repaired, .. } = entry;
+    assert_eq!((node.as_str(), code.as_str(), location.as_str()), ("a", "B11", "a -eth-"));
     assert_eq!((measure.as_deref(), given_up.as_deref()), (Some("re-route"), None));
     let span = Duration::from_millis;
     assert_eq!(*recovered, Some((WallTime::from_micros(5_030_000), span(30))));
@@ -115,8 +115,8 @@ fn open_faults_of_a_run_that_is_over_are_not_open() {
     let entries = read(&path).unwrap();
     let [.., fault, end] = entries.as_slice() else { panic!("{entries:?}") };
     assert_eq!((fault.id, fault.status), (1, JournalStatus::EndedInOrder));
-    let told = (end.code.as_str(), end.place.as_str(), end.detail.as_str(), end.status);
-    assert_eq!(told, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
+    let row = (end.code.as_str(), end.location.as_str(), end.detail.as_str(), end.status);
+    assert_eq!(row, (NODE_ENDED, "a", "the program shut it down", JournalStatus::Closed));
     assert_eq!((end.found_at, end.node_incarnation), (WallTime::from_micros(6), 2));
 }
 

@@ -190,8 +190,8 @@ impl Actor for JournalActor {
 
     fn started(&mut self, context: &mut Context<Self>) {
         let Some(thread) = self.thread.take() else { return };
-        let told = context.address().recipient();
-        if let Err(error) = platform::start_thread("journal", move || thread.run(&told)) {
+        let recipient = context.address().recipient();
+        if let Err(error) = platform::start_thread("journal", move || thread.run(&recipient)) {
             self.fail(&format!("its thread cannot be started: {error}"), context);
         }
     }
@@ -224,7 +224,7 @@ impl Handler<Wrote> for JournalActor {
         match message {
             Wrote::Done { whole } => {
                 if whole && std::mem::replace(&mut self.failed, false) {
-                    self.reports.mend(JOURNAL);
+                    self.reports.clear(JOURNAL);
                 }
             }
             Wrote::Failed(reason) => self.fail(&reason, context),
@@ -288,13 +288,13 @@ impl Now {
 }
 
 impl Writer {
-    fn run(self, told: &Recipient<Wrote>) {
+    fn run(self, recipient: &Recipient<Wrote>) {
         let mut store = None;
         // Opened at once, so that an earlier run is marked as ended before this one's first fault.
-        let mut result = self.write(&mut store, &[], told);
+        let mut result = self.write(&mut store, &[], recipient);
         let mut whole = false;
         loop {
-            told.do_send(match result {
+            recipient.do_send(match result {
                 Ok(()) => Wrote::Done { whole },
                 Err(reason) => Wrote::Failed(reason),
             });
@@ -311,7 +311,7 @@ impl Writer {
                     }
                 }
             }
-            result = self.write(&mut store, &lines, told);
+            result = self.write(&mut store, &lines, recipient);
             if over {
                 break;
             }
@@ -341,7 +341,7 @@ impl Writer {
         &self,
         store: &mut Option<Store>,
         lines: &[JournalRow],
-        told: &Recipient<Wrote>,
+        recipient: &Recipient<Wrote>,
     ) -> Result<(), String> {
         let written = self.open(store).and_then(|store| store.write(lines));
         match written {
@@ -357,7 +357,7 @@ impl Writer {
                     "the journal {path} was damaged ({reason}): it is set aside as {aside}, and \
                      begins again"
                 );
-                told.do_send(Wrote::SetAside(detail));
+                recipient.do_send(Wrote::SetAside(detail));
                 let fresh = self.open(store).and_then(|store| store.write(lines));
                 fresh.map_err(|error| match error {
                     StoreError::Damaged(reason) | StoreError::Unwritable(reason) => reason,

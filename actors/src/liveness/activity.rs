@@ -1,7 +1,7 @@
-//! What a component says about itself by working: turns, signs of life, and what it is doing.
+//! The activity record of a component: its turns, its signs of life, and its current handler.
 //!
-//! Every store is plain and every stamp has one writer, the thread that runs its component. Who
-//! wants to know since when looks twice.
+//! Every store is plain and every activity record has one writer, the thread that runs its
+//! component. Who wants to know since when looks twice.
 
 use crate::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use crate::sync::atomic::{AtomicBool, AtomicU32, AtomicU64};
@@ -42,7 +42,7 @@ pub(crate) struct ActivityRecord {
     expired: AtomicU64,
 }
 
-/// What a look at a stamp finds.
+/// What a look at an activity record finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct ActivitySample {
     pub(crate) turn: u64,
@@ -165,10 +165,11 @@ impl ActivityRecord {
     }
 }
 
-/// Stamps are made in chunks that stay where they are, so that reading one takes no lock.
+/// Activity records are made in chunks that stay where they are, so that reading one takes no lock.
 const CHUNK: usize = 1024;
 
-/// All stamps of the process. It grows to the largest number of components that lived at one time.
+/// All activity records of the process. It grows to the largest number of components that lived at
+/// one time.
 struct ActivityTable {
     chunks: Vec<&'static [ActivityRecord]>,
     free: Vec<u32>,
@@ -182,17 +183,17 @@ fn table() -> MutexGuard<'static, ActivityTable> {
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Where a component's stamp stands, for those who only read it.
+/// Where a component's activity record stands, for those who only read it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ActivitySlotRef {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) activity: &'static ActivityRecord,
 }
 
 /// A place in the table; given back when dropped, which an executor that hangs does not do.
 pub(crate) struct ActivitySlot {
     pub(crate) index: u32,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) activity: &'static ActivityRecord,
 }
 
 impl ActivitySlot {
@@ -207,21 +208,21 @@ impl ActivitySlot {
             let fresh = (0..CHUNK).map(|_| ActivityRecord::default()).collect::<Vec<_>>();
             table.chunks.push(Vec::leak(fresh));
         }
-        ActivitySlot { index, stamp: &table.chunks[chunk][place] }
+        ActivitySlot { index, activity: &table.chunks[chunk][place] }
     }
 }
 
 impl Drop for ActivitySlot {
     fn drop(&mut self) {
-        let stamp = self.stamp;
-        stamp.incarnation.store(0, Relaxed);
-        stamp.speaks.store(false, Relaxed);
-        stamp.condition.store(false, Relaxed);
-        stamp.tasks.store(false, Relaxed);
-        stamp.allowance.store(0, Relaxed);
-        stamp.interval.store(0, Relaxed);
-        if stamp.is_busy() {
-            stamp.step();
+        let activity = self.activity;
+        activity.incarnation.store(0, Relaxed);
+        activity.speaks.store(false, Relaxed);
+        activity.condition.store(false, Relaxed);
+        activity.tasks.store(false, Relaxed);
+        activity.allowance.store(0, Relaxed);
+        activity.interval.store(0, Relaxed);
+        if activity.is_busy() {
+            activity.step();
         }
         table().free.push(self.index);
     }
@@ -234,27 +235,27 @@ mod tests {
     #[test]
     fn a_stamp_is_odd_while_something_is_in_service() {
         let slot = ActivitySlot::claim();
-        assert!(!slot.stamp.is_busy());
+        assert!(!slot.activity.is_busy());
 
-        slot.stamp.begin(7);
-        assert!(slot.stamp.is_busy());
-        assert_eq!(slot.stamp.read().during, 7);
+        slot.activity.begin(7);
+        assert!(slot.activity.is_busy());
+        assert_eq!(slot.activity.read().during, 7);
 
-        slot.stamp.step();
-        assert!(!slot.stamp.is_busy());
+        slot.activity.step();
+        assert!(!slot.activity.is_busy());
     }
 
     #[test]
     fn a_slot_that_is_given_back_is_at_rest() {
         let slot = ActivitySlot::claim();
-        slot.stamp.begin_incarnation(3);
-        slot.stamp.begin(1);
-        slot.stamp.expect_signs(true);
-        let stamp = slot.stamp;
+        slot.activity.begin_incarnation(3);
+        slot.activity.begin(1);
+        slot.activity.expect_signs(true);
+        let activity = slot.activity;
 
         drop(slot);
 
-        let reading = stamp.read();
+        let reading = activity.read();
         assert!(
             reading.turn.is_multiple_of(2) || reading.incarnation != 3,
             "or it was claimed meanwhile"
@@ -265,10 +266,10 @@ mod tests {
     fn slots_beyond_one_chunk_are_places_of_their_own() {
         let slots: Vec<ActivitySlot> = (0..=CHUNK).map(|_| ActivitySlot::claim()).collect();
         for (at, slot) in slots.iter().enumerate() {
-            slot.stamp.begin_incarnation(at as u64 + 1);
+            slot.activity.begin_incarnation(at as u64 + 1);
         }
         for (at, slot) in slots.iter().enumerate() {
-            assert_eq!(slot.stamp.read().incarnation, at as u64 + 1);
+            assert_eq!(slot.activity.read().incarnation, at as u64 + 1);
         }
     }
 }

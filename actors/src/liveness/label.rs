@@ -1,5 +1,5 @@
-//! Names of contracts and hooks as numbers, so that a stamp can say in one store what is in
-//! service.
+//! Names of contracts and hooks as numbers, so that an activity record can say in one store what is
+//! in service.
 
 use std::sync::{Mutex, PoisonError};
 

@@ -1,4 +1,5 @@
-//! The watch: it looks at pulses and stamps at even intervals, and tells the monitor what it sees.
+//! The sampler: reads heartbeats and activity records at even intervals, and reports to the
+//! monitor.
 //!
 //! It runs on a thread of its own, so that a busy robot is not a dead one and a stuck arbiter is
 //! still seen. In tests it is a task under their clock. The judging is [`HangDetector`]'s.
@@ -25,10 +26,10 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use std::{io, thread};
 
-/// How often pulses are looked at: as often as they beat.
-const PULSES: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
-/// Every so many looks stamps are looked at too. There are many of them: at every look it would
-/// cost six percent of a core for a hundred thousand.
+/// How often heartbeats are looked at: as often as they beat.
+const HEARTBEATS: Duration = crate::arbiter::heartbeat::HEARTBEAT_INTERVAL;
+/// Every so many looks activity records are looked at too. There are many of them: at every look it
+/// would cost six percent of a core for a hundred thousand.
 const STAMPS: u64 = 10;
 
 /// What is in service where a handler has panicked, and what it had blocks as it is dropped. The
@@ -46,7 +47,7 @@ pub(crate) trait AliveSource: Send + Sync {
 }
 
 /// What a component is doing, also if it is stuck.
-struct Glance {
+struct ObjectSample {
     incarnation: Incarnation,
     queue: QueueReading,
     missed_rounds: u64,
@@ -60,19 +61,19 @@ struct Glance {
 pub(crate) struct SampledComponent {
     pub(crate) object: ObjectName,
     pub(crate) inside: Weak<dyn AliveSource>,
-    pub(crate) pulse: Arc<ArbiterHeartbeat>,
-    pub(crate) stamp: &'static ActivityRecord,
+    pub(crate) heartbeat: Arc<ArbiterHeartbeat>,
+    pub(crate) activity: &'static ActivityRecord,
     pub(crate) limits: Arc<HangLimits>,
 }
 
 impl SampledComponent {
     fn judged(&self) -> JudgedComponent {
         let (object, limits) = (self.object.clone(), self.limits.clone());
-        JudgedComponent { object, arbiter: self.pulse.id(), limits }
+        JudgedComponent { object, arbiter: self.heartbeat.id(), limits }
     }
 
     fn read(&self) -> ComponentSample {
-        let reading = self.stamp.read();
+        let reading = self.activity.read();
         ComponentSample {
             turn: reading.turn,
             alive: reading.alive.into(),
@@ -112,7 +113,7 @@ struct Entries {
 
 /// Who lives on an arbiter.
 pub(crate) struct ArbiterResidents {
-    pub(crate) pulse: Arc<ArbiterHeartbeat>,
+    pub(crate) heartbeat: Arc<ArbiterHeartbeat>,
     /// Who is on the thread right now.
     pub(crate) running: Option<ObjectName>,
     /// Each with the number of messages that wait for it.
@@ -120,8 +121,8 @@ pub(crate) struct ArbiterResidents {
 }
 
 impl ArbiterResidents {
-    pub(crate) fn none(pulse: &Arc<ArbiterHeartbeat>) -> Self {
-        ArbiterResidents { pulse: pulse.clone(), running: None, components: Vec::new() }
+    pub(crate) fn none(heartbeat: &Arc<ArbiterHeartbeat>) -> Self {
+        ArbiterResidents { heartbeat: heartbeat.clone(), running: None, components: Vec::new() }
     }
 }
 
@@ -157,13 +158,13 @@ impl SampledComponents {
     }
 
     /// What every component is doing now.
-    fn glances(&self) -> SortedMap<ObjectName, Glance> {
+    fn samples(&self) -> SortedMap<ObjectName, ObjectSample> {
         let now = platform::now();
         let busy = self.0.busy.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let signs = self.0.signs.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let missed = self.0.missed.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let glance = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
-            let reading = watched.stamp.read();
+        let sample = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
+            let reading = watched.activity.read();
             let since = busy.binary_search_by_key(slot, |entry| entry.0).ok().map(|at| busy[at]);
             let since = since.filter(|(_, turn, _)| *turn == reading.turn);
             let age = since.map_or(Duration::ZERO, |(_, _, since)| now - since);
@@ -175,18 +176,18 @@ impl SampledComponents {
             let last_sign = match (sign.map(|at| signs[at].1), is_busy) {
                 (Some(sign), _) => sign.map(|at| now - at),
                 (None, true) => Some(age),
-                (None, false) => watched.pulse.last_beat().map(|at| now - at),
+                (None, false) => watched.heartbeat.last_beat().map(|at| now - at),
             };
-            let glance = Glance {
+            let sample = ObjectSample {
                 incarnation: inside.incarnation(),
                 queue: inside.queue(),
                 missed_rounds: missed.get(slot).copied().unwrap_or_default(),
                 current,
                 last_sign,
             };
-            Some((watched.object.clone(), glance))
+            Some((watched.object.clone(), sample))
         };
-        self.lock().iter().filter_map(glance).collect()
+        self.lock().iter().filter_map(sample).collect()
     }
 
     /// Who lives on which arbiter now.
@@ -194,9 +195,11 @@ impl SampledComponents {
         let mut residents = SortedMap::new();
         for (slot, watched) in self.lock().iter() {
             let Some(inside) = watched.inside.upgrade() else { continue };
-            let pulse = &watched.pulse;
-            let on = residents.entry(pulse.id()).or_insert_with(|| ArbiterResidents::none(pulse));
-            if pulse.running() == Some(*slot) {
+            let heartbeat = &watched.heartbeat;
+            let on = residents
+                .entry(heartbeat.id())
+                .or_insert_with(|| ArbiterResidents::none(heartbeat));
+            if heartbeat.running() == Some(*slot) {
                 on.running = Some(watched.object.clone());
             }
             on.components.push((watched.object.clone(), inside.queue().queued));
@@ -212,20 +215,20 @@ impl SampledComponents {
     /// Completes the rows of this node's components by what they are doing now, also if they are
     /// stuck.
     pub(crate) fn show_in(&self, node: &NodeName, rows: &mut [MonitorRow]) {
-        let glances = self.glances();
+        let samples = self.samples();
         for row in rows {
-            let FaultLocation::Object(address) = &row.place else { continue };
-            let Some(glance) = glances.get(&address.object).filter(|_| address.node == *node)
+            let FaultLocation::Object(address) = &row.location else { continue };
+            let Some(sample) = samples.get(&address.object).filter(|_| address.node == *node)
             else {
                 continue;
             };
-            let QueueReading { queued, oldest } = glance.queue;
-            if row.incarnation == glance.incarnation {
-                row.missed_rounds = glance.missed_rounds;
+            let QueueReading { queued, oldest } = sample.queue;
+            if row.incarnation == sample.incarnation {
+                row.missed_rounds = sample.missed_rounds;
                 row.queue = Some(QueueSample { queued, oldest, age: Duration::ZERO });
-                row.current = glance.current;
+                row.current = sample.current;
                 // The monitor knows of reports, and the watch of everything else.
-                row.last_sign = row.last_sign.into_iter().chain(glance.last_sign).min();
+                row.last_sign = row.last_sign.into_iter().chain(sample.last_sign).min();
             }
         }
     }
@@ -251,8 +254,8 @@ impl Running {
     /// The components that are on a thread now, each with what it does and the number of its turn.
     pub fn components(&self) -> Vec<(ObjectName, &'static str, u64)> {
         let on_thread = |(slot, watched): (&u32, &Arc<SampledComponent>)| {
-            let reading = watched.stamp.read();
-            let running = watched.pulse.running() == Some(*slot);
+            let reading = watched.activity.read();
+            let running = watched.heartbeat.running() == Some(*slot);
             running.then(|| (watched.object.clone(), during(&reading), reading.turn))
         };
         let declaring = self.0.declaring().clone().map(|object| (object, "ports", 0));
@@ -287,12 +290,12 @@ pub(crate) fn start_thread(
     monitor: Recipient<LivenessReported>,
 ) -> io::Result<SamplerGuard> {
     let ended = Arc::new(AtomicBool::new(false));
-    let mut eyes = Eyes::new(list, arbiters, config, monitor, true);
-    let told = ended.clone();
+    let mut sampler = Sampler::new(list, arbiters, config, monitor, true);
+    let stop = ended.clone();
     let thread = platform::start_thread("watch", move || {
-        while !told.load(Relaxed) {
-            thread::sleep(PULSES);
-            eyes.look(platform::now());
+        while !stop.load(Relaxed) {
+            thread::sleep(HEARTBEATS);
+            sampler.look(platform::now());
         }
     })?;
     Ok(SamplerGuard { ended, thread: Some(thread) })
@@ -307,25 +310,25 @@ pub(crate) fn start_task(
     monitor: Recipient<LivenessReported>,
 ) -> SamplerGuard {
     let ended = Arc::new(AtomicBool::new(false));
-    let mut eyes = Eyes::new(list, arbiters, config, monitor, false);
-    let told = ended.clone();
+    let mut sampler = Sampler::new(list, arbiters, config, monitor, false);
+    let stop = ended.clone();
     actix_rt::spawn(async move {
-        while !told.load(Relaxed) {
-            tokio::time::sleep(PULSES).await;
-            eyes.look(platform::now());
+        while !stop.load(Relaxed) {
+            tokio::time::sleep(HEARTBEATS).await;
+            sampler.look(platform::now());
         }
     });
     SamplerGuard { ended, thread: None }
 }
 
 /// What the watch knows between two looks.
-struct Eyes {
+struct Sampler {
     list: SampledComponents,
     scanner: HangDetector,
     looks: u64,
-    stamps: Stamps,
+    activities: SampledActivities,
     /// Each with how many components live on it.
-    pulses: SortedMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
+    heartbeats: SortedMap<u64, (Arc<ArbiterHeartbeat>, usize)>,
     arbiters: ArbiterPool,
     monitor: Recipient<LivenessReported>,
     /// It goes by the system's clock, as the processors do.
@@ -334,15 +337,15 @@ struct Eyes {
 
 /// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
 #[derive(Default)]
-struct Stamps(Vec<Option<Known>>);
+struct SampledActivities(Vec<Option<Known>>);
 
 /// A component, and its record beside it: most looks are at records alone.
 struct Known {
-    stamp: &'static ActivityRecord,
+    activity: &'static ActivityRecord,
     component: Arc<SampledComponent>,
 }
 
-impl Stamps {
+impl SampledActivities {
     fn get(&self, slot: u32) -> Option<&Arc<SampledComponent>> {
         self.0.get(slot as usize)?.as_ref().map(|known| &known.component)
     }
@@ -352,7 +355,7 @@ impl Stamps {
         if self.0.len() <= at {
             self.0.resize_with(at + 1, || None);
         }
-        self.0[at] = Some(Known { stamp: component.stamp, component });
+        self.0[at] = Some(Known { activity: component.activity, component });
     }
 
     fn leave(&mut self, slot: u32) -> Option<Arc<SampledComponent>> {
@@ -360,14 +363,14 @@ impl Stamps {
     }
 }
 
-impl Looked for Stamps {
-    fn stamp(&self, slot: SlotId) -> ComponentSample {
+impl Looked for SampledActivities {
+    fn activity(&self, slot: SlotId) -> ComponentSample {
         read(self.get(slot))
     }
 
     fn mark(&self, slot: SlotId) -> ActivityMark {
         let known = self.0.get(slot as usize).and_then(Option::as_ref);
-        known.map(|known| known.stamp.mark()).unwrap_or_default()
+        known.map(|known| known.activity.mark()).unwrap_or_default()
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -376,7 +379,7 @@ impl Looked for Stamps {
     }
 }
 
-impl Eyes {
+impl Sampler {
     fn new(
         list: SampledComponents,
         arbiters: ArbiterPool,
@@ -384,12 +387,12 @@ impl Eyes {
         monitor: Recipient<LivenessReported>,
         is_real: bool,
     ) -> Self {
-        Eyes {
+        Sampler {
             list,
             scanner: HangDetector::new(config),
             looks: 0,
-            stamps: Stamps::default(),
-            pulses: SortedMap::new(),
+            activities: SampledActivities::default(),
+            heartbeats: SortedMap::new(),
             arbiters,
             monitor,
             is_real,
@@ -399,12 +402,12 @@ impl Eyes {
     fn look(&mut self, now: Instant) {
         self.learn();
         self.scanner.handle_look(now);
-        for (id, (pulse, _)) in &self.pulses {
-            let running = pulse.running();
-            let known = running.and_then(|slot| self.stamps.get(slot));
-            let beat = pulse.beats();
+        for (id, (heartbeat, _)) in &self.heartbeats {
+            let running = heartbeat.running();
+            let known = running.and_then(|slot| self.activities.get(slot));
+            let beat = heartbeat.beats();
             let stands = self.scanner.stands(*id, beat);
-            if pulse.owes_exits()
+            if heartbeat.owes_exits()
                 && let Some(inside) = known.and_then(|known| known.inside.upgrade())
             {
                 inside.tell_exits();
@@ -412,19 +415,22 @@ impl Eyes {
             let reading = ArbiterSample {
                 beat,
                 running,
-                stamp: known.map(|known| known.read()),
-                fenced: pulse.is_fenced(),
-                used: pulse.thread().filter(|_| stands).and_then(ThreadNumber::used_while_ready),
+                activity: known.map(|known| known.read()),
+                fenced: heartbeat.is_fenced(),
+                used: heartbeat
+                    .thread()
+                    .filter(|_| stands)
+                    .and_then(ThreadNumber::used_while_ready),
             };
-            self.scanner.handle_pulse(*id, reading);
+            self.scanner.handle_heartbeat(*id, reading);
         }
         if self.looks.is_multiple_of(STAMPS) {
-            let times = self.pulses.iter().filter_map(|(id, (pulse, _))| {
-                let time = pulse.thread().filter(|_| self.is_real)?.processor_time()?;
+            let times = self.heartbeats.iter().filter_map(|(id, (heartbeat, _))| {
+                let time = heartbeat.thread().filter(|_| self.is_real)?.processor_time()?;
                 Some((*id, time))
             });
             times.for_each(|(id, time)| self.scanner.handle_processor_time(id, time));
-            self.scanner.handle_stamps(&self.stamps);
+            self.scanner.handle_activities(&self.activities);
             let missed = self.scanner.missed_rounds().collect();
             *self.list.0.missed.lock().unwrap_or_else(PoisonError::into_inner) = missed;
             let busy = self.scanner.busy().collect();
@@ -436,8 +442,8 @@ impl Eyes {
         }
         self.looks += 1;
         self.arbiters.move_boarding(now);
-        while let Some(sighting) = self.scanner.poll_output() {
-            if let Some(sighted) = self.translate(sighting) {
+        while let Some(event) = self.scanner.poll_output() {
+            if let Some(sighted) = self.translate(event) {
                 self.monitor.do_send(sighted);
             }
         }
@@ -452,30 +458,30 @@ impl Eyes {
         }
         for slot in changed {
             let entry = self.list.lock().get(&slot).cloned();
-            let known = self.stamps.get(slot);
+            let known = self.activities.get(slot);
             if let (Some(entry), Some(known)) = (&entry, known)
                 && entry.object == known.object
-                && entry.pulse.id() == known.pulse.id()
+                && entry.heartbeat.id() == known.heartbeat.id()
             {
-                self.stamps.enter(slot, entry.clone());
+                self.activities.enter(slot, entry.clone());
                 continue;
             }
-            if let Some(known) = self.stamps.leave(slot) {
+            if let Some(known) = self.activities.leave(slot) {
                 self.scanner.handle_leave(slot);
-                if let Some((_, population)) = self.pulses.get_mut(&known.pulse.id()) {
+                if let Some((_, population)) = self.heartbeats.get_mut(&known.heartbeat.id()) {
                     *population = population.saturating_sub(1);
                 }
             }
             let Some(entry) = entry else { continue };
             self.scanner.handle_enter(slot, entry.judged());
-            let pulse = || (entry.pulse.clone(), 0);
-            self.pulses.entry(entry.pulse.id()).or_insert_with(pulse).1 += 1;
-            self.stamps.enter(slot, entry);
+            let heartbeat = || (entry.heartbeat.clone(), 0);
+            self.heartbeats.entry(entry.heartbeat.id()).or_insert_with(heartbeat).1 += 1;
+            self.activities.enter(slot, entry);
         }
         let scanner = &mut self.scanner;
-        self.pulses.retain(|id, (pulse, population)| {
+        self.heartbeats.retain(|id, (heartbeat, population)| {
             // A fenced arbiter is followed until it comes back or is lost, also without components.
-            let awaited = pulse.is_fenced() && !pulse.is_lost();
+            let awaited = heartbeat.is_fenced() && !heartbeat.is_lost();
             let kept = awaited || *population > 0;
             if !kept {
                 scanner.handle_gone(*id);
@@ -484,21 +490,21 @@ impl Eyes {
         });
     }
 
-    fn translate(&self, sighting: LivenessEvent) -> Option<LivenessReported> {
+    fn translate(&self, event: LivenessEvent) -> Option<LivenessReported> {
         let during_of = |slot| {
-            let known = self.stamps.get(slot);
+            let known = self.activities.get(slot);
             let unwinds = |known: &Arc<SampledComponent>| {
-                known.pulse.running() == Some(slot) && known.pulse.unwinding().is_some()
+                known.heartbeat.running() == Some(slot) && known.heartbeat.unwinding().is_some()
             };
             match known {
                 Some(known) if unwinds(known) => UNWINDING,
-                _ => known.map_or("nothing", |known| during(&known.stamp.read())),
+                _ => known.map_or("nothing", |known| during(&known.activity.read())),
             }
         };
-        Some(match sighting {
+        Some(match event {
             LivenessEvent::Hangs { slot, object, age, victims } => LivenessReported::Hangs {
                 object,
-                incarnation: read(self.stamps.get(slot)).incarnation,
+                incarnation: read(self.activities.get(slot)).incarnation,
                 during: during_of(slot),
                 age,
                 victims: victims.into(),
@@ -536,7 +542,7 @@ impl Eyes {
             }
             LivenessEvent::Lost { arbiter, culprit, victims } => {
                 // It may have come back just now; then its components stay.
-                if !self.arbiters.mark_lost(&self.pulses.get(&arbiter)?.0) {
+                if !self.arbiters.mark_lost(&self.heartbeats.get(&arbiter)?.0) {
                     return None;
                 }
                 LivenessReported::Lost { culprit, victims: victims.into() }
@@ -546,7 +552,7 @@ impl Eyes {
     }
 }
 
-/// What runs, for people.
+/// What runs, for display.
 fn during(reading: &ActivitySample) -> &'static str {
     match reading {
         ActivitySample { condition: true, .. } => label::CONDITION,

@@ -1,4 +1,4 @@
-//! The threads that components live on, for people.
+//! The threads that components run on, for display.
 
 use super::sampler::{ArbiterResidents, SampledComponents};
 use crate::arbiter::pool::{ArbiterPool, ArbiterThread, ThreadKind};
@@ -14,7 +14,7 @@ use std::time::Duration;
 pub struct ThreadRow {
     /// Which: counted through the lifetime of the process.
     pub number: u64,
-    /// Who may live on it.
+    /// Which components may run on it.
     pub kind: ThreadKind,
     /// How it is.
     pub state: ThreadState,
@@ -27,7 +27,7 @@ pub struct ThreadRow {
     pub running: Option<ObjectName>,
     /// How many messages wait for the components that live on it.
     pub queued: usize,
-    /// Who lives on it, in alphabetical order.
+    /// The components that run on it, in alphabetical order.
     pub components: Vec<ObjectName>,
 }
 
@@ -43,8 +43,8 @@ pub enum ThreadState {
         /// For how long it has, at least.
         age: Duration,
     },
-    /// It did not come back in time: its components live elsewhere. It ends if the handler ever
-    /// returns.
+    /// A handler kept the thread past its grace: its components run elsewhere. The thread ends if
+    /// the handler returns.
     Abandoned {
         /// The culprit.
         by: ObjectName,
@@ -67,18 +67,18 @@ pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<Thre
     let mut threads = arbiters.threads();
     if arbiters.are_here() {
         let starter = |of: &ArbiterResidents| {
-            let (kind, pulse) = (ThreadKind::Starter, of.pulse.clone());
-            ArbiterThread { kind, pulse, lost_to: None }
+            let (kind, heartbeat) = (ThreadKind::Starter, of.heartbeat.clone());
+            ArbiterThread { kind, heartbeat, lost_to: None }
         };
         threads = residents.values().map(starter).collect();
     }
-    threads.sort_by_key(|thread| thread.pulse.id());
+    threads.sort_by_key(|thread| thread.heartbeat.id());
     let now = platform::now();
-    let row = |ArbiterThread { kind, pulse, lost_to }: ArbiterThread| {
-        let number = pulse.id();
+    let row = |ArbiterThread { kind, heartbeat, lost_to }: ArbiterThread| {
+        let number = heartbeat.id();
         let seen = seen.get(&number);
         let mut resident =
-            residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&pulse));
+            residents.remove(&number).unwrap_or_else(|| ArbiterResidents::none(&heartbeat));
         resident.components.sort();
         ThreadRow {
             number,
@@ -89,7 +89,7 @@ pub(crate) fn rows(arbiters: &ArbiterPool, list: &SampledComponents) -> Vec<Thre
                 (None, None) => ThreadState::Alive,
             },
             busy: seen.and_then(|seen| seen.busy),
-            last_beat: pulse.last_beat().map(|at| now - at),
+            last_beat: heartbeat.last_beat().map(|at| now - at),
             running: resident.running,
             queued: resident.components.iter().map(|(_, queued)| queued).sum(),
             components: resident.components.into_iter().map(|(name, _)| name).collect(),

@@ -1,4 +1,4 @@
-//! The dead-letter office: what was not delivered, readable by anyone.
+//! The dead-letter log: undelivered messages, readable from every thread.
 
 use crate::platform;
 use blastema_core::delivery::dead_letters::{
@@ -20,7 +20,7 @@ impl fmt::Debug for DeadLetterLog {
 }
 
 impl DeadLetterLog {
-    /// An empty office that remembers this much.
+    /// An empty log with these limits.
     pub fn new(limits: DeadLetterLimits) -> Self {
         DeadLetterLog(Arc::new(Mutex::new(DeadLetters::new(limits))))
     }

@@ -1,4 +1,4 @@
-//! Death watch: anyone may ask to be told when an incarnation of an object ends.
+//! Death watch: reports the end of an object's incarnation to each watcher.
 
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::injection::Injection;
@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Clone, Debug, PartialEq, Eq, Event)]
 #[contract(crate = "crate", name = "blastema/down", version = 2)]
 pub struct Down {
-    /// Who.
+    /// The object that ended.
     pub object: ObjectName,
     /// On which other node it is; `None` for an object of the watcher's own.
     pub node: Option<NodeName>,
-    /// Which incarnation; 0 for one that never lived.
+    /// The incarnation that ended; 0 if none ever started.
     pub incarnation: Incarnation,
     /// How it ended.
     pub ending: DownReason,
@@ -27,11 +27,11 @@ pub struct Down {
 #[derive(Clone, Debug, PartialEq, Eq, Structure)]
 #[contract(crate = "crate")]
 pub enum DownReason {
-    /// It ended itself, in order.
+    /// The incarnation ended itself, in order.
     Returned,
-    /// It could not go on: it did not come to work, or declared a fatal fault.
+    /// The incarnation did not become active, or declared a fatal fault.
     Fatal,
-    /// It panicked.
+    /// The incarnation panicked.
     Panicked {
         /// The panic's text.
         text: String,
@@ -42,16 +42,16 @@ pub enum DownReason {
     },
     /// Its arbiter went away.
     Aborted,
-    /// It was told to.
+    /// The incarnation was stopped.
     Stopped,
-    /// It was given up, because it hung.
+    /// The incarnation was abandoned because it hung.
     Abandoned,
-    /// It does not live now: it was not started yet, or is between two incarnations.
+    /// The object is not running: it has not started yet, or is between two incarnations.
     NotAlive,
     /// No object of this name is known.
     Unknown,
-    /// Its node has ended, has left, or cannot be reached any more. What became of the object is
-    /// not known; its incarnation is given as 0.
+    /// The object's node has ended, has left, or cannot be reached. The state of the object is
+    /// unknown; the incarnation is 0.
     NodeLost {
         /// What is known of the node.
         reason: String,

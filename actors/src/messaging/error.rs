@@ -20,11 +20,11 @@ pub struct Receiver {
     /// The receiver serves nothing, because a hook of it waits for what is
     /// [not there yet](crate::Failure::unavailable); `None` for a receiver on another node.
     pub unavailable: Option<Unavailable>,
-    /// For how long its reply to a request was awaited, where one deadline was given.
+    /// The deadline of the request, if it had one.
     pub deadline: Option<Duration>,
 }
 
-/// What a receiver waits for.
+/// The resource that a receiver waits for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Unavailable {
@@ -104,7 +104,7 @@ impl<M> RequestError<M> {
         RequestError { kind, message, receiver: None }
     }
 
-    /// What is known of the request: whether it took effect, did not, or may have.
+    /// Returns whether the request took effect, did not, or may have.
     pub fn outcome(&self) -> Outcome {
         match self.message {
             Some(_) => Outcome::NotTaken,

@@ -1,4 +1,4 @@
-//! Faults that a test puts into a component which knows nothing of it.
+//! Faults that a test injects into an unmodified component.
 //!
 //! They belong to the component, not to an incarnation: silence and delay act on every one until
 //! they are taken out; a hang acts once, failed initialisations as often as was said, and a panic
@@ -15,11 +15,11 @@ use std::time::Duration;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Injection {
-    /// It panics now.
+    /// The component panics.
     Panic,
     /// The next handler or hook that begins awaits for ever. It does not keep its thread.
     Hang,
-    /// It gives no sign of life and answers no ping, though it works.
+    /// The component works, but reports no sign of life and answers no ping.
     Silence,
     /// So many times from now on its initialisation fails.
     FailedInitializations(u32),

@@ -13,15 +13,16 @@ use std::future::{Future, poll_fn};
 use std::sync::PoisonError;
 use std::task::{Poll, Waker};
 
-/// What happens to a message for which a queue has no room.
+/// What happens to a message that exceeds a queue's capacity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
     /// The sender gets it back.
     #[default]
     Refuse,
-    /// It comes in, and the oldest goes to the dead letters: for data of which the newest counts.
+    /// The message is accepted, and the oldest one becomes a dead letter: for data of which the
+    /// newest counts.
     DropOldest,
-    /// It goes to the dead letters: for data of which the first counts.
+    /// The message becomes a dead letter: for data of which the first counts.
     DropNewest,
     /// As `Refuse`, for senders that use `deliver`, which waits for room.
     Wait,
@@ -67,7 +68,7 @@ struct Inner<T> {
     stopped: bool,
     parked: Option<Waker>,
     /// Boxed, since few queues are ever full.
-    room: Option<Box<SpaceWaiters>>,
+    space: Option<Box<SpaceWaiters>>,
 }
 
 /// Notices for the owner, each under what it is about. They are taken before the queue and need no
@@ -90,7 +91,7 @@ impl<T> BoundedQueue<T> {
             newest: Incarnation::default(),
             stopped: false,
             parked: None,
-            room: None,
+            space: None,
         };
         BoundedQueue {
             inner: Mutex::new(inner),
@@ -184,7 +185,7 @@ impl<T> BoundedQueue<T> {
 
     /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
     /// passed on to the next.
-    pub(crate) fn room(&self) -> impl Future<Output = ()> + '_ {
+    pub(crate) fn space(&self) -> impl Future<Output = ()> + '_ {
         let mut claim = SpaceWaiter { queue: self, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
     }
@@ -209,7 +210,7 @@ impl<T> BoundedQueue<T> {
             return Popped::Empty;
         };
         self.length.store(queue.depth(), Relaxed);
-        let next = queue.room.as_mut().and_then(|room| room.waiting.pop_front());
+        let next = queue.space.as_mut().and_then(|space| space.waiting.pop_front());
         drop(queue);
         if let Some((_, waker)) = next {
             waker.wake();
@@ -326,13 +327,13 @@ impl<T> BoundedQueue<T> {
         queue.stopped = true;
         let notices = self.change_owner(&mut queue, None);
         let parked = queue.parked.take();
-        let room = queue.room.as_mut().map(|room| std::mem::take(&mut room.waiting));
+        let space = queue.space.as_mut().map(|space| std::mem::take(&mut space.waiting));
         let left = std::mem::take(&mut queue.queue);
         self.length.store(0, Relaxed);
         drop(queue);
         drop(notices);
-        let room = room.into_iter().flatten().map(|(_, waker)| waker);
-        parked.into_iter().chain(room).for_each(Waker::wake);
+        let space = space.into_iter().flatten().map(|(_, waker)| waker);
+        parked.into_iter().chain(space).for_each(Waker::wake);
         left
     }
 }
@@ -354,8 +355,8 @@ impl<T> SpaceWaiter<'_, T> {
     fn poll(&mut self, waker: &Waker) -> Poll<()> {
         let mut queue = self.queue.lock();
         if let Some(ticket) = self.ticket {
-            let room = queue.room.get_or_insert_default();
-            let mine = room.waiting.iter_mut().find(|(of, _)| *of == ticket);
+            let space = queue.space.get_or_insert_default();
+            let mine = space.waiting.iter_mut().find(|(of, _)| *of == ticket);
             let Some((_, kept)) = mine else {
                 self.ticket = None; // Capacity was freed, and this waiter was woken.
                 return Poll::Ready(());
@@ -366,10 +367,10 @@ impl<T> SpaceWaiter<'_, T> {
         if queue.stopped || queue.queue.len() < self.queue.capacity {
             return Poll::Ready(());
         }
-        let room = queue.room.get_or_insert_default();
-        let ticket = room.next_ticket;
-        room.next_ticket += 1;
-        room.waiting.push_back((ticket, waker.clone()));
+        let space = queue.space.get_or_insert_default();
+        let ticket = space.next_ticket;
+        space.next_ticket += 1;
+        space.waiting.push_back((ticket, waker.clone()));
         self.ticket = Some(ticket);
         Poll::Pending
     }
@@ -379,11 +380,11 @@ impl<T> Drop for SpaceWaiter<'_, T> {
     fn drop(&mut self) {
         let Some(ticket) = self.ticket else { return };
         let mut queue = self.queue.lock();
-        let Some(room) = &mut queue.room else { return };
-        let before = room.waiting.len();
-        room.waiting.retain(|(of, _)| *of != ticket);
+        let Some(space) = &mut queue.space else { return };
+        let before = space.waiting.len();
+        space.waiting.retain(|(of, _)| *of != ticket);
         // It was called and never came: the room it was called for goes to the next.
-        let next = if room.waiting.len() == before { room.waiting.pop_front() } else { None };
+        let next = if space.waiting.len() == before { space.waiting.pop_front() } else { None };
         drop(queue);
         if let Some((_, waker)) = next {
             waker.wake();
@@ -502,8 +503,8 @@ mod tests {
         push(&queue, 1).unwrap();
         let (first, second) = (Arc::new(Count::default()), Arc::new(Count::default()));
         let (one, two) = (Waker::from(first.clone()), Waker::from(second.clone()));
-        let mut claim_one = Box::pin(queue.room());
-        let mut claim_two = pin!(queue.room());
+        let mut claim_one = Box::pin(queue.space());
+        let mut claim_two = pin!(queue.space());
         assert!(claim_one.as_mut().poll(&mut Context::from_waker(&one)).is_pending());
         assert!(claim_two.as_mut().poll(&mut Context::from_waker(&two)).is_pending());
 
@@ -557,8 +558,8 @@ mod tests {
         assert_eq!(owner.0.load(Relaxed), 1);
         push(&queue, 2).unwrap();
         let of_sender = Waker::from(sender.clone());
-        let mut room = pin!(queue.room());
-        assert!(room.as_mut().poll(&mut Context::from_waker(&of_sender)).is_pending());
+        let mut space = pin!(queue.space());
+        assert!(space.as_mut().poll(&mut Context::from_waker(&of_sender)).is_pending());
 
         assert_eq!(take(&queue), Some(1));
         assert_eq!(sender.0.load(Relaxed), 0);

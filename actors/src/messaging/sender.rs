@@ -14,12 +14,12 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Where messages of contract `M` can be sent. It outlives the receiver's restarts; local and
-/// remote receivers are alike.
+/// Sends messages of contract `M` to one receiver, local or remote. It stays valid across the
+/// receiver's restarts.
 ///
-/// Messages from one sender to one receiver arrive in order. What was accepted is served unless the
-/// receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these are
-/// counted among the dead letters.
+/// Messages from one sender to one receiver arrive in order. An accepted message is served unless
+/// the receiver dies while it serves it, is stopped, or its queue's policy drops it; all of these
+/// are counted among the dead letters.
 pub struct Sender<M: Contract>(pub(crate) Arc<dyn MessageSink<M>>);
 
 impl<M: Contract> Clone for Sender<M> {
@@ -44,8 +44,8 @@ impl<M: Contract> Sender<M> {
         self.0.tell(message).map_err(|error| error.at(|| self.0.receiver()))
     }
 
-    /// Hands the message to the receiver's queue, and waits while it has no room. What goes to
-    /// another node waits there, once it has been accepted here, until the receiver has room.
+    /// Sends the message, and waits while the receiver's queue is full. A message to another node,
+    /// once accepted here, waits there until the receiver's queue has space.
     ///
     /// # Errors
     /// The reason, and the message as it was; never [`DeliveryError::Full`],
@@ -54,7 +54,7 @@ impl<M: Contract> Sender<M> {
         deliver(&*self.0, message).await.map_err(|error| error.at(|| self.0.receiver()))
     }
 
-    /// Asks, and waits for the reply for one second at most.
+    /// Sends a request and waits up to one second for the reply.
     ///
     /// # Errors
     /// The request always resolves: with the reply, when the deadline passes, or when the receiver
@@ -123,7 +123,7 @@ impl<M: Contract> Sender<M> {
     }
 }
 
-/// One request that may be sent more than once, under one identity.
+/// A request that may be sent more than once, under one identity.
 #[derive(Debug)]
 pub struct Repeatable<M: Contract> {
     sender: Sender<M>,
@@ -182,7 +182,7 @@ pub(crate) async fn deliver<M: Contract>(
             }
             other => return other,
         };
-        inlet.room(&refused).await;
+        inlet.space(&refused).await;
     }
 }
 
@@ -208,11 +208,11 @@ impl<M: Contract> MessageSink<M> for DetachedSender<M> {
         }
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.inner.0.room(refused)
+        self.inner.0.space(refused)
     }
 
     fn ask(

@@ -16,8 +16,10 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
     fn offer(&self, message: M) -> Result<(), SendError<M>>;
 
     /// Completes when there may be room for what was refused so.
-    fn room<'a>(&'a self, refused: &DeliveryError)
-    -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
+    fn space<'a>(
+        &'a self,
+        refused: &DeliveryError,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 
     /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
     fn ask(

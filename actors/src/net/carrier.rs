@@ -71,7 +71,7 @@ impl Interface {
 /// An interface, and who is to know of its carrier.
 pub(crate) struct MonitoredInterface {
     pub(crate) interface: Interface,
-    pub(crate) told: Recipient<CarrierChanged>,
+    pub(crate) recipient: Recipient<CarrierChanged>,
 }
 
 /// Ends the watch when dropped, or told to.
@@ -88,11 +88,11 @@ impl CarrierMonitor {
             return CarrierMonitor { ended, thread: None };
         }
         let mut eyes: Vec<Eye> = watched.into_iter().map(Eye::new).collect();
-        let told = ended.clone();
+        let stop = ended.clone();
         let watch = move || {
             let news = News::open();
             let mut looks = 0;
-            while !told.load(Relaxed) {
+            while !stop.load(Relaxed) {
                 let seek = looks % SEEK == 0;
                 eyes.iter_mut().for_each(|eye| eye.look(Path::new(INTERFACES), seek));
                 looks = looks.wrapping_add(1);
@@ -157,7 +157,7 @@ impl Eye {
             _ => return,
         }
         if self.present.replace(present).is_some() {
-            self.watched.told.do_send(CarrierChanged { present });
+            self.watched.recipient.do_send(CarrierChanged { present });
         }
     }
 }
@@ -267,9 +267,9 @@ mod tests {
             let interfaces = tempfile::tempdir().unwrap();
             let folder = interfaces.path().join("eth7");
             fs::create_dir(&folder).unwrap();
-            let told = Probe::<CarrierChanged>::start();
+            let probe = Probe::<CarrierChanged>::start();
             let interface = Interface::Named("eth7".into());
-            let mut eye = Eye::new(MonitoredInterface { interface, told: told.recipient() });
+            let mut eye = Eye::new(MonitoredInterface { interface, recipient: probe.recipient() });
             let mut reads = |text: Option<&str>| {
                 fs::write(folder.join("carrier"), text.unwrap_or_default()).unwrap();
                 eye.look(interfaces.path(), true);
@@ -286,8 +286,8 @@ mod tests {
             reads(Some("0\n"));
             reads(Some("1\n"));
 
-            let told: Vec<_> = [told.expect().await, told.expect().await].into();
-            assert_eq!(told, [false, true].map(|present| CarrierChanged { present }));
+            let reports: Vec<_> = [probe.expect().await, probe.expect().await].into();
+            assert_eq!(reports, [false, true].map(|present| CarrierChanged { present }));
         });
     }
 }

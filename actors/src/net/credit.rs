@@ -42,7 +42,7 @@ impl CreditClass {
 /// and so has what is small beside bulk.
 pub(super) struct SendCredits {
     /// By stream, and by load.
-    rooms: [[Arc<Pool>; 2]; 2],
+    pools: [[Arc<Pool>; 2]; 2],
 }
 
 /// Room for what shares it.
@@ -56,29 +56,29 @@ struct Pool {
 impl SendCredits {
     pub(super) fn new(changed: &Arc<Notify>) -> Self {
         let none = AtomicUsize::default;
-        let room = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
-        SendCredits { rooms: [(); 2].map(|()| [(); 2].map(|()| Arc::new(room()))) }
+        let pool = || Pool { messages: none(), bytes: none(), changed: changed.clone() };
+        SendCredits { pools: [(); 2].map(|()| [(); 2].map(|()| Arc::new(pool()))) }
     }
 
-    fn room(&self, class: CreditClass) -> &Arc<Pool> {
+    fn pool(&self, class: CreditClass) -> &Arc<Pool> {
         let redundant = usize::from(class.stream() == Stream::Redundant);
-        &self.rooms[redundant][class.load as usize]
+        &self.pools[redundant][class.load as usize]
     }
 
     /// More may be under way.
-    pub(super) fn have_room(&self, class: CreditClass) -> bool {
-        self.room(class).is_open(1)
+    pub(super) fn have_capacity(&self, class: CreditClass) -> bool {
+        self.pool(class).is_open(1)
     }
 
     /// Takes room for so many bytes; it is given back when the credit is dropped.
     pub(super) fn take_credit(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
-        self.room(class).lend(bytes)
+        self.pool(class).take(bytes)
     }
 
     /// Takes room for an event, which never waits, and leaves half to what does.
     pub(super) fn take_for_event(&self, bytes: usize, class: CreditClass) -> Option<Credit> {
-        let room = self.room(class);
-        if room.is_open(2) { room.lend(bytes) } else { None }
+        let pool = self.pool(class);
+        if pool.is_open(2) { pool.take(bytes) } else { None }
     }
 }
 
@@ -89,7 +89,7 @@ impl Pool {
             && self.bytes.load(Relaxed) < BYTES_MAX / share
     }
 
-    fn lend(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
+    fn take(self: &Arc<Self>, bytes: usize) -> Option<Credit> {
         let messages = self.messages.fetch_add(1, Relaxed);
         let before = self.bytes.fetch_add(bytes, Relaxed);
         // Many threads may have found room for one.
@@ -129,7 +129,7 @@ mod tests {
 
             assert_eq!(taken.len(), if full.load == SizeClass::Bulk { 2 } else { MESSAGES_MAX });
             for class in all.concat() {
-                assert_eq!(credits.have_room(class), class != full, "{full:?}, {class:?}");
+                assert_eq!(credits.have_capacity(class), class != full, "{full:?}, {class:?}");
             }
             let took = taken.len();
             drop(taken);

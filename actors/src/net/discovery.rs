@@ -86,7 +86,7 @@ pub(super) struct DiscoveryActor {
     links: Vec<NetworkLinks>,
     machine: Discovery,
     wake: WakeTimer,
-    letters: PeerChannel,
+    channel: PeerChannel,
     /// Links that were made: at most so many for each network as it has numbers.
     made: SortedMap<(usize, NodeName), (LinkId, MediumAddress)>,
     /// Nodes that a session is open with.
@@ -105,7 +105,7 @@ impl DiscoveryActor {
             machine: begin(&wiring),
             links: Vec::new(),
             wake: WakeTimer::default(),
-            letters: PeerChannel::at(super::named("discovery"), &wiring.registry, reader),
+            channel: PeerChannel::at(super::named("discovery"), &wiring.registry, reader),
             made: SortedMap::new(),
             peers: SortedMap::new(),
             complaints: RefusalAlarms::default(),
@@ -153,8 +153,8 @@ impl DiscoveryActor {
         let looks = self.machine.refusals().map(|(node, refusals)| (node.cloned(), refusals));
         let looks: Vec<_> = looks.collect();
         for (node, refusals) in looks {
-            let told = self.complaints.handle_look(node.clone(), refusals, now);
-            let Some(since) = told else { continue };
+            let alarm = self.complaints.handle_look(node.clone(), refusals, now);
+            let Some(since) = alarm else { continue };
             let who = node.map_or("by beacons".to_owned(), |node| format!("by {node}"));
             let detail = format!(
                 "of the neighbours that are told {who}, many are refused all the time: {since}"
@@ -163,7 +163,7 @@ impl DiscoveryActor {
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.complaints.take_over(now) {
-            self.wiring.faults.mend(FaultKind::CheckFailed);
+            self.wiring.faults.clear(FaultKind::CheckFailed);
         }
     }
 
@@ -326,7 +326,7 @@ impl MachineActor for DiscoveryActor {
             DiscoveryOutput::Send { to, message } => {
                 // Who is up and has no session yet is told when it has one.
                 if self.peers.contains_key(&NodeId::of(&to)) {
-                    self.letters.send(&to, &message);
+                    self.channel.send(&to, &message);
                 }
             }
             DiscoveryOutput::Connect { domain, node, address } => {
@@ -386,10 +386,10 @@ impl Handler<PeerStatusChanged> for DiscoveryActor {
 impl Handler<ActorMessageReceived> for DiscoveryActor {
     type Result = ();
 
-    fn handle(&mut self, letter: ActorMessageReceived, context: &mut Context<Self>) {
-        self.letters.read_one();
-        if let Some(node) = self.peers.get(&letter.from) {
-            self.machine.handle_message(node, &letter.bytes, platform::now());
+    fn handle(&mut self, message: ActorMessageReceived, context: &mut Context<Self>) {
+        self.channel.read_one();
+        if let Some(node) = self.peers.get(&message.from) {
+            self.machine.handle_message(node, &message.bytes, platform::now());
             self.drive(context);
         }
     }

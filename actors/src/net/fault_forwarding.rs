@@ -24,7 +24,7 @@ struct Travelling {
     id: FaultId,
     kind: FaultKind,
     severity: Severity,
-    place: FaultLocation,
+    location: FaultLocation,
     incarnation: Incarnation,
     detail: String,
     age_us: u64,
@@ -33,13 +33,13 @@ struct Travelling {
 }
 
 pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
-    let Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count } =
+    let Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count } =
         fault;
     let age_us = u64::try_from((now - found_at).as_micros()).unwrap_or(u64::MAX);
-    // Four bytes a letter at most, and room for the rest.
+    // Four bytes a message at most, and room for the rest.
     let detail: String = detail.chars().take(FAULT_MAX / 8).collect();
     let travelling =
-        Travelling { id, kind, severity, place, incarnation, detail, age_us, symptom_of, count };
+        Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count };
     let mut bytes = Vec::new();
     codec::encode_bounded(&travelling, FAULT_MAX, &mut bytes)
         .expect("names and a shortened text fit into the limit");
@@ -47,11 +47,11 @@ pub(super) fn encode(fault: Fault, now: Instant) -> Bytes {
 }
 
 pub(super) fn decode(bytes: &[u8], now: Instant) -> Result<Fault, DecodeError> {
-    let Travelling { id, kind, severity, place, incarnation, detail, age_us, symptom_of, count } =
+    let Travelling { id, kind, severity, location, incarnation, detail, age_us, symptom_of, count } =
         codec::decode_bounded::<Travelling, FAULT_MAX>(bytes)?;
     let age = Duration::from_micros(age_us);
     let found_at = Instant::ORIGIN + (now - Instant::ORIGIN).saturating_sub(age);
-    Ok(Fault { id, kind, severity, place, incarnation, detail, found_at, symptom_of, count })
+    Ok(Fault { id, kind, severity, location, incarnation, detail, found_at, symptom_of, count })
 }
 
 /// Stands in for the recoverer of one other node.
@@ -108,7 +108,7 @@ mod tests {
             id: FaultId(7),
             kind: FaultKind::Custom("grip".into()),
             severity: Severity::Error,
-            place: FaultLocation::Node(NodeName::new("module2").unwrap()),
+            location: FaultLocation::Node(NodeName::new("module2").unwrap()),
             incarnation: Incarnation(3),
             detail: "ä".repeat(100_000),
             found_at: Instant::from_millis(900),
@@ -120,7 +120,7 @@ mod tests {
         let there = decode(&bytes, Instant::from_millis(5_000_000)).unwrap();
 
         assert_eq!(there.found_at, Instant::from_millis(4_999_900));
-        assert_eq!((there.kind, there.place, there.count), (fault.kind, fault.place, 2));
+        assert_eq!((there.kind, there.location, there.count), (fault.kind, fault.location, 2));
         assert_eq!(there.detail.chars().count(), FAULT_MAX / 8);
     }
 }

@@ -10,7 +10,7 @@ use blastema_core::{FaultKind, ObjectName};
 pub(crate) struct FaultReporter {
     object: ObjectName,
     declared: Option<Recipient<FaultDeclared>>,
-    mended: Option<Recipient<DeclaredFaultCleared>>,
+    cleared: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 impl FaultReporter {
@@ -18,9 +18,9 @@ impl FaultReporter {
     pub(crate) fn of(
         object: &str,
         declared: Option<Recipient<FaultDeclared>>,
-        mended: Option<Recipient<DeclaredFaultCleared>>,
+        cleared: Option<Recipient<DeclaredFaultCleared>>,
     ) -> Self {
-        FaultReporter { object: super::named(object), declared, mended }
+        FaultReporter { object: super::named(object), declared, cleared }
     }
 
     /// Something is wrong.
@@ -32,10 +32,10 @@ impl FaultReporter {
     }
 
     /// All that was wrong of this kind is over.
-    pub(crate) fn mend(&self, kind: FaultKind) {
-        if let Some(mended) = &self.mended {
+    pub(crate) fn clear(&self, kind: FaultKind) {
+        if let Some(cleared) = &self.cleared {
             let (object, incarnation) = (self.object.clone(), alive().incarnation);
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }

@@ -60,7 +60,7 @@ struct GatewaySetup {
     nodes: Option<Recipient<NodeReported>>,
     faults: FaultReporter,
     sessions: SessionRecipients,
-    doors: Arc<PeerStubs>,
+    stubs: Arc<PeerStubs>,
     wardens: IsolationControl,
     dead_letters: DeadLetterLog,
     /// Who of this node talks to others like itself.
@@ -94,7 +94,7 @@ pub(super) struct GatewayActor {
     notices: SortedMap<u64, oneshot::Sender<Confirmed>>,
     next: u64,
     /// Messages of isolated nodes.
-    kept_out: u64,
+    of_isolated: u64,
     /// Room that what is being served takes, until it is passed on.
     credit: Option<Credit>,
     /// The node ends; the sessions follow once nothing waits here.
@@ -107,9 +107,9 @@ impl GatewayActor {
     pub(super) fn maker(
         environment: &NetEnvironment,
         sessions: SessionRecipients,
-        doors: Arc<PeerStubs>,
+        stubs: Arc<PeerStubs>,
         router: Recipient<SetIsolation>,
-        told: Arc<OnceLock<IsolationControl>>,
+        control: Arc<OnceLock<IsolationControl>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         let NetEnvironment {
             node,
@@ -127,7 +127,7 @@ impl GatewayActor {
         move |context| {
             let machine = Isolation::new(node, incarnation, judges);
             let told_of = IsolationObservers {
-                doors: doors.clone(),
+                stubs: stubs.clone(),
                 registry: registry.clone(),
                 gateway: context.address().recipient(),
                 router,
@@ -135,7 +135,7 @@ impl GatewayActor {
             };
             let wardens = IsolationControl::new(machine, told_of);
             // A gateway is made once.
-            let _ = told.set(wardens.clone());
+            let _ = control.set(wardens.clone());
             GatewayActor::wired(GatewaySetup {
                 registry,
                 topics,
@@ -143,7 +143,7 @@ impl GatewayActor {
                 nodes,
                 faults,
                 sessions,
-                doors,
+                stubs,
                 wardens,
                 dead_letters,
                 observers,
@@ -164,7 +164,7 @@ impl GatewayActor {
             past: SortedMap::new(),
             notices: SortedMap::new(),
             next: 0,
-            kept_out: 0,
+            of_isolated: 0,
             credit: None,
             leaving: false,
             revision: None,
@@ -248,8 +248,8 @@ impl GatewayActor {
             PeerProtocolOutput::Serve { peer, epoch, binding, call, id, age, until, payload } => {
                 let reply_to =
                     call.map(|call| reply_to(peer, epoch, call, context.address().recipient()));
-                let postmark = MessageMetadata { id, age, until, from: Some(peer) };
-                self.serve((peer, binding), &payload, postmark, reply_to, context);
+                let metadata = MessageMetadata { id, age, until, from: Some(peer) };
+                self.serve((peer, binding), &payload, metadata, reply_to, context);
             }
             PeerProtocolOutput::Resolve { reply_as, result } => {
                 if let Some((_, reply_to)) = self.replies.remove(&reply_as) {
@@ -260,14 +260,14 @@ impl GatewayActor {
             PeerProtocolOutput::Full { peer, load } => {
                 self.with_send_state(peer, |send_state| send_state.budget_is_full(load))
             }
-            PeerProtocolOutput::Room { peer, load } => {
-                self.with_send_state(peer, |send_state| send_state.budget_has_room(load))
+            PeerProtocolOutput::Ready { peer, load } => {
+                self.with_send_state(peer, |send_state| send_state.handle_budget_ready(load))
             }
             PeerProtocolOutput::ObjectFull { peer, object } => {
                 self.with_send_state(peer, |send_state| send_state.object_is_full(object))
             }
-            PeerProtocolOutput::ObjectRoom { peer, object } => {
-                self.with_send_state(peer, |send_state| send_state.object_has_room(&object))
+            PeerProtocolOutput::ObjectReady { peer, object } => {
+                self.with_send_state(peer, |send_state| send_state.handle_object_ready(&object))
             }
             PeerProtocolOutput::Differs { peer, difference } => {
                 self.differs(peer, &difference);
@@ -322,7 +322,7 @@ impl GatewayActor {
         let Some(known) = self.peers.get_mut(&peer) else { return };
         let differed = known.begin(session, incarnation);
         if differed && self.peers.values().all(|peer| peer.differences().is_empty()) {
-            self.wiring.faults.mend(FaultKind::ContractMismatch);
+            self.wiring.faults.clear(FaultKind::ContractMismatch);
         }
     }
 
@@ -349,7 +349,7 @@ impl GatewayActor {
         };
         // A node is believed about its own objects and links. What it thinks of other nodes, or of
         // ours, is no reason to do anything here: everybody sees that for itself.
-        let theirs = match &fault.place {
+        let theirs = match &fault.location {
             FaultLocation::Object(address) => NodeId::of(&address.node) == peer,
             FaultLocation::Link { node, .. } => NodeId::of(node) == peer,
             FaultLocation::Node(_) => false,
@@ -399,7 +399,7 @@ impl GatewayActor {
     fn forget(&mut self, peer: NodeId, why: &DeliveryError) {
         self.end_lines(peer, why);
         if let Some(peer) = self.peers.get(&peer) {
-            peer.send_state.forget_rooms();
+            peer.send_state.forget_backlog();
         }
         let all = (peer, 0)..=(peer, u32::MAX);
         let skeletons: Vec<_> = self.skeletons.range(all.clone()).map(|(key, _)| *key).collect();
@@ -410,7 +410,7 @@ impl GatewayActor {
 
     fn meet(&mut self, node: &NodeName) -> (NodeId, Arc<PeerSendState>) {
         let peer = NodeId::of(node);
-        let send_state = self.wiring.doors.send_state(node);
+        let send_state = self.wiring.stubs.send_state(node);
         let known = GatewayPeer::new(node.clone(), send_state.clone());
         self.peers.entry(peer).or_insert(known);
         (peer, send_state)
@@ -487,11 +487,11 @@ impl Supervised for GatewayActor {
         let forwards: Vec<_> = self.forwards.keys().copied().collect();
         forwards.into_iter().for_each(|key| self.retire(key, &why));
         peers.into_iter().for_each(|peer| self.end_lines(peer, &why));
-        self.peers.values().for_each(|peer| peer.send_state.forget_rooms());
+        self.peers.values().for_each(|peer| peer.send_state.forget_backlog());
         self.skeletons.clear();
         self.notices.clear();
         self.credit = None;
-        self.exchange = self.exchange.reborn(&why);
+        self.exchange = self.exchange.restarted(&why);
         self.naming = NodeDirectory::default();
         self.revision = None;
         self.peers.keys().for_each(|peer| self.set(*peer, PeerCondition::Opening));

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tracing::warn;
 
 /// Under which name nodes tell each other their votes. It is no object that others can see.
-const PLACE: &str = "net/isolation";
+const OBJECT: &str = "net/isolation";
 
 /// One node tells another its votes. The bytes are the machine's.
 #[derive(Clone, Debug, Event)]
@@ -35,7 +35,7 @@ pub(super) struct IsolationChanged {
 
 /// Who is told of it.
 pub(super) struct IsolationObservers {
-    pub(super) doors: Arc<PeerStubs>,
+    pub(super) stubs: Arc<PeerStubs>,
     pub(super) registry: Registry,
     pub(super) gateway: Recipient<IsolationChanged>,
     pub(super) router: Recipient<SetIsolation>,
@@ -46,18 +46,20 @@ pub(super) struct IsolationObservers {
 #[derive(Clone)]
 pub(crate) struct IsolationControl {
     machine: Arc<Mutex<Isolation>>,
-    told: Arc<IsolationObservers>,
+    observers: Arc<IsolationObservers>,
 }
 
 impl IsolationControl {
-    pub(super) fn new(machine: Isolation, told: IsolationObservers) -> Self {
-        let wardens =
-            IsolationControl { machine: Arc::new(Mutex::new(machine)), told: Arc::new(told) };
+    pub(super) fn new(machine: Isolation, observers: IsolationObservers) -> Self {
+        let wardens = IsolationControl {
+            machine: Arc::new(Mutex::new(machine)),
+            observers: Arc::new(observers),
+        };
         // This node's own votes do not go this way.
         let service_fn = ServiceFn::<Votes>(Arc::new(|_, answer| answer.give(())));
         let port = ContractPort::of_peers(service_fn, Arc::new(BallotBox(wardens.clone())));
-        let place = ObjectName::new(PLACE).expect("a name of letters");
-        wardens.told.registry.register_hidden(place, port);
+        let object = ObjectName::new(OBJECT).expect("a name of letters");
+        wardens.observers.registry.register_hidden(object, port);
         wardens
     }
 
@@ -73,9 +75,9 @@ impl IsolationControl {
     /// This node decides.
     pub(super) fn decide(&self, decision: IsolationDecision<'_>) -> Result<(), VoteRefused> {
         let mut machine = self.lock();
-        let said = machine.handle_decision(decision);
+        let result = machine.handle_decision(decision);
         self.carry_out(machine);
-        said
+        result
     }
 
     /// A strategy decides. What the others have decided already it does not make its own.
@@ -110,7 +112,7 @@ impl IsolationControl {
         for output in outputs {
             match output {
                 IsolationOutput::Tell { to, message } => {
-                    let sender = self.told.registry.sender::<Votes>(&format!("{to}:{PLACE}"));
+                    let sender = self.observers.registry.sender::<Votes>(&format!("{to}:{OBJECT}"));
                     if let Ok(sender) = sender {
                         // Who cannot be told now is told when its session begins.
                         let _ = sender.tell(Votes { message: message.into() });
@@ -128,8 +130,8 @@ impl IsolationControl {
 
     fn isolate(&self, node: NodeName, isolated: bool, reason: String) {
         warn!(%node, isolated, "isolated, or admitted again, {reason}");
-        let IsolationObservers { doors, gateway, router, monitor, .. } = &*self.told;
-        let send_state = doors.send_state(&node);
+        let IsolationObservers { stubs, gateway, router, monitor, .. } = &*self.observers;
+        let send_state = stubs.send_state(&node);
         if isolated {
             send_state.isolate()
         } else {
@@ -162,7 +164,7 @@ impl Skeleton for BallotBox {
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;
         let mut machine = self.0.lock();
         if let Some(from) = peer.and_then(|peer| machine.peer(peer)) {
-            machine.handle_told(&from, &votes.message);
+            machine.handle_ballot(&from, &votes.message);
         }
         self.0.carry_out(machine);
         Ok(())

@@ -88,9 +88,9 @@ pub(super) struct LinksActor {
     bytes_per_second: Option<u64>,
     /// Where all are reached at once, if the medium is a bus.
     bus: Option<MediumAddress>,
-    /// What the router was told last: it must be taken back when the actor restarts.
-    told: SortedMap<LinkId, LinkStatus>,
-    /// Those that were never heard while the medium could not be opened.
+    /// What the router was reported last: it must be taken back when the actor restarts.
+    reported: SortedMap<LinkId, LinkStatus>,
+    /// Those that were never hello_received while the medium could not be opened.
     unheard: SortedSet<LinkId>,
     /// What came from addresses that no link leads to.
     strangers: Refusals,
@@ -111,7 +111,7 @@ impl LinksActor {
             mtu: None,
             bytes_per_second: None,
             bus: None,
-            told: SortedMap::new(),
+            reported: SortedMap::new(),
             unheard: SortedSet::new(),
             strangers: Refusals::default(),
             complaints: RefusalAlarms::default(),
@@ -170,7 +170,7 @@ impl LinksActor {
             _ => LinkHealth::Down,
         };
         let status = LinkStatus { neighbour, health, cost, mtu: self.mtu.unwrap_or(0) };
-        self.told.insert(number, status.clone());
+        self.reported.insert(number, status.clone());
         self.wiring.router_changes.do_send(LinkChanged { link: number, status });
     }
 
@@ -179,7 +179,8 @@ impl LinksActor {
         numbers.into_iter().for_each(|number| self.tell_router(number));
     }
 
-    /// The medium is closed. A link that was not up never was, for want of it: that is told, too.
+    /// The medium is closed. A link that was not up never was, for want of it: that is reported,
+    /// too.
     fn lose_all(&mut self, reason: &str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
@@ -204,8 +205,8 @@ impl LinksActor {
         let (Some(monitor), Some(spec)) = (&self.wiring.monitor, self.specs.get(&number)) else {
             return;
         };
-        let heard = self.bundle.get(number).and_then(Link::neighbour);
-        let neighbour = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
+        let peer = self.bundle.get(number).and_then(Link::neighbour);
+        let neighbour = peer.map(|peer| peer.node.clone()).or(spec.neighbour.clone());
         let (node, link) = (self.wiring.node.clone(), spec.name.clone());
         monitor.do_send(LinkReported { node, link, neighbour, condition });
     }
@@ -260,8 +261,8 @@ impl LinksActor {
         let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
         let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
         for (number, refusals) in looks {
-            let told = self.complaints.handle_look(number, refusals, now);
-            let Some(since) = told else { continue };
+            let alarm = self.complaints.handle_look(number, refusals, now);
+            let Some(since) = alarm else { continue };
             let network = &self.wiring.network;
             let from = match number.and_then(|number| self.specs.get(&number)) {
                 Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
@@ -272,7 +273,7 @@ impl LinksActor {
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.complaints.take_over(now) {
-            self.wiring.faults.mend(FaultKind::CheckFailed);
+            self.wiring.faults.clear(FaultKind::CheckFailed);
         }
     }
 
@@ -285,23 +286,23 @@ impl LinksActor {
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
 
-    /// Two nodes have one address on the medium, which is ours: its owner is told, too.
+    /// Two nodes have one address on the medium, which is ours: its owner is reported, too.
     fn clash(&self, detail: String) {
         error!(network = %self.wiring.network, "{detail}");
         self.wiring.faults.declare(FaultKind::NameTaken, detail);
     }
 
     /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
-    fn missing(&mut self, number: LinkId, heard: bool) {
+    fn missing(&mut self, number: LinkId, hello_received: bool) {
         if self.mtu.is_none() {
-            // Why nothing is heard was told, and is found here.
+            // Why nothing is hello_received was reported, and is found here.
             self.unheard.insert(number);
             return;
         }
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
-        let reason = match heard {
+        let reason = match hello_received {
             true => format!(
                 "{who} is heard since the start, and does not hear us: check its address for us"
             ),
@@ -316,7 +317,7 @@ impl LinksActor {
     /// The link has another neighbour, or is no more.
     fn forget_namesake(&mut self, number: LinkId) {
         if self.namesakes.remove(&number) && self.namesakes.is_empty() {
-            self.wiring.faults.mend(FaultKind::NameTaken);
+            self.wiring.faults.clear(FaultKind::NameTaken);
         }
     }
 
@@ -346,7 +347,7 @@ impl Actor for LinksActor {
 
 impl Supervised for LinksActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
-        for (link, status) in std::mem::take(&mut self.told) {
+        for (link, status) in std::mem::take(&mut self.reported) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
             self.wiring.router_changes.do_send(LinkChanged { link, status });
         }
@@ -392,7 +393,7 @@ impl MachineActor for LinksActor {
             LinkOutput::Routing(bytes) => arrived(LinkPayload::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(LinkPayload::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
-            LinkOutput::Missing { heard } => self.missing(link, heard),
+            LinkOutput::Missing { hello_received } => self.missing(link, hello_received),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
         }
@@ -430,9 +431,9 @@ impl Handler<TransportReport> for LinksActor {
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
                 for number in std::mem::take(&mut self.unheard) {
-                    let heard =
+                    let hello_received =
                         self.bundle.get(number).is_some_and(|link| link.neighbour().is_some());
-                    self.missing(number, heard);
+                    self.missing(number, hello_received);
                 }
                 self.tell_of_lonely_medium(LinkCondition::Up);
             }

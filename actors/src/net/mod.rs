@@ -1,7 +1,7 @@
 //! The network of a node: thin actors over the machines of `blastema_core::net`.
 //!
 //! ```text
-//!  objects ─ doors ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
+//!  objects ─ stubs ─► Gateway ─► Sessions ─► Router ─► Links ─► transport ══ medium
 //!                       │ bindings  │ exactly   │ which   │ is it alive
 //!                       │ naming    │ once      │ hop     │
 //!  local skeletons ◄─────┘
@@ -148,14 +148,14 @@ pub(crate) struct NetEnvironment {
     /// Is told of faults that are found in what other nodes send.
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
     /// Is told of those that are over.
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
     pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
 }
 
 impl NetEnvironment {
     fn own_faults(&self, object: &str) -> FaultReporter {
-        FaultReporter::of(object, self.faults.clone(), self.mended.clone())
+        FaultReporter::of(object, self.faults.clone(), self.cleared.clone())
     }
 }
 
@@ -188,7 +188,7 @@ pub(crate) struct NetHandle {
     discovery: Option<Addr<DiscoveryActor>>,
     guardian: Guardian,
     arbiter: Option<ArbiterHandle>,
-    doors: Arc<stub::PeerStubs>,
+    stubs: Arc<stub::PeerStubs>,
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
 }
@@ -205,7 +205,7 @@ pub(crate) fn start(
     platform::keep_freed_memory();
     let mut environment = environment;
     let NetEnvironment { node, incarnation, guardian, arbiter, .. } = environment.clone();
-    let (identity, place) = ((node.clone(), incarnation), arbiter.as_ref());
+    let (identity, on_arbiter) = ((node.clone(), incarnation), arbiter.as_ref());
 
     let (numbers, fields) = number(&networks);
     let wiring = discovery::DiscoveryRecipients {
@@ -217,7 +217,7 @@ pub(crate) fn start(
     let discovery = (!wiring.fields.is_empty()).then(|| {
         let make =
             |context: &mut Context<_>| DiscoveryActor::new(wiring, context.address().recipient());
-        guardian.start(named("discovery"), place, make)
+        guardian.start(named("discovery"), on_arbiter, make)
     });
     if discovery.is_none() {
         peer_messages::register_sink(named("discovery"), &environment.registry);
@@ -226,14 +226,14 @@ pub(crate) fn start(
 
     let faults = environment.own_faults("router");
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
-    let told = (environment.nodes.clone(), own_isolation.clone());
-    let make = router::RouterActor::maker(identity.clone(), told, faults);
-    let router = guardian.start(named("router"), place, make);
+    let recipients = (environment.nodes.clone(), own_isolation.clone());
+    let make = router::RouterActor::maker(identity.clone(), recipients, faults);
+    let router = guardian.start(named("router"), on_arbiter, make);
 
-    let told = (environment.own_faults("sessions"), environment.nodes.clone());
-    let to_router = (router.clone().recipient(), identity.clone(), told);
+    let recipients = (environment.own_faults("sessions"), environment.nodes.clone());
+    let to_router = (router.clone().recipient(), identity.clone(), recipients);
     let timeout = environment.session_timeout;
-    let sessions = guardian.start(named("sessions"), place, move |_| {
+    let sessions = guardian.start(named("sessions"), on_arbiter, move |_| {
         let (router, (node, incarnation), faults) = to_router;
         sessions::SessionsActor::new((node, incarnation), timeout, router, faults)
     });
@@ -242,7 +242,7 @@ pub(crate) fn start(
         paths: sessions.clone().recipient(),
     });
 
-    let doors = Arc::new(stub::PeerStubs::new(own_isolation));
+    let stubs = Arc::new(stub::PeerStubs::new(own_isolation));
     let to_sessions = gateway::SessionRecipients {
         say: sessions.clone().recipient(),
         say_newest: sessions.clone().recipient(),
@@ -250,13 +250,18 @@ pub(crate) fn start(
         begin_anew: sessions.clone().recipient(),
     };
     let wardens = Arc::new(OnceLock::new());
-    let (kept_out, told) = (router.clone().recipient(), wardens.clone());
-    let make =
-        gateway::GatewayActor::maker(&environment, to_sessions, doors.clone(), kept_out, told);
-    let gateway = guardian.start(named("gateway"), place, make);
-    doors.connect(gateway.clone().recipient());
+    let (set_isolation, control) = (router.clone().recipient(), wardens.clone());
+    let make = gateway::GatewayActor::maker(
+        &environment,
+        to_sessions,
+        stubs.clone(),
+        set_isolation,
+        control,
+    );
+    let gateway = guardian.start(named("gateway"), on_arbiter, make);
+    stubs.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
-    let remote: Arc<dyn StubFactory> = doors.clone();
+    let remote: Arc<dyn StubFactory> = stubs.clone();
     environment.registry.connect(node, Some(remote));
     remote_watch::serve(&environment.registry);
 
@@ -264,7 +269,7 @@ pub(crate) fn start(
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
         let links = spec.links.into_iter().zip(&numbers).map(|(link, n)| (*n, link)).collect();
-        let told = spec.discovery.and(discovery.clone()).map(Addr::recipient);
+        let discovery_actor = spec.discovery.and(discovery.clone()).map(Addr::recipient);
         let faults = environment.own_faults(&format!("links/{}", spec.name));
         let wiring = links::LinksRecipients {
             node: identity.0.clone(),
@@ -275,19 +280,21 @@ pub(crate) fn start(
             router_loads: router.clone().recipient(),
             monitor: environment.links.clone(),
             stalls: environment.stalls.clone(),
-            discovery: told.clone().map(|told| (domains.len(), told)),
+            discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
         };
-        let address =
-            guardian.start(name.clone(), place, move |_| links::LinksActor::new(wiring, links));
-        domains.extend(told.map(|_| NetworkLinks {
+        let address = guardian
+            .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));
+        domains.extend(discovery_actor.map(|_| NetworkLinks {
             learn: address.clone().recipient(),
             forget: address.clone().recipient(),
             tell: address.clone().recipient(),
         }));
         if let Some(interface) = spec.interface {
-            watched
-                .push(carrier::MonitoredInterface { interface, told: address.clone().recipient() });
+            watched.push(carrier::MonitoredInterface {
+                interface,
+                recipient: address.clone().recipient(),
+            });
         }
         let (carry, report) = (address.clone().recipient(), address.clone().recipient());
         let given_up = address.clone().recipient();
@@ -307,7 +314,7 @@ pub(crate) fn start(
         discovery,
         guardian,
         arbiter,
-        doors,
+        stubs,
         wardens,
         carrier,
     })
@@ -374,7 +381,7 @@ impl NetHandle {
 
     /// Completes when messages can be sent to this node.
     pub(crate) async fn connected(&self, node: &NodeName) {
-        self.doors.opened(node).await;
+        self.stubs.opened(node).await;
     }
 
     /// All links, in the order of the configuration.
@@ -409,12 +416,12 @@ impl NetHandle {
 
     /// Whether this node has met another, or others have voted on it.
     pub(crate) fn knows(&self, node: &NodeName) -> bool {
-        self.doors.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
+        self.stubs.has_met(node) || self.wardens.get().is_some_and(|wardens| wardens.know(node))
     }
 
     /// Those that a path leads to now, or did before.
     pub(crate) fn met(&self) -> Vec<NodeName> {
-        self.doors.met()
+        self.stubs.met()
     }
 
     /// Keeps a node out everywhere, or lets it in again.
@@ -473,7 +480,7 @@ impl NetHandle {
 
     /// Takes nothing for other nodes any more, and looks at no interface.
     pub(crate) fn stop(&self) {
-        self.doors.end();
+        self.stubs.end();
         self.carrier.end();
     }
 
@@ -481,7 +488,7 @@ impl NetHandle {
     /// session.
     pub(crate) fn leave(&self) {
         // What is accepted after that would go nowhere.
-        self.doors.end();
+        self.stubs.end();
         self.gateway.do_send(CloseSessions);
     }
 }

@@ -22,14 +22,14 @@ const UNREAD_MAX: usize = 4096;
 /// Whom a sender is kept for: as many nodes as there are sessions with.
 const SENDERS_MAX: usize = 512;
 
-/// One letter.
+/// One message.
 #[derive(Clone, Debug, Event)]
 #[contract(crate = "crate", name = "blastema/actor-message", version = 1, max_size = 128 * 1024)]
 struct ActorMessage {
     bytes: Vec<u8>,
 }
 
-/// A letter from another node.
+/// A message from another node.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(crate) struct ActorMessageReceived {
@@ -40,7 +40,7 @@ pub(crate) struct ActorMessageReceived {
 /// Writes letters, and takes those of its like.
 pub(crate) struct PeerChannel {
     registry: Registry,
-    place: ObjectName,
+    object: ObjectName,
     senders: SortedMap<NodeName, Sender<ActorMessage>>,
     slot: Arc<Slot>,
 }
@@ -55,7 +55,7 @@ struct Slot {
 impl PeerChannel {
     /// Letters to and from this place, which is called the same on every node.
     pub(crate) fn at(
-        place: ObjectName,
+        object: ObjectName,
         registry: &Registry,
         reader: Recipient<ActorMessageReceived>,
     ) -> Self {
@@ -63,14 +63,14 @@ impl PeerChannel {
         let slot = Arc::new(Slot { reader, unread, dropped });
         let skeleton: Arc<dyn Skeleton> = slot.clone();
         registry
-            .register_hidden(place.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
-        PeerChannel { registry: registry.clone(), place, senders: SortedMap::new(), slot }
+            .register_hidden(object.clone(), ContractPort::of_skeleton::<ActorMessage>(skeleton));
+        PeerChannel { registry: registry.clone(), object, senders: SortedMap::new(), slot }
     }
 
     /// Sends one. It is dropped where the node takes none now.
     pub(crate) fn send(&mut self, to: &NodeName, bytes: &Bytes) {
         if !self.senders.contains_key(to) {
-            let address = format!("{to}:{}", self.place);
+            let address = format!("{to}:{}", self.object);
             let Ok(sender) = self.registry.sender::<ActorMessage>(&address) else { return };
             if self.senders.len() >= SENDERS_MAX {
                 self.senders.pop_first();
@@ -92,8 +92,8 @@ impl PeerChannel {
 
 /// Drops messages that no actor of this node reads, so that their sender gets no error for an
 /// unknown object.
-pub(crate) fn register_sink(place: ObjectName, registry: &Registry) {
-    registry.register_hidden(place, ContractPort::of_skeleton::<ActorMessage>(Arc::new(Discard)));
+pub(crate) fn register_sink(object: ObjectName, registry: &Registry) {
+    registry.register_hidden(object, ContractPort::of_skeleton::<ActorMessage>(Arc::new(Discard)));
 }
 
 struct Discard;
@@ -120,20 +120,20 @@ impl Skeleton for Slot {
     fn deliver(
         &self,
         message: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         let read = codec::decode::<ActorMessage>(message)
             .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() });
-        let delivered = read.and_then(|letter| {
-            let Some(from) = postmark.from else {
+        let delivered = read.and_then(|message| {
+            let Some(from) = metadata.from else {
                 return Err(DeliveryError::Unknown { name: "the node that writes".to_owned() });
             };
             if self.unread.fetch_add(1, Relaxed) >= UNREAD_MAX {
                 self.unread.fetch_sub(1, Relaxed);
                 return Err(DeliveryError::Full);
             }
-            self.reader.do_send(ActorMessageReceived { from, bytes: letter.bytes.into() });
+            self.reader.do_send(ActorMessageReceived { from, bytes: message.bytes.into() });
             Ok(())
         });
         if delivered.is_err() {

@@ -40,7 +40,7 @@ pub(super) struct RouterActor {
     /// the recoverer has under way, which gives each two seconds.
     inquirers: Vec<(NodeName, oneshot::Sender<Result<RecoveryDone, RecoveryFailed>>)>,
     /// The isolated nodes, which a restarted router is given.
-    kept_out: SortedSet<NodeName>,
+    isolated: SortedSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     own_isolation: OwnIsolation,
 }
@@ -64,7 +64,7 @@ impl RouterActor {
                 faults,
                 reached: SortedMap::new(),
                 inquirers: Vec::new(),
-                kept_out: SortedSet::new(),
+                isolated: SortedSet::new(),
                 own_isolation,
             }
         }
@@ -76,13 +76,13 @@ impl RouterActor {
         self.faults.declare(kind, detail);
     }
 
-    fn mend(&self, trouble: RouterAlarm) {
+    fn clear(&self, trouble: RouterAlarm) {
         let kind = match trouble {
             RouterAlarm::Forged => FaultKind::CheckFailed,
             RouterAlarm::NameTaken => FaultKind::NameTaken,
         };
         info!(fault = %kind, "nothing more of it was heard for a minute");
-        self.faults.mend(kind);
+        self.faults.clear(kind);
     }
 
     fn report_path(&self, report: PathReported) {
@@ -147,10 +147,10 @@ impl Actor for RouterActor {
 impl Supervised for RouterActor {
     fn restarting(&mut self, context: &mut Context<Self>) {
         // What persists is reported again.
-        self.machine.troubles().for_each(|trouble| self.mend(trouble));
+        self.machine.troubles().for_each(|trouble| self.clear(trouble));
         let reached = self.reached.clone();
         self.machine = net::Router::restarted(self.config.clone(), reached, platform::now());
-        for node in &self.kept_out {
+        for node in &self.isolated {
             self.machine.handle_isolation(node, true, platform::now());
         }
         self.wake = WakeTimer::default();
@@ -210,7 +210,7 @@ impl MachineActor for RouterActor {
                 if trouble == RouterAlarm::NameTaken {
                     self.own_isolation.let_in();
                 }
-                self.mend(trouble);
+                self.clear(trouble);
             }
             RouterOutput::NumberTaken { node, refused } => {
                 self.declare(FaultKind::NameTaken, format!(
@@ -304,9 +304,9 @@ impl Handler<SetIsolation> for RouterActor {
         let SetIsolation { node, isolated } = message;
         self.machine.handle_isolation(&node, isolated, platform::now());
         if isolated {
-            self.kept_out.insert(node);
+            self.isolated.insert(node);
         } else {
-            self.kept_out.remove(&node);
+            self.isolated.remove(&node);
         }
         self.drive(context);
     }
@@ -337,8 +337,8 @@ impl Handler<Reroute> for RouterActor {
     type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
-        let Reroute { place } = message;
-        let node = match place {
+        let Reroute { location } = message;
+        let node = match location {
             FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
             other => {
                 let error = format!("the node behind {other} is not known");

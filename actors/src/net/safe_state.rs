@@ -1,7 +1,7 @@
-//! Who of the nodes is in the safe state: this one tells all others, and hears it of them.
+//! Reports this node's safe state to all other nodes, and receives theirs.
 //!
-//! A node at rest stays on the network: it forwards packets, answers who it is, and votes. Without
-//! this its peers would find out only by what does not come.
+//! A node in the safe state stays on the network: it forwards packets, answers who it is, and
+//! votes. Without this its peers would find out only by what does not come.
 
 use super::peer_messages::{ActorMessageReceived, PeerChannel};
 use crate::registry::Registry;
@@ -20,8 +20,8 @@ use tracing::warn;
 
 /// The longest reason that is told, in bytes: a panic's text, shortened.
 const REASON_MAX: usize = 1024;
-/// The most bytes of one letter.
-const LETTER_MAX: usize = REASON_MAX + 16;
+/// The most bytes of one message.
+const MESSAGE_MAX: usize = REASON_MAX + 16;
 
 /// What the body is made of.
 pub(crate) struct RestSetup {
@@ -41,9 +41,9 @@ pub(crate) struct SafeStateRecipients {
 
 /// Tells, and hears.
 pub(crate) struct SafeStateActor {
-    letters: PeerChannel,
-    /// Why this node is at rest, as all peers were told; nothing where it was never at rest.
-    said: Option<Option<String>>,
+    channel: PeerChannel,
+    /// Why this node is in the safe state, as reported to all peers; `None` if it never was.
+    reported: Option<Option<String>>,
     /// Nodes that a session is open with.
     peers: SortedMap<NodeId, (NodeName, Incarnation)>,
     nodes: Recipient<NodeReported>,
@@ -59,8 +59,8 @@ impl SafeStateActor {
         let RestSetup { registry, nodes } = setup;
         let make = move |context: &mut Context<Self>| {
             let reader = context.address().recipient();
-            let letters = PeerChannel::at(super::named("rest"), &registry, reader);
-            SafeStateActor { letters, said: None, peers: SortedMap::new(), nodes }
+            let channel = PeerChannel::at(super::named("rest"), &registry, reader);
+            SafeStateActor { channel, reported: None, peers: SortedMap::new(), nodes }
         };
         let body = guardian.start(super::named("rest"), arbiter, make);
         SafeStateRecipients {
@@ -71,13 +71,13 @@ impl SafeStateActor {
     }
 
     fn tell(&mut self, node: &NodeName) {
-        let Some(said) = &self.said else { return };
-        // Four bytes a letter at most.
-        let shortened = said.as_ref();
+        let Some(reported) = &self.reported else { return };
+        // Four bytes a message at most.
+        let shortened = reported.as_ref();
         let shortened = shortened.map(|text| text.chars().take(REASON_MAX / 4).collect::<String>());
         let mut bytes = Vec::new();
-        if codec::encode_bounded(&shortened, LETTER_MAX, &mut bytes).is_ok() {
-            self.letters.send(node, &bytes.into());
+        if codec::encode_bounded(&shortened, MESSAGE_MAX, &mut bytes).is_ok() {
+            self.channel.send(node, &bytes.into());
         }
     }
 }
@@ -96,7 +96,7 @@ impl Handler<SafeStateChanged> for SafeStateActor {
     type Result = ();
 
     fn handle(&mut self, message: SafeStateChanged, _: &mut Context<Self>) {
-        self.said = Some(match message {
+        self.reported = Some(match message {
             SafeStateChanged::Entered { reason } => Some(reason),
             SafeStateChanged::Left => None,
             // The peers see the node leave.
@@ -126,11 +126,11 @@ impl Handler<PeerStatusChanged> for SafeStateActor {
 impl Handler<ActorMessageReceived> for SafeStateActor {
     type Result = ();
 
-    fn handle(&mut self, letter: ActorMessageReceived, _: &mut Context<Self>) {
-        self.letters.read_one();
-        let Some((node, incarnation)) = self.peers.get(&letter.from).cloned() else { return };
-        let condition = match codec::decode_bounded::<_, LETTER_MAX>(&letter.bytes) {
-            Ok(Some(reason)) => NodeCondition::AtRest { reason },
+    fn handle(&mut self, message: ActorMessageReceived, _: &mut Context<Self>) {
+        self.channel.read_one();
+        let Some((node, incarnation)) = self.peers.get(&message.from).cloned() else { return };
+        let condition = match codec::decode_bounded::<_, MESSAGE_MAX>(&message.bytes) {
+            Ok(Some(reason)) => NodeCondition::InSafeState { reason },
             Ok(None) => NodeCondition::AtWork,
             Err(error) => return warn!(%node, %error, "what it says of its rest cannot be read"),
         };

@@ -148,8 +148,8 @@ impl SessionsActor {
         for (peer, refusals) in looks {
             let known = peer.and_then(|id| self.peers.get_mut(&id));
             let relayed = known.is_none_or(|known| std::mem::take(&mut known.relayed));
-            let told = self.complaints.handle_look(peer, refusals, now);
-            let Some(since) = told else { continue };
+            let alarm = self.complaints.handle_look(peer, refusals, now);
+            let Some(since) = alarm else { continue };
             let name = peer.and_then(|id| self.peers.get(&id)).map(|peer| peer.node.to_string());
             let name = name.unwrap_or_else(|| "nodes that no route leads to".to_owned());
             let detail = format!("what comes from {name} is refused all the time: {since}");
@@ -168,7 +168,7 @@ impl SessionsActor {
             self.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.complaints.take_over(now) {
-            self.faults.mend(FaultKind::CheckFailed);
+            self.faults.clear(FaultKind::CheckFailed);
         }
     }
 
@@ -253,8 +253,8 @@ impl MachineActor for SessionsActor {
             SessionOutput::Full { stream, load } => {
                 self.report(SessionReported::Full { peer, stream, load });
             }
-            SessionOutput::Room { stream, load } => {
-                self.report(SessionReported::Room { peer, stream, load });
+            SessionOutput::Ready { stream, load } => {
+                self.report(SessionReported::Ready { peer, stream, load });
             }
             SessionOutput::Incompatible { theirs } => {
                 error!(%peer, theirs, "the peer's sessions speak another version: update one node");
@@ -405,7 +405,7 @@ impl Handler<ReadSessions> for SessionsActor {
         let row = |(id, session): (NodeId, &Session)| {
             Some(SessionRow {
                 node: self.peers.get(&id)?.node.clone(),
-                standing: session.standing(),
+                status: session.status(),
                 // The gateway knows.
                 differences: Vec::new(),
             })

@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU8};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::Notify;
 
-/// Makes doors, and tells those behind them how their peer is.
+/// Makes stubs, and tells those behind them how their peer is.
 pub(super) struct PeerStubs {
     gateway: OnceLock<Recipient<SendToPeer>>,
     send_states: Mutex<SortedMap<NodeName, Arc<PeerSendState>>>,
@@ -34,7 +34,7 @@ pub(super) struct PeerStubs {
 /// same.
 type EndedFlag = Arc<AtomicBool>;
 
-/// What all doors to one peer share.
+/// What all stubs to one peer share.
 pub(super) struct PeerSendState {
     node: NodeName,
     own_isolation: OwnIsolation,
@@ -106,7 +106,7 @@ impl PeerSendState {
         self.full_streams.fetch_or(bit(stream, load), Relaxed);
     }
 
-    pub(super) fn stream_has_room(&self, stream: Stream, load: SizeClass) {
+    pub(super) fn handle_stream_ready(&self, stream: Stream, load: SizeClass) {
         self.full_streams.fetch_and(!bit(stream, load), Relaxed);
         self.changed.notify_waiters();
     }
@@ -132,7 +132,7 @@ impl PeerSendState {
         self.full_budget.fetch_or(1 << load as u8, Relaxed);
     }
 
-    pub(super) fn budget_has_room(&self, load: SizeClass) {
+    pub(super) fn handle_budget_ready(&self, load: SizeClass) {
         self.full_budget.fetch_and(!(1 << load as u8), Relaxed);
         self.changed.notify_waiters();
     }
@@ -185,7 +185,7 @@ impl PeerSendState {
     }
 
     /// This object there has room again.
-    pub(super) fn object_has_room(&self, object: &ObjectName) {
+    pub(super) fn handle_object_ready(&self, object: &ObjectName) {
         let mut full = self.lock_full();
         full.remove(object);
         self.any_full.store(!full.is_empty(), Relaxed);
@@ -194,7 +194,7 @@ impl PeerSendState {
     }
 
     /// What was said of objects there does not count any more.
-    pub(super) fn forget_rooms(&self) {
+    pub(super) fn forget_backlog(&self) {
         self.lock_full().clear();
         self.any_full.store(false, Relaxed);
         self.changed.notify_waiters();
@@ -223,7 +223,7 @@ impl PeerSendState {
             PeerCondition::Opening => Err(self.own_isolation.why()),
             PeerCondition::Left => Err(DeliveryError::Left { node: self.node.to_string() }),
             PeerCondition::Open if self.is_full(object) => Err(DeliveryError::Full),
-            PeerCondition::Open if self.is_held(class) || !self.credits.have_room(class) => {
+            PeerCondition::Open if self.is_held(class) || !self.credits.have_capacity(class) => {
                 Err(self.way_full(class))
             }
             PeerCondition::Open => Ok(()),
@@ -256,7 +256,7 @@ impl PeerSendState {
         }
     }
 
-    async fn room(&self, object: &ObjectName, class: CreditClass) {
+    async fn space(&self, object: &ObjectName, class: CreditClass) {
         loop {
             let changed = self.changed.notified();
             match self.check(object, class) {
@@ -338,22 +338,22 @@ impl PeerStubs {
 }
 
 impl StubFactory for PeerStubs {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         let send_state = self.send_state(&to.node);
         let gateway = self.gateway.get().cloned();
-        Arc::new(Door { to, contract, send_state, gateway })
+        Arc::new(PeerStub { to, contract, send_state, gateway })
     }
 }
 
 /// The way to one object for one contract.
-struct Door {
+struct PeerStub {
     to: ObjectAddress,
     contract: ContractIdentity,
     send_state: Arc<PeerSendState>,
     gateway: Option<Recipient<SendToPeer>>,
 }
 
-impl RemoteStub for Door {
+impl RemoteStub for PeerStub {
     fn send(
         &self,
         message: GatherBuffer,
@@ -365,8 +365,8 @@ impl RemoteStub for Door {
         let class = CreditClass::of(self.contract.delivery, message.len());
         self.send_state.check(&self.to.object, class)?;
         let gateway = self.gateway.as_ref().ok_or(DeliveryError::Stopped)?;
-        let lent = self.send_state.credits.take_credit(message.len(), class);
-        let credit = lent.ok_or_else(|| self.send_state.way_full(class))?;
+        let taken = self.send_state.credits.take_credit(message.len(), class);
+        let credit = taken.ok_or_else(|| self.send_state.way_full(class))?;
         let sent = platform::now();
         let (id, within, reply_to) = match asked {
             None => (None, None, None),
@@ -385,7 +385,7 @@ impl RemoteStub for Door {
         Ok(())
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
@@ -394,7 +394,7 @@ impl RemoteStub for Door {
             _ => SizeClass::Small,
         };
         let class = CreditClass { delivery: self.contract.delivery, load };
-        Box::pin(self.send_state.room(&self.to.object, class))
+        Box::pin(self.send_state.space(&self.to.object, class))
     }
 }
 
@@ -417,7 +417,7 @@ mod tests {
     }
 
     /// What finds room, of a small message, bulk, a stop, and a reading of which the newest counts.
-    fn room(send_state: &PeerSendState) -> [bool; 4] {
+    fn space(send_state: &PeerSendState) -> [bool; 4] {
         let object = ObjectName::new("arm").unwrap();
         [SMALL, BULK, STOP, NEWEST].map(|class| {
             let checked = send_state.check(&object, class);
@@ -429,53 +429,57 @@ mod tests {
     #[test]
     fn a_gate_is_open_when_neither_the_session_nor_what_waits_for_bindings_is_full() {
         let (send_state, _) = send_state();
-        assert_eq!(room(&send_state), [true; 4]);
+        assert_eq!(space(&send_state), [true; 4]);
 
         send_state.stream_is_full(Stream::Data, SizeClass::Small);
         send_state.budget_is_full(SizeClass::Small);
-        send_state.budget_has_room(SizeClass::Small);
-        assert_eq!(room(&send_state), [false, false, true, true], "the session is full");
+        send_state.handle_budget_ready(SizeClass::Small);
+        assert_eq!(space(&send_state), [false, false, true, true], "the session is full");
 
         send_state.budget_is_full(SizeClass::Small);
-        send_state.stream_has_room(Stream::Data, SizeClass::Small);
+        send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
         assert_eq!(
-            room(&send_state),
+            space(&send_state),
             [false, false, false, true],
             "what waits is as much as should"
         );
         assert!(!send_state.is_open(SMALL));
 
         send_state.begin();
-        assert_eq!(room(&send_state), [true; 4]);
+        assert_eq!(space(&send_state), [true; 4]);
     }
 
     #[test]
     fn what_fills_the_way_to_a_node_leaves_redundant_messages_theirs_and_the_other_way_round() {
         let (send_state, _) = send_state();
         send_state.stream_is_full(Stream::Data, SizeClass::Small);
-        assert_eq!(room(&send_state), [false, false, true, true], "a stop goes");
+        assert_eq!(space(&send_state), [false, false, true, true], "a stop goes");
         send_state.stream_is_full(Stream::Redundant, SizeClass::Small);
-        send_state.stream_has_room(Stream::Data, SizeClass::Small);
-        assert_eq!(room(&send_state), [true, true, false, true]);
+        send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
+        assert_eq!(space(&send_state), [true, true, false, true]);
         send_state.stream_is_full(Stream::Control, SizeClass::Small);
-        assert_eq!(room(&send_state), [false, false, false, true], "nothing could be bound");
+        assert_eq!(space(&send_state), [false, false, false, true], "nothing could be bound");
     }
 
     #[test]
     fn bulk_that_fills_its_room_leaves_what_is_small_its_own() {
         let (send_state, _) = send_state();
-        let lent = send_state.credits.take_credit(1 << 20, BULK);
-        assert_eq!(room(&send_state), [true, false, true, true], "it is on its way to the session");
-        drop(lent);
-        assert_eq!(room(&send_state), [true; 4]);
+        let taken = send_state.credits.take_credit(1 << 20, BULK);
+        assert_eq!(
+            space(&send_state),
+            [true, false, true, true],
+            "it is on its way to the session"
+        );
+        drop(taken);
+        assert_eq!(space(&send_state), [true; 4]);
 
         send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
-        assert_eq!(room(&send_state), [true, false, true, true], "the session holds it");
-        send_state.stream_has_room(Stream::Data, SizeClass::Bulk);
+        assert_eq!(space(&send_state), [true, false, true, true], "the session holds it");
+        send_state.handle_stream_ready(Stream::Data, SizeClass::Bulk);
         send_state.budget_is_full(SizeClass::Bulk);
-        assert_eq!(room(&send_state), [true, false, true, true], "it waits for bindings");
-        send_state.budget_has_room(SizeClass::Bulk);
-        assert_eq!(room(&send_state), [true; 4]);
+        assert_eq!(space(&send_state), [true, false, true, true], "it waits for bindings");
+        send_state.handle_budget_ready(SizeClass::Bulk);
+        assert_eq!(space(&send_state), [true; 4]);
     }
 
     #[test]
@@ -487,7 +491,7 @@ mod tests {
         assert_eq!(send_state.check(&object, BULK), Err(full));
         send_state.object_is_full(object.clone());
         assert_eq!(send_state.check(&object, BULK), Err(DeliveryError::Full));
-        send_state.object_has_room(&object);
+        send_state.handle_object_ready(&object);
         send_state.stream_is_full(Stream::Data, SizeClass::Small);
         let full = DeliveryError::WayFull { node: node(), bulk: false };
         assert_eq!(send_state.check(&object, SMALL), Err(full));
@@ -517,14 +521,14 @@ mod tests {
             send_state.stream_is_full(Stream::Data, SizeClass::Bulk);
             let [small, bulk] = [SMALL, BULK].map(|class| {
                 let (send_state, object) = (send_state.clone(), object.clone());
-                actix_rt::spawn(async move { send_state.room(&object, class).await })
+                actix_rt::spawn(async move { send_state.space(&object, class).await })
             });
             settle().await;
 
-            send_state.stream_has_room(Stream::Data, SizeClass::Small);
+            send_state.handle_stream_ready(Stream::Data, SizeClass::Small);
             settle().await;
             assert!(small.is_finished() && !bulk.is_finished());
-            send_state.stream_has_room(Stream::Data, SizeClass::Bulk);
+            send_state.handle_stream_ready(Stream::Data, SizeClass::Bulk);
             settle().await;
             assert!(bulk.is_finished());
         });

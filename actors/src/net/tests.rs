@@ -156,7 +156,7 @@ struct Module {
     nodes: Probe<NodeReported>,
     faults: Probe<Recover>,
     declared: Probe<FaultDeclared>,
-    mended: Probe<DeclaredFaultCleared>,
+    cleared: Probe<DeclaredFaultCleared>,
 }
 
 impl Robot {
@@ -167,7 +167,7 @@ impl Robot {
         incarnation: u64,
         networks: &[(&str, &[&str])],
     ) -> Module {
-        let (declared, mended) = (Probe::start(), Probe::start());
+        let (declared, cleared) = (Probe::start(), Probe::start());
         let reports =
             FaultReports { faults: Some(declared.recipient()), ..FaultReports::default() };
         let host = Arc::new(with_features(
@@ -210,7 +210,7 @@ impl Robot {
             stalls: None,
             nodes: Some(nodes.recipient()),
             faults: Some(declared.recipient()),
-            mended: Some(mended.recipient()),
+            cleared: Some(cleared.recipient()),
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
@@ -218,7 +218,7 @@ impl Robot {
         let net = start(environment, specs).unwrap();
         let log = Log::default();
         let mut module =
-            Module { host, net, log, child: None, exits, links, nodes, faults, declared, mended };
+            Module { host, net, log, child: None, exits, links, nodes, faults, declared, cleared };
         module.give_birth().await;
         module
     }

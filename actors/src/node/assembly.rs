@@ -1,4 +1,4 @@
-//! How a node is put together: the one place that knows all actors.
+//! The assembly of a node: the only file that names all of its actors.
 
 mod chain;
 #[cfg(feature = "journal")]
@@ -176,8 +176,8 @@ impl NodeAssembly {
 
     async fn keep_variables(&mut self, file: Option<PathBuf>) -> Result<(), StartError> {
         let Some(file) = file else { return Ok(()) };
-        let told = self.environment.reports.clone();
-        let failed = move |detail| told.declare(KEPT_VARIABLES, detail);
+        let reports = self.environment.reports.clone();
+        let failed = move |detail| reports.declare(KEPT_VARIABLES, detail);
         let lock = match FileLock::acquire_after_predecessor(&file, &self.node).await {
             Ok(lock) => Some(lock),
             Err(error @ LockError::InUse { .. }) => {
@@ -242,7 +242,7 @@ impl NodeAssembly {
         own_kinds: &[FaultKind],
         strategies: &StrategyTable,
     ) -> Result<TreePreparation, StartError> {
-        let place = TreeEnvironment {
+        let tree_environment = TreeEnvironment {
             environment: &self.environment,
             guardian: &self.parts.guardian,
             arbiter: self.parts.chain.arbiter.as_ref(),
@@ -251,7 +251,7 @@ impl NodeAssembly {
             plan: &self.plan,
         };
         let mut tree = PreparedTree::default();
-        let root = root.prepare(&place, &mut tree)?;
+        let root = root.prepare(&tree_environment, &mut tree)?;
         let names: Vec<&ObjectName> = tree.components.iter().map(|facts| &facts.name).collect();
         self.plan.check(names, own_kinds, strategies.names())?;
         let dependencies = dependencies(&self.node, &tree);
@@ -273,9 +273,10 @@ impl NodeAssembly {
                 networks.described.extend(carried.config.members.iter().cloned());
             }
             roster.enter(carried.name.clone(), &carried.config);
-            let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
-            let place = place.or(self.parts.chain.arbiter.as_ref());
-            let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);
+            let arbiter = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
+            let arbiter = arbiter.or(self.parts.chain.arbiter.as_ref());
+            let body =
+                ReplicaBody::start(carried, &self.environment, &self.parts.guardian, arbiter);
             let body = body.map_err(SpecError::from)?;
             self.enrolments.push(middleware(name, Some(body)));
         }
@@ -299,9 +300,9 @@ impl NodeAssembly {
             (named("inspection"), &self.parts);
         let inspection =
             InspectionActor::new(path, state.clone(), self.environment.reports.clone());
-        let place = chain.arbiter.as_ref();
+        let arbiter = chain.arbiter.as_ref();
         let inspection =
-            guardian.start(name.clone(), place, |_: &mut Context<InspectionActor>| inspection);
+            guardian.start(name.clone(), arbiter, |_: &mut Context<InspectionActor>| inspection);
         self.enrolments.push(middleware(name, Some(inspection.clone().recipient())));
         Some(inspection)
     }
@@ -469,7 +470,8 @@ fn enrolment(
     };
     let depends_on: Vec<ObjectAddress> =
         depends_on.iter().map(address).collect::<Result<_, _>>()?;
-    // A component's signs of life are stamps, which the sampler reads: no message is sent for them.
+    // A component's signs of life are activity records, which the sampler reads: no message is sent
+    // for them.
     let unborn = Incarnation::default();
     let enrolment = Registration::new(name.clone()).incarnation(unborn).depends_on(depends_on);
     Ok(Register { enrolment, pings: None })

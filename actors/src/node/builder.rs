@@ -105,57 +105,56 @@ impl NodeBuilder {
         }
     }
 
-    /// One more component under the root supervisor, started after those before it.
+    /// Adds a component under the root supervisor. Children start in the order in which they are
+    /// added.
     pub fn child<C: Component>(mut self, spec: ChildSpec<C>) -> Self {
         self.root = self.root.child(spec);
         self
     }
 
-    /// One more component under the root supervisor of which not every end is followed by a
-    /// restart.
+    /// Adds a component with this restart type under the root supervisor.
     pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
         self.root = self.root.child_with(spec, restart);
         self
     }
 
-    /// One more supervisor under the root supervisor, started after what stands before it.
+    /// Adds a supervisor under the root supervisor, started after the children before it.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
         self.root = self.root.supervisor(spec);
         self
     }
 
-    /// Whom the root supervisor restarts together. Only the one that failed, unless this says
-    /// otherwise.
+    /// Sets which children the root supervisor restarts together. By default only the failed one.
     pub fn strategy(mut self, strategy: Strategy) -> Self {
         self.root = self.root.strategy(strategy);
         self
     }
 
-    /// How many restarts of each child directly under the root are worth it in one `period`; of all
-    /// together where [`when_exceeded`](Self::when_exceeded) or the [`strategy`](Self::strategy)
-    /// says so.
+    /// Sets how many restarts of each child directly under the root are allowed in one `period`; of
+    /// all together where [`when_exceeded`](Self::when_exceeded) or the
+    /// [`strategy`](Self::strategy) requires it.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         self.root = self.root.intensity(times, period);
         self
     }
 
-    /// What is done when restarts directly under the root exceed the
-    /// [`intensity`](Self::intensity): that child is stopped, unless this says that the node enters
-    /// the safe state.
+    /// Sets what happens when restarts directly under the root exceed the
+    /// [`intensity`](Self::intensity): by default the child is stopped; alternatively the node
+    /// enters the safe state.
     pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
         self.root = self.root.when_exceeded(when_exceeded);
         self
     }
 
-    /// One more network that the node is on.
+    /// Adds a network.
     pub fn network(mut self, network: Network) -> Self {
         self.networks.push(network);
         self
     }
 
-    /// One more node whose word alone [isolates](crate::Node::isolate) another one, or lets it in
-    /// again. Without any, it takes more than half of the nodes that are there. Every node of the
-    /// robot is told the same.
+    /// Adds a warden: a node whose vote alone [isolates](crate::Node::isolate) or admits another
+    /// node. Without wardens, more than half of the present nodes must vote. Every node of the
+    /// robot needs the same wardens.
     pub fn warden(mut self, node: &str) -> Self {
         self.wardens.push(node.to_owned());
         self
@@ -219,7 +218,7 @@ impl NodeBuilder {
         self.child(component)
     }
 
-    /// What is done about which fault. The default has an answer to every built-in kind.
+    /// Sets the recovery plan. The default plan covers every built-in kind of fault.
     pub fn plan(mut self, plan: Plan) -> Self {
         self.plan = plan;
         self
@@ -246,11 +245,11 @@ impl NodeBuilder {
         self
     }
 
-    /// What is done with the robot's outputs when something enters the safe state: brakes on, power
-    /// off. It is called with the fault, for an object as for the whole node, on a thread of its
-    /// own, one call after the other. A call that takes longer than
-    /// [`callback_limit`](NodeBuilder::callback_limit) is a fault of `safe-outputs`; the fault
-    /// chain then goes on without it.
+    /// Sets the function that sets the robot's outputs to their safe value when an object or the
+    /// node enters the safe state: brakes on, power off. It is called with the fault, for an object
+    /// as for the whole node, on a thread of its own, one call after the other. A call that takes
+    /// longer than [`callback_limit`](NodeBuilder::callback_limit) is a fault of `safe-outputs`;
+    /// the fault chain then goes on without it.
     ///
     /// It is called too when the node is dropped while it runs, and for SIGTERM, SIGINT and SIGHUP
     /// unless [`without_signal_handling`](NodeBuilder::without_signal_handling) is given.
@@ -259,10 +258,10 @@ impl NodeBuilder {
         self
     }
 
-    /// How long a [recovery strategy](RecoveryStrategy) may keep its thread without an await that
-    /// waits, and how long [safe outputs](NodeBuilder::safe_outputs) and
-    /// [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms unless this says otherwise, from
-    /// 10 ms to a minute. What takes longer is a fault under its own name, its thread is
+    /// Sets how long a [recovery strategy](RecoveryStrategy) may keep its thread without an await
+    /// that waits, and how long [safe outputs](NodeBuilder::safe_outputs) and
+    /// [cut-offs](crate::ActuatorSpec::cut_off) may take: 500 ms by default, from 10 ms to a
+    /// minute. What takes longer is a fault under its own name, its thread is
     /// [abandoned](crate::Node::abandoned_threads), and the fault chain goes on. Shorter goes on
     /// sooner, and blames code that was merely slow.
     pub fn callback_limit(mut self, limit: Duration) -> Self {
@@ -270,11 +269,11 @@ impl NodeBuilder {
         self
     }
 
-    /// Tells the service manager that has started the process, as systemd is, that the node has
-    /// started (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`). It is
-    /// told that the node lives for as long as each actor of the fault chain answers, four times in
-    /// the `WatchdogSec=` of the service. Where no service manager has started the process, nothing
-    /// is told.
+    /// Notifies the service manager that started the process, such as systemd, that the node has
+    /// started (`READY=1`), that it lives (`WATCHDOG=1`), and that it stops (`STOPPING=1`).
+    /// `WATCHDOG=1` is sent as long as each actor of the fault chain answers, four times in the
+    /// `WatchdogSec=` of the service. Where no service manager has started the process, nothing is
+    /// told.
     ///
     /// ```ini
     /// [Service]
@@ -300,9 +299,9 @@ impl NodeBuilder {
     }
 
     /// Leaves SIGTERM, SIGINT and SIGHUP to the program. Otherwise a node with safe outputs,
-    /// actuators or a journal handles them: the safe outputs are applied, the journal is told, and
-    /// the process ends with the status 128 and the signal's number. SIGHUP stays ignored in a
-    /// process that was started so, as by `nohup`. Where
+    /// actuators or a journal handles them: the safe outputs are applied, the journal gets an
+    /// entry, and the process ends with the status 128 and the signal's number. SIGHUP stays
+    /// ignored in a process that was started so, as by `nohup`. Where
     /// [`Node::run_until_signal`](crate::Node::run_until_signal) waits, it shuts the node down
     /// instead.
     pub fn without_signal_handling(mut self) -> Self {
@@ -310,8 +309,7 @@ impl NodeBuilder {
         self
     }
 
-    /// So many arbiters are shared by components, 1 to 1024. One per core, unless this says
-    /// otherwise.
+    /// Sets the number of arbiters that components share: 1 to 1024, one per core by default.
     pub fn work_threads(mut self, shared: usize) -> Self {
         self.placement = ActorPlacement::Threads { shared };
         self
@@ -324,10 +322,10 @@ impl NodeBuilder {
         self
     }
 
-    /// How long another node may owe an answer, or be without a path, before the session with it
-    /// ends and what it did not acknowledge comes back: 2 s unless this says otherwise, 200 ms to
-    /// an hour. Longer rides out longer outages; shorter resolves requests sooner. Where answers
-    /// take long, it is three of the present retransmission timeouts if these are longer.
+    /// Sets how long another node may leave segments unacknowledged, or be without a path, before
+    /// the session with it ends and unacknowledged messages are returned: 2 s by default, 200 ms to
+    /// 1 h. Longer rides out longer outages; shorter resolves requests sooner. Where answers take
+    /// long, it is three of the present retransmission timeouts if these are longer.
     pub fn session_timeout(mut self, timeout: Duration) -> Self {
         self.session_timeout = timeout;
         self

@@ -1,4 +1,4 @@
-//! What a node says of its networks.
+//! The methods of a node that show its networks.
 
 use super::Node;
 use super::network::Cable;
@@ -11,9 +11,8 @@ use blastema_core::net::Route;
 use std::time::Duration;
 
 impl Node {
-    /// Waits until messages can be sent to the node of this name and a path leads there, and says
-    /// whether that came to be within the time. A link needs a few hellos to come up, also after
-    /// both nodes have started.
+    /// Waits until the node of this name has a path and a session, and returns whether this
+    /// happened in time. A link needs a few hellos to come up, also after both nodes have started.
     pub async fn connected(&self, node: &str, within: Duration) -> bool {
         let (Some(networks), Ok(node)) = (&self.0.networks, NodeName::new(node)) else {
             return false;

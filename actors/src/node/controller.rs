@@ -52,8 +52,8 @@ pub(super) struct RestartRoot;
 /// Why the root was not started once more.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum RestartRefused {
-    /// The node is not at rest, but so.
-    NotAtRest(NodeState),
+    /// The node is not in the safe state, but in this one.
+    NotInSafeState(NodeState),
     /// It was told to stop for good, before that or while it waited for the last ones to end.
     ShutDown,
     /// It came to rest again, for this reason.
@@ -65,8 +65,8 @@ pub(super) enum RestartRefused {
 #[rtype(result = "()")]
 pub(super) struct Shutdown;
 
-/// Tells this one too when the node comes to rest, and when it goes to work again. As many as the
-/// node has parts that want to know.
+/// Also reports to this recipient when the node enters the safe state, and when it leaves it. As
+/// many as the node has parts that want to know.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct SubscribeSafeState(pub(super) Recipient<SafeStateChanged>);
@@ -92,7 +92,7 @@ pub(super) struct NodeController {
     phase: Phase,
     /// The node is in the safe state, and restarts as soon as all children have ended.
     again: bool,
-    /// It comes to rest: the safe outputs are being applied.
+    /// It enters the safe state: the safe outputs are being applied.
     comes_to_rest: bool,
     /// It was told to stop for good.
     closed: bool,
@@ -103,7 +103,7 @@ pub(super) struct NodeController {
     failed: Vec<(oneshot::Sender<Result<(), String>>, String)>,
     /// Who waits for the end; as many as have called `shutdown`.
     ended: Vec<oneshot::Sender<()>>,
-    told: Vec<Recipient<SafeStateChanged>>,
+    subscribers: Vec<Recipient<SafeStateChanged>>,
 }
 
 /// What the root's children do.
@@ -130,7 +130,7 @@ impl NodeController {
             started: Vec::new(),
             failed: Vec::new(),
             ended: Vec::new(),
-            told: Vec::new(),
+            subscribers: Vec::new(),
         }
     }
 
@@ -203,7 +203,7 @@ impl NodeController {
     }
 
     fn tell(&self, changed: &SafeStateChanged) {
-        self.told.iter().for_each(|told| told.do_send(changed.clone()));
+        self.subscribers.iter().for_each(|subscribers| subscribers.do_send(changed.clone()));
     }
 
     fn tell_rest(&self, reason: Option<&str>) {
@@ -215,7 +215,7 @@ impl NodeController {
         let NodeControllerSetup { node, incarnation, nodes, .. } = &self.setup;
         let (node, incarnation) = (node.clone(), *incarnation);
         let condition = match reason {
-            Some(reason) => NodeCondition::AtRest { reason },
+            Some(reason) => NodeCondition::InSafeState { reason },
             None => NodeCondition::AtWork,
         };
         nodes.do_send(NodeReported { node, incarnation, condition });
@@ -270,8 +270,12 @@ impl Supervised for NodeController {
 impl Handler<SubscribeSafeState> for NodeController {
     type Result = ();
 
-    fn handle(&mut self, SubscribeSafeState(told): SubscribeSafeState, _: &mut Context<Self>) {
-        self.told.push(told);
+    fn handle(
+        &mut self,
+        SubscribeSafeState(subscribers): SubscribeSafeState,
+        _: &mut Context<Self>,
+    ) {
+        self.subscribers.push(subscribers);
     }
 }
 
@@ -299,10 +303,10 @@ impl Handler<RestartRoot> for NodeController {
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
-            // It is at rest until the last ones have ended; its threads end next.
+            // It is in the safe state until its last components have ended; its threads end next.
             _ if self.closed => Some(RestartRefused::ShutDown),
             NodeState::InSafeState { .. } => None,
-            state => Some(RestartRefused::NotAtRest(state)),
+            state => Some(RestartRefused::NotInSafeState(state)),
         };
         if let Some(refused) = refused {
             return Box::pin(std::future::ready(Err(refused)));
@@ -361,7 +365,7 @@ impl Handler<EnterSafeState> for NodeController {
 
     fn handle(&mut self, message: EnterSafeState, context: &mut Context<Self>) {
         let EnterSafeState { fault, reason } = message;
-        let reason = format!("{} of {}: {reason}", fault.kind, fault.place);
+        let reason = format!("{} of {}: {reason}", fault.kind, fault.location);
         self.rest(&fault, reason, context);
     }
 }

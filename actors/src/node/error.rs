@@ -11,7 +11,7 @@ use blastema_transports::EndpointError;
 use std::path::PathBuf;
 use std::{fmt, io};
 
-/// Why a node did not start. What had been started is stopped again.
+/// Why a node did not start. Parts that had started are stopped again.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum StartError {
@@ -29,7 +29,7 @@ pub enum StartError {
     /// The plan does not answer every fault, or answers one by what does not exist.
     #[error(transparent)]
     Plan(#[from] PlanError),
-    /// An object cannot be watched as its spec says.
+    /// The liveness settings of an object are invalid.
     #[error(transparent)]
     Watch(#[from] RegistrationError),
     /// A component depends on what does not exist, or on itself, perhaps by way of others.

@@ -74,7 +74,7 @@ impl FaultEvents {
         events
     }
 
-    /// The next step; `None` once the node was shut down and all that was told before has been
+    /// Returns the next step; `None` once the node was shut down and all earlier steps have been
     /// fetched.
     pub async fn next(&mut self) -> Option<FaultEvent> {
         let FaultEvents { events, state, .. } = self;

@@ -12,15 +12,15 @@ pub enum IsolateError {
     /// The name does not parse.
     #[error("the name of the node: {0}")]
     Name(#[from] NameError),
-    /// It is this node itself, on which the others decide. To take it out of service, let it enter
-    /// the safe state, or shut it down.
+    /// The node is this node, on whose isolation only other nodes decide. To take it out of
+    /// service, shut it down.
     #[error("{node} is this node itself: it is for the others to isolate it; shut it down instead")]
     Oneself {
         /// The node.
         node: NodeName,
     },
-    /// This node has never met one of that name, is not told to expect it, and has heard of no vote
-    /// on it. Mend the name; or describe the node, for example as a neighbour.
+    /// No node of this name was ever reached, is described, or has votes on it. Correct the name,
+    /// or describe the node, for example as a neighbour.
     #[error("no node is known here as {node}: {}", known_here(nearest.as_ref(), known))]
     Unknown {
         /// The node.
@@ -53,10 +53,10 @@ fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
 }
 
 impl Node {
-    /// Isolates a node that cannot be recovered: from now on what it sends is refused here, and
-    /// nothing is sent there ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). The
-    /// others follow if this node is a [warden](crate::NodeBuilder::warden), or when more than half
-    /// of the nodes have said so. A node that is away is told when it is back.
+    /// Isolates a node that cannot be recovered: from now on its messages are refused here, and
+    /// none is sent to it ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). The others
+    /// follow if this node is a [warden](crate::NodeBuilder::warden), or when more than half of the
+    /// nodes have said so. A node that is away is told when it is back.
     ///
     /// # Errors
     /// Nothing has changed: the name does not parse, is this node's own, or is not that of a node
@@ -65,8 +65,8 @@ impl Node {
         self.set_isolated(node, true)
     }
 
-    /// Takes back what this node has said about an isolated one, or says that it is to be let in
-    /// again. The session with that node is opened again.
+    /// Withdraws this node's vote to isolate a node, or votes to admit it again. The session with
+    /// that node is opened again.
     ///
     /// # Errors
     /// As [`isolate`](Self::isolate).

@@ -1,9 +1,9 @@
 //! The node: one process of the robot, with its supervision tree, its fault chain and its networks.
 //!
 //! ```text
-//! NodeBuilder ─ start ─► Keeper ─► root supervisor ─► supervisors, components
-//!                          ▲            ▲
-//!                          │ rest       │ restart, reset, isolate, safe stop
+//! NodeBuilder ─ start ─► NodeController ─► root supervisor ─► supervisors, components
+//!                          ▲                    ▲
+//!                          │ safe state         │ restart, reset, isolate, safe stop
 //!                 Monitor ─► Detector ─► Notifier ─► Recoverer ─► strategies
 //! ```
 //!
@@ -183,7 +183,7 @@ impl Node {
         self.0.state.borrow().clone()
     }
 
-    /// Waits until the node has stopped, or has entered the safe state, and says which.
+    /// Waits until the node has stopped or has entered the safe state, and returns that state.
     pub async fn ended(&self) -> NodeState {
         let mut state = self.0.state.clone();
         let ended = |state: &NodeState| !matches!(state, NodeState::Starting | NodeState::Running);
@@ -243,12 +243,12 @@ impl Node {
         Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
     }
 
-    /// Who holds a name of the whole robot, as far as this node knows.
+    /// Returns the holder of a global name, as known to this node.
     pub fn holder(&self, name: &str) -> Option<Holder> {
         self.0.environment.names().holder(&ObjectName::new(name).ok()?)
     }
 
-    /// Tells who holds a name of the whole robot, now and whenever that changes.
+    /// Reports the holder of a global name, now and at each change.
     ///
     /// # Errors
     /// The name does not parse.
@@ -256,7 +256,7 @@ impl Node {
         Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
     }
 
-    /// All names of the whole robot that are held, and by whom.
+    /// Returns the global names that have a holder.
     pub fn claims(&self) -> Vec<ClaimRow> {
         self.0.environment.names().rows()
     }
@@ -277,18 +277,18 @@ impl Node {
         self.0.environment.services().role(&ObjectName::new(name).ok()?)
     }
 
-    /// The services that this node carries, as it sees them: what it is to each, who serves, who is
-    /// not there.
+    /// Returns the services that this node hosts: its role in each, the primary, and missing
+    /// members.
     pub fn services(&self) -> Vec<ServiceRow> {
         self.0.environment.services().rows()
     }
 
-    /// The actuators of this node, and who commands each.
+    /// Returns the actuators of this node with their commanders.
     pub fn actuators(&self) -> Vec<ActuatorRow> {
         self.0.environment.actuators().rows()
     }
 
-    /// The topics that objects of this node have named: who publishes, who listens, and how much.
+    /// Returns the topics used by objects of this node, with their publishers, listeners and rates.
     pub fn topics(&self) -> Vec<TopicRow> {
         self.0.environment.topics().rows()
     }
@@ -333,7 +333,7 @@ impl Node {
         })
     }
 
-    /// Where events can be published on a topic; `E`'s own name is its default topic.
+    /// Returns a publisher on a topic; the contract's name is the default topic.
     ///
     /// # Errors
     /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's
@@ -393,7 +393,7 @@ impl Node {
         Running(self.0.environment.watch_list.clone())
     }
 
-    /// What was not delivered here, with the reasons.
+    /// Returns the log of undelivered messages of this node, with the reasons.
     pub fn dead_letters(&self) -> &DeadLetterLog {
         &self.0.environment.dead_letters
     }
@@ -410,8 +410,8 @@ impl Node {
         NodeSnapshot::of(self).await
     }
 
-    /// The threads that components live on: who keeps them, how busy they are, and how much waits
-    /// there. It can be read at any time, also while components are stuck.
+    /// Returns the threads that components run on: what occupies them, their utilisation, and their
+    /// queued messages. Works at any time, also while components hang.
     pub fn threads(&self) -> Vec<ThreadRow> {
         threads::rows(&self.0.environment.arbiters, &self.0.environment.watch_list)
     }
@@ -462,10 +462,10 @@ impl Node {
         Ok(())
     }
 
-    /// Stops all components in the reverse of their start order, and then everything else. What was
-    /// accepted for other nodes until the last component has ended is delivered, and they are told
-    /// that the node leaves; from then on senders say [`DeliveryError::Stopped`] at once, also to
-    /// those who wait in `deliver`.
+    /// Stops all components in the reverse of their start order, and then the rest of the node.
+    /// Messages accepted for other nodes until the last component has ended are delivered. Then the
+    /// node reports to its peers that it leaves, and senders return [`DeliveryError::Stopped`] at
+    /// once, also to those who wait in `deliver`.
     ///
     /// The order is given when this is first polled; it is carried out also if the future is
     /// dropped before it resolves. So a component can shut its node down, but not wait for that in

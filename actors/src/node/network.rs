@@ -8,9 +8,7 @@ pub(crate) mod start;
 use crate::net::Interface;
 use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
-use blastema_contract::transport::{
-    Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore,
-};
+use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
 use blastema_transports::frame_medium::FrameMedium;
 use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig};
 #[cfg(feature = "ip")]
@@ -23,7 +21,7 @@ pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
 
-/// One network that a node is on: a medium, and the neighbours that it leads to.
+/// A network of a node: a medium, and the neighbours reached over it.
 ///
 /// Several networks, or several links of one network, may lead to the same neighbour: the cheapest
 /// that is up is used, and the next takes over when it fails, without loss or duplicates for what
@@ -57,7 +55,7 @@ enum Admitted {
 
 enum Medium {
     At(Endpoint),
-    /// The endpoint does not parse, which is said when the node starts.
+    /// The endpoint does not parse. The node's start returns the error.
     Unreadable(EndpointError),
     Memory(MemoryConfig),
     Own(Box<dyn FnOnce() -> FrameTransport + Send>),
@@ -107,7 +105,7 @@ impl Network {
         Network::over(name, Medium::At(Endpoint::Udp(config)))
     }
 
-    /// TCP, at this address of our own, with one connection to each neighbour.
+    /// A TCP network: `bind` is this node's address; each neighbour has one connection.
     #[cfg(feature = "ip")]
     pub fn tcp(name: &str, bind: SocketAddr) -> Self {
         let mut config = TcpConfig::default();
@@ -115,8 +113,8 @@ impl Network {
         Network::over(name, Medium::At(Endpoint::Tcp(config)))
     }
 
-    /// Between nodes of one process, under whatever clock they have: for tests. `own` is the name
-    /// of our end of the medium.
+    /// A network between nodes of one process, under any clock: for tests. `own` names this node's
+    /// end of the medium.
     pub fn memory(name: &str, medium: &MemoryMedium, own: &str) -> Self {
         Network::over(name, Medium::Memory(MemoryConfig::new(medium, own)))
     }
@@ -138,46 +136,47 @@ impl Network {
         }
     }
 
-    /// One more neighbour, with everything usual: the node of this name, at this address as the
-    /// medium writes it; empty on a serial line.
+    /// Adds a neighbour with default settings: the node of this name, at this address in the
+    /// medium's notation; empty on a serial line.
     pub fn peer(self, neighbour: &str, address: &str) -> Self {
         self.link(Link::to(neighbour, address))
     }
 
-    /// One more neighbour.
+    /// Adds a neighbour.
     pub fn link(mut self, link: Link) -> Self {
         self.links.push(link);
         self
     }
 
-    /// Learns of neighbours that are not described, and tells neighbours of each other
+    /// Discovers neighbours that are not described, and informs neighbours of each other
     /// ([gossip](crate::manual::networks#discovery)): nodes of these names get a link when a
-    /// neighbour on this network says where they are. Without any name, it only tells. Over UDP,
-    /// TCP, Unix sockets and memory; elsewhere there is nothing to learn, and this does nothing.
+    /// neighbour on this network reports their addresses. Without names, this node only informs
+    /// others. Over UDP, TCP, Unix sockets and memory; elsewhere there is nothing to learn, and
+    /// this does nothing.
     pub fn discover<'a>(mut self, nodes: impl IntoIterator<Item = &'a str>) -> Self {
         let nodes = nodes.into_iter().map(str::to_owned);
         self.admission = Some(Admitted::Only(nodes.collect()));
         self
     }
 
-    /// Learns of neighbours, whatever they are called, and tells neighbours of each other.
+    /// Discovers neighbours of any name, and informs neighbours of each other.
     pub fn discover_anybody(mut self) -> Self {
         self.admission = Some(Admitted::AnyNode);
         self
     }
 
-    /// Says every second by multicast, to a group such as `239.255.0.1:7399`, where this node is,
-    /// and learns of others that do; neighbours need not be described at all then. Who is admitted
-    /// is said by [`discover`](Network::discover) or
+    /// Announces this node's address every second by multicast, to a group such as
+    /// `239.255.0.1:7399`, and discovers nodes that do the same; neighbours need not be described
+    /// then. The nodes to admit are set by [`discover`](Network::discover) or
     /// [`discover_anybody`](Network::discover_anybody). For UDP and TCP.
     pub fn beacons(mut self, group: &str) -> Self {
         self.beacons = Some(group.to_owned());
         self
     }
 
-    /// The network interface that is used, such as `eth0`. When it loses its carrier, its links are
-    /// given up at once instead of after some missing hellos. Where the socket is bound to an
-    /// address of one interface, this need not be said.
+    /// Sets the network interface, such as `eth0`. When the interface loses its carrier, its links
+    /// are declared down at once instead of after missing hellos. Not needed if the socket is bound
+    /// to an address of one interface.
     pub fn interface(mut self, name: &str) -> Self {
         self.interface = Some(Interface::Named(name.to_owned()));
         self
@@ -244,41 +243,40 @@ impl Link {
         }
     }
 
-    /// How people call it; no two links of a node are called the same. Unless this says otherwise,
-    /// it has the network's name where it is the only link there, and else both names, as in
-    /// `ethernet/module2`.
+    /// Sets the link's name, unique within the node. By default it is the network's name if the
+    /// link is the only one there, else both names, as in `ethernet/module2`.
     pub fn named(mut self, name: &str) -> Self {
         self.name = Some(name.to_owned());
         self
     }
 
-    /// How dear it is to use. Of two paths the cheaper is taken. Unless this says otherwise, 10,
-    /// and more on a medium that carries less than a megabyte per second; at least 1. A link that
-    /// loses hellos costs more than this for as long as it does.
+    /// Sets the link's cost; the path with the lowest cost is used. At least 1; by default 10, and
+    /// more on a medium below one megabyte per second. While a link loses hellos, its cost is
+    /// higher than set.
     pub fn cost(mut self, cost: u16) -> Self {
         self.cost = Some(cost);
         self
     }
 
-    /// How often a hello is sent, 50 ms unless this says otherwise; on a slow medium less often, so
-    /// that hellos take no more than a twentieth of it. Shorter finds a dead link sooner and costs
-    /// more; the neighbour finds this end dead after three and a half of them. From 1 ms to 15 s.
+    /// Sets the hello interval: 50 ms by default, 1 ms to 15 s. On a slow medium the interval is
+    /// longer, so that hellos take at most a twentieth of its rate. The neighbour declares the link
+    /// down after three and a half intervals without a hello.
     pub fn hello_every(mut self, interval: Duration) -> Self {
         self.hello_interval = interval;
         self
     }
 
-    /// How soon after the node's start the neighbour must have been heard, 5 s unless this says
-    /// otherwise; on a slow medium, five hellos more. After that the link is a fault, *link down*,
-    /// until it comes. At least one hello; [`Duration::MAX`] is for a neighbour that need not come
-    /// at all.
+    /// Sets how soon after the node's start the neighbour's first hello must arrive: 5 s by
+    /// default, plus five hello intervals on a slow medium. After that the link has the fault *link
+    /// down* until a hello arrives. At least one hello interval; [`Duration::MAX`] for a neighbour
+    /// that may be absent.
     pub fn expected_within(mut self, span: Duration) -> Self {
         self.expected_within = span;
         self
     }
 }
 
-/// A cable that can be cut and made bad while the node runs. From
+/// A cable that can be cut and impaired while the node runs. From
 /// [`Node::cable`](crate::Node::cable).
 #[derive(Clone, Debug)]
 pub struct Cable {
@@ -288,32 +286,27 @@ pub struct Cable {
 }
 
 impl Cable {
-    /// Cuts it. A reported cut is one of which the medium knows at once, as Ethernet does; another
-    /// is noticed only by silence.
+    /// Cuts the cable. The medium detects a reported cut at once, as Ethernet does; an unreported
+    /// one shows only as silence.
     pub fn cut(&self, direction: Direction, reported: bool) {
         self.faulty.do_send(Cut { direction, reported });
     }
 
-    /// Parts it from these neighbours, and from no others: nothing passes to and from them, which
-    /// is noticed only by silence. Names that are no neighbours' here are left out.
+    /// Cuts the paths to these neighbours only: no frame passes to or from them, which shows only
+    /// as silence. Names that are not neighbours are ignored.
     pub fn part_from(&self, direction: Direction, neighbours: &[&str]) {
         let parted = self.neighbours.iter().filter(|(name, _)| neighbours.contains(&name.as_str()));
         let peers = parted.map(|(_, address)| address.clone()).collect();
         self.faulty.do_send(Partition { direction, peers });
     }
 
-    /// Makes it bad: loss, delay, duplicates, reordering, corruption, a limited rate.
+    /// Impairs the cable: loss, delay, duplicates, reordering, corruption, a limited rate.
     pub fn impair(&self, direction: Direction, impairment: Impairment) {
         self.faulty.do_send(Impair { direction, impairment });
     }
 
-    /// Mends it.
+    /// Ends all cuts and impairments.
     pub fn restore(&self) {
         self.faulty.do_send(Restore);
-    }
-
-    /// What it did to the frames so far; `None` once the node has ended.
-    pub async fn injected(&self) -> Option<InjectedFaults> {
-        self.faulty.send(ReadInjectedFaults).await.ok()
     }
 }

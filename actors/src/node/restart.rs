@@ -11,14 +11,14 @@ use blastema_core::{Incarnation, ObjectName};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum RestartError {
-    /// Only a node in the safe state is restarted. A component of one that runs is restarted by
-    /// [`Node::restart_child`].
+    /// Only a node in the safe state can be restarted. [`Node::restart_child`] restarts a component
+    /// of a running node.
     #[error("the node is not in the safe state, it is {state:?}: only from there it is restarted")]
-    NotAtRest {
+    NotInSafeState {
         /// How it is.
         state: NodeState,
     },
-    /// The node was shut down, and its threads have ended. Build another one.
+    /// The node was shut down, and its threads have ended. Build a new node.
     #[error("the node was shut down: build another one")]
     ShutDown,
     /// Four components or more keep threads in handlers that never return, which cannot be ended.
@@ -28,8 +28,8 @@ pub enum RestartError {
         /// How many.
         count: usize,
     },
-    /// It entered the safe state again before all components were at work. The record of faults
-    /// says why.
+    /// The node entered the safe state again before all components were active. The record of
+    /// faults names the cause.
     #[error("it entered the safe state again: {reason}")]
     GaveUp {
         /// What the last thing was.
@@ -60,23 +60,22 @@ pub enum RestartError {
     },
 }
 
-/// What a component is after [`Node::restart_child`].
+/// The state of a component after [`Node::restart_child`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum RestartedChild {
-    /// It is at work in this incarnation.
+    /// The component is active in this incarnation.
     Running(Incarnation),
     /// This incarnation has begun, and waits for something that is not there yet, such as its
     /// device, or a component below waits for that. It tries again by itself, and the fault
     /// *unavailable* stands until then.
     Unavailable(Incarnation),
-    /// Its end is final, as its rules say: a temporary child, or a transient one that had ended in
-    /// order.
+    /// The child is not restarted: it is temporary, or transient and ended in order.
     Finished,
 }
 
 impl RestartedChild {
-    /// The incarnation that has begun, if one has.
+    /// Returns the incarnation that has started, if one has.
     pub fn incarnation(self) -> Option<Incarnation> {
         match self {
             RestartedChild::Running(incarnation) | RestartedChild::Unavailable(incarnation) => {
@@ -92,16 +91,16 @@ fn did_you_mean(nearest: &Option<ObjectName>) -> String {
 }
 
 impl Node {
-    /// Brings a node back from safe state, without a new process: all components begin their next
-    /// incarnations in the start order, those too that had entered the safe state or were
-    /// isolated alone before. Resolves when all are at work. The cause of the safe state must be
-    /// mended by then: this is for a person, or an application that knows better.
+    /// Restarts a node from the safe state within its process: all components start their next
+    /// incarnations in the start order, also those that were in the safe state or isolated before.
+    /// Resolves when all are active. The cause of the safe state must have been removed: this is
+    /// for a person, or an application that knows better.
     ///
     /// Who still has to be stopped is waited for. Threads that were given up stay so, and are
     /// counted on.
     ///
     /// # Errors
-    /// [`RestartError::NotAtRest`] unless the node is in the safe state;
+    /// [`RestartError::NotInSafeState`] unless the node is in the safe state;
     /// [`RestartError::ThreadsHang`] where that would not help; [`RestartError::GaveUp`] where it
     /// entered the safe state again, when all components have ended.
     pub async fn restart(&self) -> Result<(), RestartError> {
@@ -111,19 +110,22 @@ impl Node {
         }
         match self.0.restart.send(RestartRoot).await {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(RestartRefused::NotAtRest(NodeState::Stopped))) => Err(RestartError::ShutDown),
-            Ok(Err(RestartRefused::NotAtRest(state))) => Err(RestartError::NotAtRest { state }),
+            Ok(Err(RestartRefused::NotInSafeState(NodeState::Stopped))) => {
+                Err(RestartError::ShutDown)
+            }
+            Ok(Err(RestartRefused::NotInSafeState(state))) => {
+                Err(RestartError::NotInSafeState { state })
+            }
             Ok(Err(RestartRefused::GaveUp(reason))) => Err(RestartError::GaveUp { reason }),
             // The controller ends with the node's threads.
             Ok(Err(RestartRefused::ShutDown)) | Err(_) => Err(RestartError::ShutDown),
         }
     }
 
-    /// Begins the next incarnation of a component, or of a supervisor and all below it. One that
-    /// has come to the safe state, or was isolated, is back with it; one that is at work is stopped
-    /// in order first. Its siblings fare as their supervisor's strategy says. Resolves when all of
-    /// them are at work, or wait for what is not there yet, and says which of it is so. No budget
-    /// of restarts counts it.
+    /// Starts the next incarnation of a component, or of a supervisor and all below it. This ends
+    /// its safe state or isolation; an active component is stopped in order first. Its siblings are
+    /// restarted as their supervisor's strategy requires. Resolves when all of them are at work, or
+    /// wait for what is not there yet, and says which of it is so. No budget of restarts counts it.
     ///
     /// A handler of a component that this restarts must not await it, as it would be waited for
     /// itself: it counts as hanging after [`max_wait`](crate::ChildSpec::max_wait). A component
@@ -138,7 +140,7 @@ impl Node {
             nearest: self.0.directory.nearest(name),
         };
         let object = ObjectName::new(name).map_err(|_| unknown())?;
-        let controller = self.0.directory.keeper_of(&object).ok_or_else(unknown)?;
+        let controller = self.0.directory.supervisor_of(&object).ok_or_else(unknown)?;
         match controller.restart.send(RestartChild { object, fault: None }).await {
             Ok(Ok(Recovered { incarnation, waits, .. })) => Ok(match (incarnation, waits) {
                 (Some(incarnation), false) => RestartedChild::Running(incarnation),

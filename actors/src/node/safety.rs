@@ -48,12 +48,13 @@ impl Shared {
         if !ends || self.safe.swap(true, SeqCst) {
             return;
         }
-        let said = if has_outputs { self.apply_outputs(cause) } else { "it has no safe outputs" };
+        let outcome =
+            if has_outputs { self.apply_outputs(cause) } else { "it has no safe outputs" };
         // A node that runs on one thread belongs to a test, which has its own output.
         if self.chain.callbacks.have_threads() {
-            platform::tell_person(&format!("blastema: node {}: {cause}: {said}", self.name));
+            platform::tell_person(&format!("blastema: node {}: {cause}: {outcome}", self.name));
         }
-        warn!(node = %self.name, cause, "{said}");
+        warn!(node = %self.name, cause, "{outcome}");
     }
 
     fn has_outputs(&self) -> bool {
@@ -64,12 +65,13 @@ impl Shared {
     fn apply_outputs(&self, cause: &str) -> &'static str {
         let actuators = self.environment.actuators();
         let now = platform::now();
-        let fault = Fault::of_node(self.name.clone(), FaultKind::NodeAtRest, cause.into(), now);
+        let fault =
+            Fault::of_node(self.name.clone(), FaultKind::NodeInSafeState, cause.into(), now);
         let mut applied = self.chain.safe_outputs.rest(&fault);
         actuators.rest();
         let mut left = self.chain.callbacks.limit().unwrap_or_default();
         let mut known = Err(NOT_RETURNED);
-        let said = loop {
+        let outcome = loop {
             let ended = match applied.try_recv() {
                 Ok(end) => {
                     known = end;
@@ -87,7 +89,7 @@ impl Shared {
             platform::wait(POLL_INTERVAL);
             left = left.saturating_sub(POLL_INTERVAL);
         };
-        said.err().unwrap_or("safe outputs applied")
+        outcome.err().unwrap_or("safe outputs applied")
     }
 }
 

@@ -8,7 +8,7 @@ use blastema_core::detection::MonitorRow;
 /// gives none.
 pub(super) fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
     for row in rows {
-        match &row.place {
+        match &row.location {
             FaultLocation::Link { link, .. } => {
                 if let Some(seen) = links.iter().find(|seen| seen.link == *link) {
                     row.last_sign = seen.last_sign;
@@ -61,8 +61,8 @@ mod tests {
 
     #[test]
     fn a_link_shows_its_last_hello_and_a_node_the_last_of_all_its_links() {
-        let stale = |place, kind| {
-            let mut row = MonitorRow::blank(place, kind);
+        let stale = |location, kind| {
+            let mut row = MonitorRow::blank(location, kind);
             row.last_sign = Some(Duration::from_secs(300));
             row
         };

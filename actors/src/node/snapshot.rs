@@ -1,4 +1,4 @@
-//! Everything that a node knows of itself at one moment, for people and for their tools.
+//! The state of a node at one moment, for display and for tools.
 
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;
@@ -20,9 +20,8 @@ use std::time::Duration;
 /// known, so that a node whose network hangs still shows the rest.
 pub(super) const PART_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Everything that a node knows of itself at one moment. From [`Node::snapshot`]. A part is `None`
-/// if the actor that keeps it did not answer within a second; an empty list means that there is
-/// nothing.
+/// The state of a node at one moment. From [`Node::snapshot`]. A part is `None` if the actor that
+/// keeps it did not answer within a second; an empty list means that there is nothing.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NodeSnapshot {
@@ -42,11 +41,11 @@ pub struct NodeSnapshot {
     pub links: Option<Vec<LinkRow>>,
     /// The sessions with other nodes.
     pub sessions: Option<Vec<SessionRow>>,
-    /// The names of the whole robot that are held, as far as this node knows.
+    /// The global names with a holder, as known to this node.
     pub claims: Vec<ClaimRow>,
-    /// The services that the node carries, and who serves each.
+    /// The services that the node hosts, and the primary of each.
     pub services: Vec<ServiceRow>,
-    /// The node's actuators, and who commands each.
+    /// The node's actuators, and the commander of each.
     pub actuators: Vec<ActuatorRow>,
     /// The topics that objects of the node have named.
     pub topics: Vec<TopicRow>,
@@ -80,13 +79,13 @@ impl NodeSnapshot {
         }
     }
 
-    /// The same as one JSON document, on one line. Spans are in milliseconds (`_ms`); what is not
-    /// known is `null`.
+    /// Returns the snapshot as one JSON document, on one line. Spans are in milliseconds (`_ms`);
+    /// unknown values are `null`.
     pub fn to_json(&self) -> String {
         let (state, reason) = match &self.state {
             NodeState::Starting => ("starting", None),
             NodeState::Running => ("running", None),
-            NodeState::InSafeState { reason } => ("at rest", Some(reason)),
+            NodeState::InSafeState { reason } => ("in safe state", Some(reason)),
             NodeState::Stopped => ("stopped", None),
         };
         let faults = self.faults.as_ref();
@@ -126,7 +125,7 @@ fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
 
 fn object(row: &MonitorRow) -> Value {
     json!({
-        "location": row.place.to_string(),
+        "location": row.location.to_string(),
         "kind": match row.kind {
             ObjectKind::Component => "component",
             ObjectKind::Middleware => "middleware",
@@ -189,22 +188,22 @@ fn link(row: &LinkRow) -> Value {
 }
 
 fn session(row: &SessionRow) -> Value {
-    let (standing, counters) = (&row.standing, &row.standing.counters);
+    let (status, counters) = (&row.status, &row.status.counters);
     json!({
         "node": row.node.as_str(),
-        "state": standing.state.to_string(),
-        "incarnation": standing.incarnation.map(|incarnation| incarnation.0),
-        "round_trip_ms": millis(standing.round_trip),
-        "unacknowledged": standing.unacknowledged,
-        "in_flight": standing.in_flight,
-        "window": standing.window,
+        "state": status.state.to_string(),
+        "incarnation": status.incarnation.map(|incarnation| incarnation.0),
+        "round_trip_ms": millis(status.round_trip),
+        "unacknowledged": status.unacknowledged,
+        "in_flight": status.in_flight,
+        "window": status.window,
         "sent": counters.sent,
         "retransmitted": counters.retransmitted,
         "duplicates": counters.duplicates,
         "superseded": counters.superseded,
         "incomplete": counters.incomplete,
         "returned": counters.returned,
-        "refused": standing.refusals.total(),
+        "refused": status.refusals.total(),
         "differences": row.differences,
     })
 }
@@ -237,7 +236,7 @@ fn service(row: &ServiceRow) -> Value {
 }
 
 fn actuator(row: &ActuatorRow) -> Value {
-    let (state, commander, lease) = match &row.standing {
+    let (state, commander, lease) = match &row.status {
         LeaseStatus::Free => ("free", None, None),
         LeaseStatus::Held { commander, epoch, left } => {
             ("held", Some(commander), Some((*epoch, *left)))
@@ -277,7 +276,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
         "code": fault.kind.code(),
         "kind": fault.kind.to_string(),
         "severity": fault.severity.to_string(),
-        "location": fault.place.to_string(),
+        "location": fault.location.to_string(),
         "incarnation": fault.incarnation.0,
         "detail": fault.detail,
         "count": fault.count,

@@ -11,16 +11,16 @@ type Work = Pin<Box<dyn Future<Output = ()> + Send>>;
 /// Does the work where it is polled. If it is dropped before that is done, the work goes on at the
 /// given place, or else on the thread that drops it.
 pub(super) struct ToTheEnd {
-    place: Option<ArbiterHandle>,
+    arbiter: Option<ArbiterHandle>,
     work: Option<Work>,
 }
 
 impl ToTheEnd {
     pub(super) fn of(
-        place: Option<ArbiterHandle>,
+        arbiter: Option<ArbiterHandle>,
         work: impl Future<Output = ()> + Send + 'static,
     ) -> Self {
-        ToTheEnd { place, work: Some(Box::pin(work)) }
+        ToTheEnd { arbiter, work: Some(Box::pin(work)) }
     }
 }
 
@@ -40,9 +40,9 @@ impl Future for ToTheEnd {
 impl Drop for ToTheEnd {
     fn drop(&mut self) {
         let Some(work) = self.work.take() else { return };
-        if let Some(place) = &self.place {
+        if let Some(arbiter) = &self.arbiter {
             // A place that has ended takes no work: then the work is done by others, or was.
-            place.spawn(work);
+            arbiter.spawn(work);
         } else if let Ok(runtime) = Handle::try_current() {
             drop(runtime.spawn(work));
         }

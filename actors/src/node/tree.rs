@@ -60,16 +60,17 @@ impl SupervisorSpec {
         SupervisorSpec { name, rules, kept, children: Vec::new() }
     }
 
-    /// How many restarts are worth it in one `period`: of each child, or of all together where the
-    /// strategy is not [`OneForOne`](Strategy::OneForOne) or [`when_exceeded`](Self::when_exceeded)
-    /// says so. 1000 times at most; the period has at least 1 ms for each of them.
+    /// Sets how many restarts are allowed in one `period`: of each child, or of all together where
+    /// the strategy is not [`OneForOne`](Strategy::OneForOne) or
+    /// [`when_exceeded`](Self::when_exceeded) requires it. 1000 times at most; the period has at
+    /// least 1 ms for each of them.
     pub fn intensity(mut self, times: u32, period: Duration) -> Self {
         (self.rules.intensity, self.rules.period) = (times, period);
         self
     }
 
-    /// What is done when restarts exceed the [`intensity`](Self::intensity): the child is stopped
-    /// and its siblings go on, unless this says otherwise.
+    /// Sets what happens when restarts exceed the [`intensity`](Self::intensity). By default the
+    /// child is stopped and its siblings continue.
     pub fn when_exceeded(mut self, when_exceeded: WhenExceeded) -> Self {
         self.rules.when_exceeded = when_exceeded;
         self
@@ -81,34 +82,34 @@ impl SupervisorSpec {
         self
     }
 
-    /// How long its children may take to start together. For ever, unless this says otherwise: each
-    /// child has a deadline of its own. A supervisor that takes longer has failed to start, which
-    /// is a fault of it.
+    /// Sets how long the children may take to start together. Unlimited by default: each child has
+    /// a deadline of its own. A supervisor that takes longer has failed to start, which is a fault
+    /// of it.
     pub fn ready_within(mut self, span: Duration) -> Self {
         self.kept.ready_within = span;
         self
     }
 
-    /// How long its children may take to stop together, before they are given up. For ever, unless
-    /// this says otherwise: each child has a deadline of its own.
+    /// Sets how long the children may take to stop together, before they are abandoned. Unlimited
+    /// by default: each child has a deadline of its own.
     pub fn shutdown_within(mut self, span: Duration) -> Self {
         self.kept.shutdown_within = span;
         self
     }
 
-    /// One more child, started after those before it. It is permanent: every end is followed by a
-    /// restart.
+    /// Adds a permanent child: every end is followed by a restart. Children start in the order in
+    /// which they are added.
     pub fn child<C: Component>(self, spec: ChildSpec<C>) -> Self {
         self.child_with(spec, Restart::Permanent)
     }
 
-    /// One more child of which not every end is followed by a restart.
+    /// Adds a child with this restart type.
     pub fn child_with<C: Component>(mut self, spec: ChildSpec<C>, restart: Restart) -> Self {
         self.children.push(Entry::Component(erase(spec), restart));
         self
     }
 
-    /// One more child that is a supervisor itself.
+    /// Adds a supervisor as a child.
     pub fn supervisor(mut self, spec: SupervisorSpec) -> Self {
         self.children.push(Entry::Supervisor(spec));
         self
@@ -216,7 +217,7 @@ impl SupervisorSpec {
     /// Makes the supervisors and gives them their children. Nothing is started yet.
     pub(super) fn prepare(
         self,
-        place: &TreeEnvironment<'_>,
+        tree_environment: &TreeEnvironment<'_>,
         tree: &mut PreparedTree,
     ) -> Result<SupervisorChild, SpecError> {
         let name = ObjectName::new(&self.name).map_err(SpecError::Supervisor)?;
@@ -226,9 +227,11 @@ impl SupervisorSpec {
         for entry in self.children {
             match entry {
                 Entry::Component(spec, restart) => {
-                    let prepared =
-                        PreparedComponent { restart, ..spec.prepare(place.environment)? };
-                    let rules = prepared.rules(place.plan);
+                    let prepared = PreparedComponent {
+                        restart,
+                        ..spec.prepare(tree_environment.environment)?
+                    };
+                    let rules = prepared.rules(tree_environment.plan);
                     let PreparedComponent { child, depends_on, .. } = prepared;
                     let name = child.name().clone();
                     let facts = ComponentFacts { name, depends_on, restart };
@@ -237,7 +240,7 @@ impl SupervisorSpec {
                 }
                 Entry::Supervisor(spec) => {
                     let kept = spec.kept;
-                    let child = spec.prepare(place, tree)?;
+                    let child = spec.prepare(tree_environment, tree)?;
                     children.push((Box::new(child), kept));
                 }
             }
@@ -246,12 +249,13 @@ impl SupervisorSpec {
             name,
             rules: self.rules,
             children,
-            monitor: place.monitor.clone().recipient(),
-            states: place.monitor.clone().recipient(),
-            isolation: place.monitor.clone().recipient(),
-            directory: place.directory.clone(),
+            monitor: tree_environment.monitor.clone().recipient(),
+            states: tree_environment.monitor.clone().recipient(),
+            isolation: tree_environment.monitor.clone().recipient(),
+            directory: tree_environment.directory.clone(),
         };
-        let supervisor = SupervisorActor::start(place.guardian, place.arbiter, setup);
+        let supervisor =
+            SupervisorActor::start(tree_environment.guardian, tree_environment.arbiter, setup);
         tree.supervisors.push((supervisor.name().clone(), supervisor.pings()));
         Ok(supervisor)
     }

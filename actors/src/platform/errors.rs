@@ -23,7 +23,7 @@ pub(crate) fn with_causes(error: &dyn Error) -> String {
 pub struct Fatal<E>(pub E);
 
 impl<E: Into<Box<dyn Error>>> Fatal<E> {
-    /// Prints the error with its causes on standard error, and says that the program has failed.
+    /// Prints the error with its causes on standard error, and returns the exit code of a failure.
     pub fn report(self) -> ExitCode {
         report(&*self.0.into())
     }

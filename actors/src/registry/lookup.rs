@@ -58,7 +58,7 @@ impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
         }
     }
 
-    fn room<'a>(
+    fn space<'a>(
         &'a self,
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
@@ -68,7 +68,7 @@ impl<M: Contract> MessageSink<M> for GlobalNameSender<M> {
             // The next message may go to another holder than the one that is full now.
             if let Ok(sender) = self.present() {
                 tokio::select! {
-                    () = sender.0.room(&refused) => {}
+                    () = sender.0.space(&refused) => {}
                     _ = revision.changed() => {}
                 }
             }

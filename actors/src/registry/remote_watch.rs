@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Under which name nodes ask each other. It is no object that others can see.
-const PLACE: &str = "net/deaths";
+const OBJECT: &str = "net/deaths";
 /// How long one question waits for an answer. Shorter costs messages; longer keeps the questions of
 /// watchers that have ended.
 const WATCH_TIMEOUT: Duration = Duration::from_secs(30);
@@ -80,7 +80,7 @@ pub(crate) fn follow(
     ObjectAddress { node, object }: ObjectAddress,
     tell: impl Fn(Down),
 ) -> impl Future<Output = ()> {
-    let sender = registry.sender::<AwaitEnd>(&format!("{node}:{PLACE}"));
+    let sender = registry.sender::<AwaitEnd>(&format!("{node}:{OBJECT}"));
     async move {
         let down = |LastEnd { incarnation, ending }| {
             tell(Down { object: object.clone(), node: Some(node.clone()), incarnation, ending });
@@ -142,9 +142,9 @@ async fn ask_on(
 pub(crate) fn serve(registry: &Registry) {
     let service_fn = DeathWatchService { registry: registry.downgrade(), objects: Arc::default() };
     let serve = move |AwaitEnd { object, seen }, answer| service_fn.serve(object, seen, answer);
-    let place = ObjectName::new(PLACE).expect("a name of letters");
+    let object = ObjectName::new(OBJECT).expect("a name of letters");
     registry.register_hidden(
-        place,
+        object,
         ContractPort::of_service_fn(ServiceFn::<AwaitEnd>(Arc::new(serve))),
     );
 }
@@ -207,15 +207,16 @@ impl DeathWatchService {
     fn watch(&self, object: &ObjectName) -> Option<LastEnd> {
         let registry = self.registry.upgrade()?;
         let absent = Arc::new(Mutex::new(None));
-        let (service_fn, told) = (self.clone(), absent.clone());
+        let (service_fn, reported) = (self.clone(), absent.clone());
         let tell = move |down: Down| match down.ending {
             // Only ever said while the watch begins.
             DownReason::NotAlive | DownReason::Unknown => {
-                *told.lock().unwrap_or_else(PoisonError::into_inner) = Some(LastEnd::from(down));
+                *reported.lock().unwrap_or_else(PoisonError::into_inner) =
+                    Some(LastEnd::from(down));
             }
             _ => service_fn.end(down),
         };
-        let who = ObjectName::new(PLACE).expect("a name of letters");
+        let who = ObjectName::new(OBJECT).expect("a name of letters");
         let incarnation = Arc::new(IncarnationToken::default());
         registry.watch(object.clone(), Watcher { who, incarnation, tell: Box::new(tell) });
         absent.lock().unwrap_or_else(PoisonError::into_inner).take()

@@ -45,7 +45,7 @@ impl<M: Contract> MessageSink<M> for ServiceFn<M> {
         Ok(())
     }
 
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(future::ready(()))
     }
 

@@ -103,8 +103,8 @@ enum CallStage {
     Returned,
 }
 
-/// Calls of one kind that wait: no more than components and actuators come to rest at once, or
-/// than fit into the queues of components that end.
+/// Calls of one kind that wait: no more than components and actuators enter the safe state at once,
+/// or than fit into the queues of components that end.
 #[derive(Default)]
 struct Queue {
     waiting: VecDeque<Job>,
@@ -238,7 +238,7 @@ impl Callbacks {
     /// What was declared of `object` is over.
     pub(crate) fn clear(&self, object: &ObjectName) {
         if let Some(reports) = self.0.as_ref().and_then(|threads| threads.reports.get()) {
-            reports.mend(object.as_str());
+            reports.clear(object.as_str());
         }
     }
 
@@ -363,13 +363,13 @@ impl Threads {
                 continue;
             }
             let outcome = Arc::new(Mutex::new(outcome));
-            let (threads, told, culprit) = (self.clone(), outcome.clone(), object.clone());
+            let (threads, report, culprit) = (self.clone(), outcome.clone(), object.clone());
             let late = move |limit| {
                 let mut queue = lock(threads.queue(kind));
                 queue.thread.take_if(|thread| *thread == number);
                 queue.blocked.push(culprit);
                 drop(queue);
-                lock(&told)(CallOutcome::Blocked(limit));
+                lock(&report)(CallOutcome::Blocked(limit));
             };
             let call = self.enter(&object, Box::new(late));
             let result = guarded(run);

@@ -133,7 +133,7 @@ mod tests {
     struct Lister {
         list: List,
         wake: WakeTimer,
-        said: Arc<Mutex<Vec<Vec<u32>>>>,
+        outputs: Arc<Mutex<Vec<Vec<u32>>>>,
     }
 
     impl Actor for Lister {
@@ -152,7 +152,7 @@ mod tests {
         }
 
         fn carry_out(&mut self, output: Vec<u32>, _: &mut Context<Self>) {
-            self.said.lock().unwrap().push(output);
+            self.outputs.lock().unwrap().push(output);
         }
     }
 
@@ -173,7 +173,7 @@ mod tests {
     fn inputs_that_wait_together_are_driven_together_however_often_that_is() {
         paused(async {
             let lister = Lister::default();
-            let said = lister.said.clone();
+            let outputs = lister.outputs.clone();
             let lister = lister.start();
             let many: Vec<u32> = (10..10 + BATCH as u32 + 2).collect();
 
@@ -182,9 +182,9 @@ mod tests {
                 settle().await;
             }
 
-            let said = said.lock().unwrap();
-            assert_eq!(said[..3], [vec![1, 2, 3], vec![4], vec![5, 6]]);
-            assert_eq!((said[3].len(), said[3..].concat()), (BATCH, many));
+            let outputs = outputs.lock().unwrap();
+            assert_eq!(outputs[..3], [vec![1, 2, 3], vec![4], vec![5, 6]]);
+            assert_eq!((outputs[3].len(), outputs[3..].concat()), (BATCH, many));
         });
     }
 }

@@ -11,7 +11,7 @@ pub(crate) struct FaultReports {
     pub(crate) exits: Option<Recipient<Exited>>,
     pub(crate) states: Option<Recipient<StateReported>>,
     pub(crate) faults: Option<Recipient<FaultDeclared>>,
-    pub(crate) mended: Option<Recipient<DeclaredFaultCleared>>,
+    pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
 }
 
 impl FaultReports {
@@ -24,10 +24,10 @@ impl FaultReports {
     }
 
     /// What was [declared](Reports::declare) of one of the middleware's own objects is over.
-    pub(crate) fn mend(&self, object: &str) {
-        if let (Some(mended), Ok(object)) = (&self.mended, ObjectName::new(object)) {
+    pub(crate) fn clear(&self, object: &str) {
+        if let (Some(cleared), Ok(object)) = (&self.cleared, ObjectName::new(object)) {
             let (incarnation, kind) = (guardian::alive().incarnation, FaultKind::CheckFailed);
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }

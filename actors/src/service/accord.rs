@@ -61,9 +61,9 @@ impl ReplicaBody {
 
     /// A fault of the service is over.
     pub(super) fn mend(&self, kind: FaultKind) {
-        if let Some(mended) = &self.reports.mended {
+        if let Some(cleared) = &self.reports.cleared {
             let (object, incarnation) = (self.carried.body.clone(), guardian::alive().incarnation);
-            mended.do_send(DeclaredFaultCleared { object, incarnation, kind });
+            cleared.do_send(DeclaredFaultCleared { object, incarnation, kind });
         }
     }
 }

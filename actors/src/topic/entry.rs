@@ -1,65 +1,20 @@
-//! One listener of a hub, and the component behind it.
+//! The component behind one listener of a hub.
 
-use super::EventFilter;
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
+use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry, Runs};
 use crate::component::cell::ComponentCell;
-use crate::component::envelope::Times;
 use crate::component::{Component, Handle, envelope};
 use crate::host::executor;
 use crate::host::executor::ComponentExecutor;
-use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::CONDITION;
 use crate::platform::panics;
 use blastema_core::{DeliveryError, Event, FaultKind};
 use std::any::Any;
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::hint::black_box;
-use std::rc::Weak;
+use std::rc::{Rc, Weak};
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
 
-/// One listener, as its hub sees it: what is looked at for every event, side by side with the
-/// others.
-pub(super) struct ListenerEntry<E> {
-    pub(super) only_if: Option<EventFilter<E>>,
-    /// Which entry of the subscription is served now, and which this one is.
-    pub(super) present: Arc<AtomicU64>,
-    pub(super) number: u64,
-    /// The number of the first event that it gets here.
-    pub(super) since: u64,
-    /// Names the component to the watch while its condition and its handler run.
-    pub(super) place: Cell<Option<ActivitySlotRef>>,
-    pub(super) listener: Box<dyn EventListener<E>>,
-}
-
-impl<E> ListenerEntry<E> {
-    pub(super) fn is_present(&self) -> bool {
-        self.present.load(Relaxed) == self.number
-    }
-}
-
-/// The component behind an entry.
-pub(super) trait EventListener<E> {
-    /// Serves the event, or queues it where the component is busy. Answers where the component is.
-    fn take(
-        &self,
-        event: E,
-        at: Times,
-        pulse: &ArbiterHeartbeat,
-        entry: &ListenerEntry<E>,
-    ) -> Option<ActivitySlotRef>;
-    /// Where the component is.
-    fn place(&self) -> Option<ActivitySlotRef>;
-    /// Brings what it consists of nearer to the processor, while the one before it is served.
-    fn call_up(&self);
-    /// It took long over an event.
-    fn overdraw(&self);
-    /// Its condition panicked, and the event is lost to it.
-    fn die(&self, payload: Box<dyn Any + Send>);
-    fn record_dead_letter(&self, why: &DeliveryError);
-}
-
+/// The component behind a listener of a hub.
 pub(super) struct Resident<C: Component> {
     pub(super) cell: Arc<ComponentCell<C>>,
     pub(super) executor: RefCell<Weak<RefCell<ComponentExecutor<C>>>>,
@@ -67,47 +22,57 @@ pub(super) struct Resident<C: Component> {
 
 impl<C: Component> Resident<C> {
     #[inline]
-    fn with_executor<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
+    fn executor(&self) -> Option<Rc<RefCell<ComponentExecutor<C>>>> {
         let mut known = self.executor.borrow_mut();
         if known.strong_count() == 0 {
             *known = executor::executor_here(&self.cell)?; // It was born again.
         }
-        let executor = known.upgrade()?;
-        drop(known);
+        known.upgrade()
+    }
+
+    fn with_executor<R>(&self, then: impl FnOnce(&mut ComponentExecutor<C>) -> R) -> Option<R> {
+        let executor = self.executor()?;
         let mut executor = executor.try_borrow_mut().ok()?;
         Some(then(&mut executor))
     }
 }
 
 impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
-    #[inline]
-    fn take(
-        &self,
-        event: E,
-        at: Times,
-        pulse: &ArbiterHeartbeat,
-        entry: &ListenerEntry<E>,
-    ) -> Option<ActivitySlotRef> {
-        let mut event = Some(event);
-        let place = self.with_executor(|executor| {
-            let place = executor.place();
-            pulse.run(Some(place.index));
-            if executor.is_free()
-                && let Some(event) = event.take()
-            {
-                executor.serve_at_once(&mut envelope::seal_event(event, at));
+    fn take(&self, hub: &Hub<E>, entry: &ListenerEntry<E>, batch: &Batch<E>) -> HubProgress {
+        let executor = self.executor();
+        let mut executor = executor.as_ref().and_then(|executor| executor.try_borrow_mut().ok());
+        let activity_slot = executor.as_ref().map(|executor| executor.activity_slot());
+        entry.activity_slot.set(activity_slot);
+        hub.heartbeat.run(activity_slot.map(|activity_slot| activity_slot.index));
+        let at_once = executor.as_ref().is_some_and(|executor| executor.serves_at_once());
+        let mut progress = HubProgress::Done;
+        while let Some(posted) = hub.next(batch) {
+            if hub.is_for(entry, batch, posted) {
+                let free = executor.as_mut().filter(|executor| at_once && executor.is_free());
+                let event = posted.event.clone();
+                match free {
+                    Some(executor) => {
+                        hub.runs.set(Runs::Handler);
+                        executor.serve_at_once(&mut envelope::seal_event(event, posted.at));
+                        hub.runs.set(Runs::Other);
+                    }
+                    // One that has gone meanwhile has brought along what is not served here.
+                    None if entry.is_present() => self.cell.queue_event(event, posted.at),
+                    None => drop(event),
+                }
             }
-            place
-        });
-        // One that has gone meanwhile has brought along what is not served here.
-        if let Some(event) = event.filter(|_| entry.is_present()) {
-            self.cell.queue_event(event, at);
+            progress = hub.progress();
+            if progress != HubProgress::Done {
+                break;
+            }
         }
-        place
-    }
-
-    fn place(&self) -> Option<ActivitySlotRef> {
-        self.with_executor(|executor| executor.place())
+        if let Some(executor) = &mut executor {
+            if progress == HubProgress::Slow {
+                executor.overdraw();
+            }
+            executor.end_events();
+        }
+        progress
     }
 
     #[inline]
@@ -115,11 +80,14 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         black_box(self.executor.borrow().strong_count());
     }
 
-    fn overdraw(&self) {
-        self.with_executor(|executor| executor.overdraw());
+    fn die_in_service(&self, payload: Box<dyn Any + Send>) {
+        self.with_executor(|executor| {
+            let during = executor.in_service();
+            executor.die_of(payload, during)
+        });
     }
 
-    fn die(&self, payload: Box<dyn Any + Send>) {
+    fn die_of_condition(&self, payload: Box<dyn Any + Send>) {
         self.record_dead_letter(&DeliveryError::PeerDied {
             incarnation: self.cell.record.incarnation(),
         });

@@ -1,4 +1,4 @@
-//! A topic as those see it who do not know its type: the network, and the snapshot.
+//! A topic without its event type: for the network and the snapshot.
 
 use super::{Latched, RemoteForward, Times, Topic, TopicKey, TopicRow, lock, nanos};
 use crate::messaging::message_log;

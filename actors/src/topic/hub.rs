@@ -1,14 +1,14 @@
 //! The listeners of one topic on one arbiter.
 //!
 //! A hub gives each listener a few events in turn. What it gives belongs to the listener: its
-//! condition runs under its name, guard and stamp as its handler does, and where either takes long,
-//! the hub ends its turn and goes on from there in the next.
+//! condition runs under its name, guard and activity record as its handler does, and where either
+//! takes long, the hub ends its turn and goes on from there in the next.
 
-use super::entry::ListenerEntry;
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::envelope::Times;
+use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::{CONDITION, label};
 use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
@@ -33,7 +33,7 @@ use std::task::{self, Poll};
 const CAPACITY: usize = 1024;
 /// Events per poll; then the arbiter's other tasks have their turn. Each listener gets all of them
 /// in turn, so that what it consists of is fetched from memory once for all.
-const BUDGET: usize = 8;
+const BUDGET: usize = 32;
 /// A hub's queue has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
 
@@ -70,8 +70,8 @@ pub(super) struct HubBatch<E> {
 
 #[derive(Clone)]
 pub(super) struct Posted<E> {
-    event: E,
-    at: Times,
+    pub(super) event: E,
+    pub(super) at: Times,
     /// Counts the topic's events.
     number: u64,
 }
@@ -116,6 +116,40 @@ impl<E: Event> HubQueue<E> {
     }
 }
 
+/// One listener, as its hub sees it: what is looked at for every event, side by side with the
+/// others.
+pub(super) struct ListenerEntry<E> {
+    pub(super) only_if: Option<EventFilter<E>>,
+    /// Which entry of the subscription is served now, and which this one is.
+    pub(super) present: Arc<AtomicU64>,
+    pub(super) number: u64,
+    /// The number of the first event that it gets here.
+    pub(super) since: u64,
+    /// Names the component to the watch while its condition and its handler run.
+    pub(super) activity_slot: Cell<Option<ActivitySlotRef>>,
+    pub(super) listener: Box<dyn EventListener<E>>,
+}
+
+impl<E> ListenerEntry<E> {
+    pub(super) fn is_present(&self) -> bool {
+        self.present.load(Relaxed) == self.number
+    }
+}
+
+/// The component behind an entry.
+pub(super) trait EventListener<E: Event> {
+    /// Gives it the events that it wants, from the next one on: it serves them, or queues them
+    /// where it is busy.
+    fn take(&self, hub: &Hub<E>, entry: &ListenerEntry<E>, batch: &Batch<E>) -> HubProgress;
+    /// Brings what it consists of nearer to the processor, while the one before it is served.
+    fn call_up(&self);
+    /// Its handler panicked.
+    fn die_in_service(&self, payload: Box<dyn Any + Send>);
+    /// Its condition panicked, and the event is lost to it.
+    fn die_of_condition(&self, payload: Box<dyn Any + Send>);
+    fn record_dead_letter(&self, why: &DeliveryError);
+}
+
 /// A hub on its own arbiter.
 pub(super) struct Hub<E: Event> {
     pub(super) shared: Arc<HubQueue<E>>,
@@ -126,17 +160,17 @@ pub(super) struct Hub<E: Event> {
     pub(super) newcomers: RefCell<Vec<ListenerEntry<E>>>,
     /// How many had gone when they were last taken out.
     gone: Cell<u64>,
-    pulse: Arc<ArbiterHeartbeat>,
+    pub(super) heartbeat: Arc<ArbiterHeartbeat>,
     budget: TurnBudget,
     /// What is handed out now, and which entry has its turn.
     batch: RefCell<Option<Batch<E>>>,
     turn_of: Cell<usize>,
     /// Whose code runs.
-    runs: Cell<Runs>,
+    pub(super) runs: Cell<Runs>,
     condition: u32,
 }
 
-struct Batch<E> {
+pub(super) struct Batch<E> {
     events: Arc<Vec<Posted<E>>>,
     only: Option<u64>,
     /// There may be more in the queue.
@@ -145,17 +179,19 @@ struct Batch<E> {
 
 /// Whose code a hub runs.
 #[derive(Clone, Copy)]
-enum Runs {
+pub(super) enum Runs {
     /// The condition of the entry that has its turn, while the component was serving something or
     /// not.
     Condition { beside: bool },
+    /// Its handler.
+    Handler,
     /// What the publisher wrote of the event, or the middleware.
     Other,
 }
 
 /// How far a hub came in a turn.
 #[derive(PartialEq, Eq)]
-enum Progress {
+pub(super) enum HubProgress {
     Done,
     /// Something took long.
     Slow,
@@ -197,7 +233,7 @@ impl<E: Event> Topic<E> {
             entries: RefCell::default(),
             newcomers: RefCell::default(),
             gone: Cell::new(0),
-            pulse: ArbiterHeartbeat::enrol_here(),
+            heartbeat: ArbiterHeartbeat::enrol_here(),
             budget: TurnBudget::default(),
             batch: RefCell::new(None),
             turn_of: Cell::new(0),
@@ -289,7 +325,7 @@ async fn run<E: Event>(hub: Rc<Hub<E>>, _leave: Leave) {
         }
         hub.budget.begin();
         let polled = hub.turn(cx);
-        hub.pulse.run(None);
+        hub.heartbeat.run(None);
         hub.budget.end(cx.waker());
         polled
     })
@@ -307,9 +343,9 @@ impl<E: Event> Hub<E> {
             }
         }
         match self.distribute() {
-            Progress::Done => {}
-            Progress::Slow => return Poll::Pending,
-            Progress::Lost => return Poll::Ready(()),
+            HubProgress::Done => {}
+            HubProgress::Slow => return Poll::Pending,
+            HubProgress::Lost => return Poll::Ready(()),
         }
         // What came while it rested has used up the waker that the queue keeps.
         let more = self.finish() || resumed;
@@ -364,9 +400,9 @@ impl<E: Event> Hub<E> {
     }
 
     /// Gives every entry the events that it wants, until something takes long.
-    fn distribute(&self) -> Progress {
+    fn distribute(&self) -> HubProgress {
         let (entries, batch) = (self.entries.borrow(), self.batch.borrow());
-        let Some(batch) = &*batch else { return Progress::Done };
+        let Some(batch) = &*batch else { return HubProgress::Done };
         loop {
             let guarded = PanicGuard::enter();
             let offered = catch_unwind(AssertUnwindSafe(|| self.offer_to_all(&entries, batch)));
@@ -375,10 +411,14 @@ impl<E: Event> Hub<E> {
                 Ok(progress) => return progress,
                 Err(payload) => self.blame(&entries[self.turn_of.get()], payload),
             }
+            let progress = self.progress();
+            if progress != HubProgress::Done {
+                return progress;
+            }
         }
     }
 
-    fn offer_to_all(&self, entries: &[ListenerEntry<E>], batch: &Batch<E>) -> Progress {
+    fn offer_to_all(&self, entries: &[ListenerEntry<E>], batch: &Batch<E>) -> HubProgress {
         while let Some(entry) = entries.get(self.turn_of.get()) {
             if let Some(after) = entries.get(self.turn_of.get() + 1)
                 && after.only_if.is_none()
@@ -386,53 +426,62 @@ impl<E: Event> Hub<E> {
                 after.listener.call_up();
             }
             let progress = self.offer(entry, batch);
-            if progress != Progress::Done {
+            if progress != HubProgress::Done {
                 return progress;
             }
             self.shared.begun.store(0, Relaxed);
             self.turn_of.set(self.turn_of.get() + 1);
         }
-        Progress::Done
+        HubProgress::Done
     }
 
     /// Gives an entry the events that it wants, from the next one on.
     #[inline]
-    fn offer(&self, entry: &ListenerEntry<E>, batch: &Batch<E>) -> Progress {
-        let HubQueue { begun, reached, gone, .. } = &*self.shared;
+    fn offer(&self, entry: &ListenerEntry<E>, batch: &Batch<E>) -> HubProgress {
+        let HubQueue { reached, gone, .. } = &*self.shared;
         if gone.load(Relaxed) != self.gone.get() && !entry.is_present() {
-            return Progress::Done;
+            return HubProgress::Done;
         }
         if batch.only.is_some_and(|only| only != entry.number) {
-            return Progress::Done;
+            return HubProgress::Done;
         }
         reached.store(entry.number, Relaxed);
-        if entry.only_if.is_some() || entry.place.get().is_none() {
-            entry.place.set(entry.listener.place());
+        entry.listener.take(self, entry, batch)
+    }
+
+    /// The next event for the entry that has its turn.
+    #[inline]
+    pub(super) fn next<'a>(&self, batch: &'a Batch<E>) -> Option<&'a Posted<E>> {
+        let begun = &self.shared.begun;
+        let posted = batch.events.get(begun.load(Relaxed))?;
+        step(begun);
+        Some(posted)
+    }
+
+    /// Whether the entry gets this event here.
+    #[inline]
+    pub(super) fn is_for(
+        &self,
+        entry: &ListenerEntry<E>,
+        batch: &Batch<E>,
+        posted: &Posted<E>,
+    ) -> bool {
+        // It gets the earlier ones from the hub that it left.
+        (posted.number >= entry.since || batch.only.is_some())
+            && entry.only_if.as_ref().is_none_or(|wanted| self.is_wanted(entry, wanted, posted))
+    }
+
+    /// Whether the entry that has its turn may go on.
+    #[inline]
+    pub(super) fn progress(&self) -> HubProgress {
+        if self.heartbeat.is_fenced() {
+            // The handler that kept the thread has returned.
+            self.heartbeat.lift();
+            if self.heartbeat.is_lost() {
+                return HubProgress::Lost;
+            }
         }
-        self.pulse.run(entry.place.get().map(|place| place.index));
-        while let Some(posted) = batch.events.get(begun.load(Relaxed)) {
-            step(begun);
-            // It gets the earlier ones from the hub that it left.
-            if posted.number < entry.since && batch.only.is_none() {
-                continue;
-            }
-            if entry.only_if.as_ref().is_none_or(|wanted| self.is_wanted(entry, wanted, posted)) {
-                let event = posted.event.clone();
-                entry.place.set(entry.listener.take(event, posted.at, &self.pulse, entry));
-            }
-            if self.pulse.is_fenced() {
-                // The handler that kept the thread has returned.
-                self.pulse.lift();
-                if self.pulse.is_lost() {
-                    return Progress::Lost;
-                }
-            }
-            if !self.budget.lasts() {
-                entry.listener.overdraw();
-                return Progress::Slow;
-            }
-        }
-        Progress::Done
+        if self.budget.lasts() { HubProgress::Done } else { HubProgress::Slow }
     }
 
     /// Asks the listener's condition, which is the component's code as its handlers are.
@@ -442,11 +491,11 @@ impl<E: Event> Hub<E> {
         wanted: &EventFilter<E>,
         posted: &Posted<E>,
     ) -> bool {
-        let stamp = entry.place.get().map(|place| place.stamp);
-        let beside = stamp.is_some_and(|stamp| stamp.is_busy());
-        match stamp {
-            Some(stamp) if beside => stamp.run_condition(true),
-            Some(stamp) => stamp.begin(self.condition),
+        let activity = entry.activity_slot.get().map(|activity_slot| activity_slot.activity);
+        let beside = activity.is_some_and(|activity| activity.is_busy());
+        match activity {
+            Some(activity) if beside => activity.run_condition(true),
+            Some(activity) => activity.begin(self.condition),
             None => {}
         }
         self.runs.set(Runs::Condition { beside });
@@ -459,25 +508,29 @@ impl<E: Event> Hub<E> {
     fn condition_ends(&self, entry: &ListenerEntry<E>, beside: bool) {
         self.shared.undecided.store(false, Relaxed);
         self.runs.set(Runs::Other);
-        match entry.place.get().map(|place| place.stamp) {
-            Some(stamp) if beside => stamp.run_condition(false),
-            Some(stamp) => stamp.step(),
+        match entry.activity_slot.get().map(|activity_slot| activity_slot.activity) {
+            Some(activity) if beside => activity.run_condition(false),
+            Some(activity) => activity.step(),
             None => {}
         }
     }
 
-    /// Something panicked. Where a condition does, the listener is dead, and the event goes on to
-    /// the next.
+    /// Something panicked. Where a condition or a handler does, the listener is dead, and the event
+    /// goes on to the next.
     #[cold]
     fn blame(&self, entry: &ListenerEntry<E>, payload: Box<dyn Any + Send>) {
-        let Runs::Condition { beside } = self.runs.get() else {
-            if let Some(topic) = self.topic.upgrade() {
-                topic.complain(payload);
+        match self.runs.replace(Runs::Other) {
+            Runs::Condition { beside } => {
+                self.condition_ends(entry, beside);
+                entry.listener.die_of_condition(payload);
             }
-            return;
-        };
-        self.condition_ends(entry, beside);
-        entry.listener.die(payload);
+            Runs::Handler => entry.listener.die_in_service(payload),
+            Runs::Other => {
+                if let Some(topic) = self.topic.upgrade() {
+                    topic.complain(payload);
+                }
+            }
+        }
     }
 
     /// All have got what is handed out. Says whether there may be more.

@@ -2,7 +2,8 @@
 //!
 //! A topic has a name and carries events of one contract. On each arbiter that has listeners a hub
 //! takes every event once and hands it to those listeners whose condition holds: an idle listener
-//! is called at once, under its own guard and stamp; a busy one gets the event into its queue.
+//! is called at once, under its own guard and activity record; a busy one gets the event into its
+//! queue.
 //!
 //! ```text
 //!  publisher ─┬─► hub of work-0 ─ condition ─┬─► idle listener: called

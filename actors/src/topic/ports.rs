@@ -71,7 +71,7 @@ impl<C: Component> Ports<C> {
     }
 }
 
-/// One subscription that is being declared.
+/// A subscription while it is declared.
 pub struct ListenPort<'a, C: Handle<E>, E: Event> {
     ports: &'a mut Ports<C>,
     topic: String,
@@ -142,9 +142,8 @@ impl<C: Component> Context<C> {
         }
     }
 
-    /// A way to publish on a topic with a name of its own. It belongs to this incarnation: what it
-    /// publishes after that has ended, on whichever thread, is refused as
-    /// [`DeliveryError::Fenced`].
+    /// Returns a publisher on the topic of this name. It belongs to this incarnation: after the
+    /// incarnation has ended, publishing fails on every thread with [`DeliveryError::Fenced`].
     ///
     /// # Errors
     /// [`DeliveryError::ContractDiffers`] if the topic carries another type under this contract's

@@ -8,7 +8,7 @@ use blastema_core::{Event, Instant};
 use std::fmt;
 use std::sync::Arc;
 
-/// A way to publish events on one topic.
+/// Publishes events on one topic.
 ///
 /// A publisher that a component got from its [`Context`](crate::Context) belongs to that
 /// incarnation of the component, also when it is moved to a thread or a blocking task: once the
@@ -62,7 +62,7 @@ impl<E: Event> Publisher<E> {
         self
     }
 
-    /// Hands the event to everyone who listens and wants it. Never waits.
+    /// Sends the event to every listener whose condition it meets. Never waits.
     ///
     /// # Errors
     /// [`DeliveryError::Fenced`](crate::DeliveryError::Fenced) if the component that publishes is
@@ -115,8 +115,8 @@ impl<E: Event> Publisher<E> {
         }
     }
 
-    /// How many listeners an event would reach now: those of this node, whatever their conditions
-    /// say, and one for each other node that has listeners.
+    /// Returns the number of listeners that an event would reach now: those of this node,
+    /// regardless of their conditions, and one for each other node that has listeners.
     pub fn matched(&self) -> usize {
         *self.topic.matched.borrow()
     }

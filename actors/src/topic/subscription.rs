@@ -1,7 +1,7 @@
 //! A component's subscription to one topic: at which hub it is served, and from which event on.
 
-use super::entry::{ListenerEntry, Resident};
-use super::hub::HubQueue;
+use super::entry::Resident;
+use super::hub::{HubQueue, ListenerEntry};
 use super::{EventFilter, Topic, lock};
 use crate::component::cell::ComponentCell;
 use crate::component::subscription::Subscription;
@@ -84,7 +84,7 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             present: self.present.clone(),
             number,
             since,
-            place: Cell::new(None),
+            activity_slot: Cell::new(None),
             listener: Box::new(Resident { cell: cell.clone(), executor: RefCell::default() }),
         });
         drop(newcomers);

@@ -14,7 +14,7 @@ const RATE_WINDOW: Duration = Duration::from_secs(1);
 /// Listeners of a node that starts, and of its neighbours, have joined by then.
 const JOINED_WITHIN: Duration = Duration::from_secs(5);
 
-/// One topic of a node, as its [picture](crate::Node::snapshot) shows it.
+/// One topic of a node, in its [snapshot](crate::Node::snapshot).
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct TopicRow {
@@ -34,7 +34,7 @@ pub struct TopicRow {
     pub events: u64,
     /// How many of them in a second, since the row was read last, or over a second at least.
     pub rate_hz: f64,
-    /// How many bytes one event takes when it is sent to another node, measured lately.
+    /// The encoded size of a recent event, in bytes.
     pub bytes: Option<usize>,
     /// If this topic is published on and has no listeners after 5 s: the topic of a similar name
     /// that has listeners and no publishers.

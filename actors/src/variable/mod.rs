@@ -48,7 +48,7 @@ impl<V: Variable> VariableSpec<V> {
         VariableSpec { default, policy: RestorePolicy::Restore, check }
     }
 
-    /// What becomes of the value when an incarnation of its owner ends.
+    /// Sets what happens to the value when an incarnation of its owner ends.
     #[must_use]
     pub fn after_restart(mut self, policy: RestorePolicy) -> Self {
         self.policy = policy;
@@ -90,7 +90,7 @@ pub struct Reading<V> {
     pub age: Duration,
 }
 
-/// What is to become of a variable that awaits a decision.
+/// The decision on a variable that awaits one.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RestoreDecision<V> {
     /// The value from before.
@@ -183,17 +183,16 @@ impl<V: Variable> VariableRef<V> {
         }
     }
 
-    /// Reads the value.
+    /// Returns the value.
     ///
-    /// # Errors
-    /// [`DeliveryError::NoVariable`] where the object has no such variable,
+    /// # Errors [`DeliveryError::NoVariable`] where the object has no such variable,
     /// [`DeliveryError::ContractDiffers`] where it is another one, [`DeliveryError::Undecided`]
-    /// while a decision is awaited; from other nodes, what any request may meet with.
+    /// while a decision is awaited; from other nodes, also the errors of any request.
     pub async fn read(&self) -> Result<Reading<V>, DeliveryError> {
         self.ask_for_value(VariableRequest::Read { variable: self.wanted() }, WATCH_WITHIN).await
     }
 
-    /// Writes a value, and says of which revision it is.
+    /// Writes a value. Returns its revision.
     ///
     /// # Errors
     /// As [`read`](Self::read), and [`DeliveryError::CheckFailed`] where the owner's check refuses
@@ -228,8 +227,8 @@ impl<V: Variable> VariableRef<V> {
         }
     }
 
-    /// Follows the variable: first its value as it stands, then every change. Of several changes in
-    /// one round trip the newest is told.
+    /// Follows the variable: first its present value, then every change. Of several changes in one
+    /// round trip only the newest is reported.
     pub fn watch(&self) -> VariableWatch<V> {
         VariableWatch { variable: self.clone(), seen: 0 }
     }
@@ -244,8 +243,8 @@ pub struct VariableWatch<V: Variable> {
 }
 
 impl<V: Variable> VariableWatch<V> {
-    /// Waits for the next change. A value that awaits a decision is told as such, with the value
-    /// from before.
+    /// Waits for the next change. A value that awaits a decision is reported as such, with the
+    /// previous value.
     ///
     /// # Errors
     /// As [`VariableRef::read`]; the watch goes on with the next call, and misses nothing that is
@@ -272,7 +271,7 @@ impl<V: Variable> VariableWatch<V> {
 #[must_use = "nothing is written before commit()"]
 pub struct Transaction {
     writes: Vec<WriteEntry>,
-    place: Option<(Sender<VariableRequest>, Option<NodeName>)>,
+    target: Option<(Sender<VariableRequest>, Option<NodeName>)>,
     wrong: Option<DeliveryError>,
 }
 
@@ -299,8 +298,8 @@ impl Transaction {
         if_revision: Option<u64>,
     ) -> Self {
         let node = &variable.node;
-        let place = self.place.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
-        if place.1 != *node {
+        let target = self.target.get_or_insert_with(|| (variable.sender.clone(), node.clone()));
+        if target.1 != *node {
             let reason = format!("{variable:?} is on another node: write there separately");
             self.wrong.get_or_insert(DeliveryError::CheckFailed { reason });
         }
@@ -315,17 +314,16 @@ impl Transaction {
         self
     }
 
-    /// Writes everything, and says of which revision it is.
+    /// Writes all values. Returns the new revision.
     ///
-    /// # Errors
-    /// The first thing that stands in the way, as for [`VariableRef::write_if`]; nothing is written
-    /// then. After [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is
-    /// not known whether everything or nothing was: read one of them.
+    /// # Errors The first error, as for [`VariableRef::write_if`]; no value is written then. After
+    /// [`DeliveryError::DeadlinePassed`], and where the node was lost meanwhile, it is not known
+    /// whether everything or nothing was: read one of them.
     pub async fn commit(self) -> Result<u64, DeliveryError> {
         if let Some(why) = self.wrong {
             return Err(why);
         }
-        let Some((sender, _)) = self.place else {
+        let Some((sender, _)) = self.target else {
             return Err(DeliveryError::CheckFailed { reason: "nothing is to be written".into() });
         };
         let asked =

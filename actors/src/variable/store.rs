@@ -29,7 +29,7 @@ type Check = Arc<dyn Fn(&[u8]) -> Result<(), DeliveryError> + Send + Sync>;
 /// Told of each new value.
 type Observer = Arc<dyn Fn(&[u8]) + Send + Sync>;
 /// A caller that waits, and its reply.
-type Told = (Responder<VariableRequest>, VariableReply);
+type PendingReply = (Responder<VariableRequest>, VariableReply);
 
 /// A variable as a component declares it, without its type.
 pub(crate) struct DeclaredVariable {
@@ -344,7 +344,7 @@ impl VariableStore {
         }
         let changed = change(&mut inner.machine);
         let observed = changed.as_ref().map(|_| inner.observed(&variables)).unwrap_or_default();
-        let told = match (changed, &inner.file) {
+        let replies = match (changed, &inner.file) {
             (Ok(revision), Some(file)) => {
                 let then: WriteDone = Box::new(move |kept| {
                     answer.give(match kept {
@@ -361,7 +361,7 @@ impl VariableStore {
         };
         self.answer(inner);
         observed.into_iter().for_each(|(observer, value)| observer(&value));
-        if let Some((answer, accessed)) = told {
+        if let Some((answer, accessed)) = replies {
             answer.give(accessed);
         }
     }
@@ -416,17 +416,17 @@ impl VariableStore {
 
     /// Tells the watchers what the machine wants them told, outside of the lock.
     fn answer(&self, mut inner: MutexGuard<'_, Inner>) {
-        let mut told: Vec<Told> = Vec::new();
+        let mut replies: Vec<PendingReply> = Vec::new();
         while let Some(WatchReport { watcher, result }) = inner.machine.poll_output() {
             if let Some(answer) = inner.waiting.remove(&watcher) {
                 let accessed = match result {
                     Ok(report) => VariableReply::from(report),
                     Err(why) => VariableReply::refused(&why),
                 };
-                told.push((answer, accessed));
+                replies.push((answer, accessed));
             }
         }
         drop(inner);
-        told.into_iter().for_each(|(answer, accessed)| answer.give(accessed));
+        replies.into_iter().for_each(|(answer, accessed)| answer.give(accessed));
     }
 }

@@ -232,11 +232,11 @@ impl TestNode {
     /// When it says nothing; the text shows what is watched.
     pub async fn row(&self, object: &str) -> MonitorRow {
         let table = self.node.table().await;
-        let is_it = |row: &&MonitorRow| is_at(&row.place, object);
+        let is_it = |row: &&MonitorRow| is_at(&row.location, object);
         let found = table.iter().find(is_it).cloned();
         found.unwrap_or_else(|| {
-            let places: Vec<String> = table.iter().map(|row| row.place.to_string()).collect();
-            panic!("{object} is not watched; these are: {}", places.join(", "))
+            let locations: Vec<String> = table.iter().map(|row| row.location.to_string()).collect();
+            panic!("{object} is not watched; these are: {}", locations.join(", "))
         })
     }
 
@@ -254,7 +254,7 @@ impl TestNode {
     /// The faults that were found in this object, as lines for a person.
     pub(crate) async fn faults_of(&self, object: &ObjectName) -> Option<String> {
         let mut record = self.node.faults().await;
-        record.entries.retain(|entry| is_at(&entry.fault.place, object.as_str()));
+        record.entries.retain(|entry| is_at(&entry.fault.location, object.as_str()));
         (!record.entries.is_empty()).then(|| describe(&record))
     }
 
@@ -281,7 +281,7 @@ impl TestNode {
         wanted: impl Fn(&FaultTransition) -> bool,
     ) -> FaultEvent {
         let wanted = |event: &FaultEvent| {
-            event.fault.kind == *kind && is_at(&event.fault.place, object) && wanted(&event.turn)
+            event.fault.kind == *kind && is_at(&event.fault.location, object) && wanted(&event.turn)
         };
         if let Some(at) = self.unread.iter().position(wanted) {
             return self.unread.remove(at);
@@ -308,12 +308,12 @@ impl TestNode {
     }
 }
 
-fn is_at(place: &FaultLocation, object: &str) -> bool {
-    match place {
+fn is_at(location: &FaultLocation, object: &str) -> bool {
+    match location {
         FaultLocation::Object(address) => {
             address.object.as_str() == object || address.to_string() == object
         }
-        FaultLocation::Link { .. } | FaultLocation::Node(_) => place.to_string() == object,
+        FaultLocation::Link { .. } | FaultLocation::Node(_) => location.to_string() == object,
     }
 }
 
@@ -321,12 +321,14 @@ fn is_at(place: &FaultLocation, object: &str) -> bool {
 fn describe(record: &FaultRecord) -> String {
     let mut lines = String::new();
     for entry in &record.entries {
-        let Fault { kind, place, incarnation, detail, count, .. } = &entry.fault;
+        let Fault { kind, location, incarnation, detail, count, .. } = &entry.fault;
         let ended = entry.status();
         let symptom = entry.fault.symptom_of.map_or("", |_| "  ");
         // Writing into a string does not fail.
-        let _ =
-            writeln!(lines, "{symptom}{kind} of {place}{incarnation} ×{count}: {detail} ({ended})");
+        let _ = writeln!(
+            lines,
+            "{symptom}{kind} of {location}{incarnation} ×{count}: {detail} ({ended})"
+        );
     }
     lines
 }

@@ -65,7 +65,7 @@ pub trait Child: Send {
     fn isolate(&mut self, isolated: bool);
 
     /// Leaves a decision with the child's guard, or withdraws it.
-    fn standing_order(&mut self, order: Option<RestartGrant>);
+    fn set_restart_grant(&mut self, order: Option<RestartGrant>);
 }
 
 /// What became of a supervisor's call.

@@ -92,7 +92,7 @@ pub struct AddLinks {
 #[rtype(result = "Vec<LinkRow>")]
 pub struct ReadLinks;
 
-/// One link, for people.
+/// One link, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkRow {
     /// The network's name in the configuration.

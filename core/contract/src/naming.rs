@@ -31,7 +31,7 @@ pub struct ReadNames;
 #[rtype(result = "BTreeMap<NodeName, Vec<String>>")]
 pub struct ReadDifferences;
 
-/// One node, for people.
+/// One node, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeRow {
     /// Which.

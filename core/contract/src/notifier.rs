@@ -27,7 +27,7 @@ pub struct FaultCleared {
     /// Which.
     pub id: FaultId,
     /// Where it was.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
 }
 
 /// Hands every fault to this recoverer too. Sent again for a known port, it replaces the recipients

@@ -13,7 +13,7 @@ pub struct Recover {
     pub fault: Fault,
 }
 
-/// From the keeper: whether recovery is possible in this node.
+/// From the controller: whether recovery is possible in this node.
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub enum SafeStateChanged {
@@ -35,5 +35,5 @@ pub struct CancelRecovery {
     /// The fault's number in its finder's record.
     pub id: FaultId,
     /// Where it was.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
 }

@@ -23,20 +23,20 @@ pub trait CreditPool: Send + Sync {
 ///
 /// actix mailboxes have no bound. A sender holds itself to the credit that it has taken.
 pub struct Credit {
-    lender: Arc<dyn CreditPool>,
+    pool: Arc<dyn CreditPool>,
     bytes: usize,
 }
 
 impl Credit {
     /// Room for so many bytes, that has been taken.
-    pub fn new(lender: Arc<dyn CreditPool>, bytes: usize) -> Self {
-        Credit { lender, bytes }
+    pub fn new(pool: Arc<dyn CreditPool>, bytes: usize) -> Self {
+        Credit { pool, bytes }
     }
 }
 
 impl Drop for Credit {
     fn drop(&mut self) {
-        self.lender.give_back(self.bytes);
+        self.pool.give_back(self.bytes);
     }
 }
 
@@ -141,7 +141,7 @@ pub enum SessionReported {
         load: SizeClass,
     },
     /// Sending may go on.
-    Room {
+    Ready {
         /// Whom.
         peer: NodeId,
         /// In which stream.
@@ -175,13 +175,13 @@ pub struct CloseSessions;
 #[rtype(result = "Vec<SessionRow>")]
 pub struct ReadSessions;
 
-/// One session, for people.
+/// One session, for display.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionRow {
     /// With whom.
     pub node: NodeName,
     /// How it stands.
-    pub standing: SessionStatus,
+    pub status: SessionStatus,
     /// Contracts that the two nodes do not mean alike: which, and what differs. Those found since
     /// the session began, sixteen at most.
     pub differences: Vec<String>,

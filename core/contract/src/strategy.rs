@@ -15,7 +15,7 @@ pub struct ExecuteAction(pub RecoveryOrder);
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]
 pub struct Reroute {
     /// What is not to be used any more.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
 }
 
 /// To the network: keep this node out everywhere, or let it in again.

@@ -75,7 +75,7 @@ pub struct IsolateChild {
     pub object: ObjectName,
     /// The incarnation that a fault struck: nothing is done if another one has followed it. `None`
     /// means the child, whichever incarnation it has.
-    pub struck: Option<Incarnation>,
+    pub faulty: Option<Incarnation>,
     /// Forbidden, or allowed.
     pub isolated: bool,
 }

@@ -308,7 +308,7 @@ pub struct Partition {
     pub peers: BTreeSet<MediumAddress>,
 }
 
-/// Mends everything: no cut, no partition and no impairment, in both directions.
+/// Restores everything: no cut, no partition and no impairment, in both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub struct Restore;

@@ -13,7 +13,7 @@ use std::time::Duration;
 /// So many frames may be under way from one end to another: more than any test should need.
 const UNDER_WAY: usize = 1 << 16;
 
-/// Connects [`MockTransport`]s; each way from one end to another can be made bad, cut and mended.
+/// Connects [`MockTransport`]s; each way from one end to another can be made bad, cut and restored.
 ///
 /// See the [crate](crate) for an example.
 #[derive(Clone)]
@@ -59,7 +59,7 @@ impl SimulatedNetwork {
         ends.way(other, one).medium.cut();
     }
 
-    /// Mends both ways between two ends.
+    /// Restores both ways between two ends.
     pub fn restore(&self, one: &str, other: &str) {
         let mut ends = self.ends();
         ends.way(one, other).medium.restore();

@@ -1,4 +1,4 @@
-//! Messages as bytes. This file alone knows the codec.
+//! The encoding of messages. Only this file depends on the codec.
 //!
 //! The format is bincode 2.0.1, standard configuration: little-endian, integers of variable length,
 //! fields and variants in their order without names. The receiver must know that the sender

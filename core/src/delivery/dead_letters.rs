@@ -32,7 +32,7 @@ pub enum DeadReason {
     Expired,
     /// No caller waited for the answer any more when its turn came.
     DeadlinePassed,
-    /// It had killed too many incarnations of the receiver.
+    /// The message had ended too many incarnations of the receiver.
     Quarantined,
     /// The receiver was isolated.
     Isolated,
@@ -40,11 +40,11 @@ pub enum DeadReason {
     ContractDiffers,
     /// There was no such object, or it took no such contract.
     Unknown,
-    /// It was larger than its contract, or the way to another node, allows.
+    /// The message was larger than its contract, or the path to another node, allows.
     TooLarge,
-    /// What came from another node was no message of its contract.
+    /// Bytes from another node did not decode as a message of the contract.
     Undecodable,
-    /// It could not be given to the object, for another reason.
+    /// The message could not be delivered, for another reason.
     Refused,
 }
 
@@ -110,12 +110,12 @@ impl From<&DeliveryError> for DeadReason {
     }
 }
 
-/// One message that was not delivered.
+/// A message that was not delivered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeadLetter {
     /// On which other node its receiver is; `None` for one of this node.
     pub node: Option<NodeName>,
-    /// To whom it went, or, for an event, the name of its topic.
+    /// The receiver, or, for an event, the name of its topic.
     pub object: ObjectName,
     /// The name of its contract.
     pub contract: Cow<'static, str>,
@@ -130,7 +130,7 @@ pub struct DeadLetter {
 pub struct DeadLetterCount {
     /// On which other node their receiver is; `None` for one of this node.
     pub node: Option<NodeName>,
-    /// To whom they went, or, for events, the name of their topic.
+    /// The receiver, or, for events, the name of their topic.
     pub object: ObjectName,
     /// The name of their contract.
     pub contract: Cow<'static, str>,
@@ -183,10 +183,10 @@ impl DeadLetters {
     pub fn handle_many(&mut self, letter: DeadLetter, many: u64) {
         let DeadLetter { node, object, contract, reason, .. } = letter.clone();
         let key = (node, object, contract, reason);
-        let room = self.counts.len() < self.limits.counts;
+        let has_capacity = self.counts.len() < self.limits.counts;
         match self.counts.get_mut(&key) {
             Some(count) => *count += many,
-            None if room => {
+            None if has_capacity => {
                 self.counts.insert(key, many);
             }
             None => self.beyond += many,

@@ -43,9 +43,9 @@ pub enum DeliveryError {
     /// The receiver is between two incarnations. Try again shortly.
     #[error("the receiver is restarting")]
     Restarting,
-    /// The receiver was stopped, or has ended for good. Where its whole node is in the safe state,
-    /// the fault list says so. Or the sender's own node ends, or has ended: it takes nothing for
-    /// other nodes any more.
+    /// The receiver was stopped, or has ended for good. If its whole node is in the safe state, the
+    /// fault list shows it. Or the sender's own node ends, or has ended, and accepts no message for
+    /// other nodes.
     #[error("the receiver is stopped")]
     Stopped,
     /// The answer did not come in time. Whether the request took effect is not known.
@@ -69,7 +69,7 @@ pub enum DeliveryError {
         /// How many incarnations it ended.
         kills: u32,
     },
-    /// The sender itself was given up and replaced; nothing it says gets out any more.
+    /// The sender's incarnation was abandoned and replaced; its messages are refused.
     #[error("the sender has been fenced off")]
     Fenced,
     /// The receiver, or its whole node, may neither send nor receive.
@@ -168,8 +168,8 @@ pub enum DeliveryError {
         /// What the file system said.
         reason: String,
     },
-    /// What was sent to the receiver's node came back from a node on the way, and no answer came by
-    /// any other.
+    /// A node on the path returned packets to the receiver's node, and no reply arrived by another
+    /// path.
     #[error("node {node} cannot be reached: what is sent there comes back, since {reason}")]
     Undelivered {
         /// The node that was to be reached.
@@ -319,19 +319,19 @@ fn of_what(bulk: &bool) -> &'static str {
     if *bulk { " of messages that are as large as this one" } else { "" }
 }
 
-/// What is known of a request that got no reply.
+/// Whether a request without a reply took effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// It did not take effect, and never will: it may be asked again.
+    /// The request did not take effect and never will: it may be sent again.
     NotTaken,
-    /// It may have taken effect, or be about to: ask again only what may be done twice.
+    /// The request may have taken effect, or still may: send it again only if it is idempotent.
     Unknown,
-    /// It took effect; only its reply is missing.
+    /// The request took effect; only its reply is missing.
     TookEffect,
 }
 
 impl DeliveryError {
-    /// What is known of a request that failed for this reason, and did not come back.
+    /// Returns whether a request that failed for this reason, and was not returned, took effect.
     pub fn outcome(&self) -> Outcome {
         match self {
             DeliveryError::Full

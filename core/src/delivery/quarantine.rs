@@ -13,7 +13,7 @@ use std::fmt;
 /// Which message it is, however often it is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct MessageId {
-    /// Who sent it first; unique in the robot.
+    /// The first sender; unique in the robot.
     pub sender: u64,
     /// Its number among that sender's messages.
     pub sequence: u64,

@@ -12,11 +12,11 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{what} is {found}, and should be {expected}")]
 pub struct CheckFailed {
-    /// What was checked, in the component's words.
+    /// The checked quantity, as named by the component.
     pub what: &'static str,
-    /// What it was.
+    /// The value found.
     pub found: String,
-    /// What it should have been.
+    /// The value expected.
     pub expected: String,
 }
 
@@ -152,7 +152,7 @@ impl Freshness {
     }
 }
 
-/// Something that must always hold between values, as its author says it.
+/// A condition that must always hold between values.
 ///
 /// ```
 /// use blastema_core::detection::Invariant;

@@ -64,7 +64,7 @@ impl Default for ConfirmedQueueLimits {
     }
 }
 
-/// What a [`ConfirmedQueue`] wants done.
+/// An output of a [`ConfirmedQueue`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ConfirmedQueueOutput<T> {
     /// Send it to the receiver.
@@ -74,7 +74,7 @@ pub enum ConfirmedQueueOutput<T> {
         /// The item.
         item: T,
     },
-    /// It will not be tried again: tell a person.
+    /// The item is not sent again: report it to a person.
     GivenUp {
         /// The item.
         item: T,
@@ -172,7 +172,7 @@ impl<T: Clone> ConfirmedQueue<T> {
     /// Sends what is under way again: for a body that has lost its open deliveries. The lost try
     /// counts, so that an item that kills its own sender is given up as well.
     #[must_use]
-    pub fn reborn(mut self, now: Instant) -> Self {
+    pub fn restarted(mut self, now: Instant) -> Self {
         self.outputs.clear();
         if let Some(flight) = &mut self.flight {
             flight.due = now;
@@ -323,16 +323,16 @@ mod tests {
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));
 
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for millis in [0, 100, 300, 600, 900] {
             handover.handle_timeout(at(millis));
-            told.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
+            reported.extend(drain(&mut handover).into_iter().map(|handed| (millis, handed)));
         }
 
         let a = |millis| (millis, ConfirmedQueueOutput::Deliver { number: 1, item: "a" });
         let lost = (900, ConfirmedQueueOutput::GivenUp { item: "a", tries: 4 });
         let b = (900, ConfirmedQueueOutput::Deliver { number: 2, item: "b" });
-        assert_eq!(told, [a(0), a(100), a(300), a(600), lost, b]);
+        assert_eq!(reported, [a(0), a(100), a(300), a(600), lost, b]);
         assert_eq!(handover.given_up(), 1);
     }
 
@@ -412,7 +412,7 @@ mod tests {
         handover.hand(0, "b", at(0));
         delivered(&mut handover);
 
-        let mut handover = handover.reborn(at(5));
+        let mut handover = handover.restarted(at(5));
 
         assert_eq!(delivered(&mut handover), [(1, "a")]);
         assert_eq!(handover.pending(), 2);

@@ -45,11 +45,11 @@ impl DependencyIndex {
         }
     }
 
-    /// Everything without which `place` cannot work, directly or through others; not itself, unless
-    /// it stands on a cycle.
-    pub(super) fn needs_of(&self, place: &FaultLocation) -> SortedSet<FaultLocation> {
+    /// Everything without which `location` cannot work, directly or through others; not itself,
+    /// unless it stands on a cycle.
+    pub(super) fn needs_of(&self, location: &FaultLocation) -> SortedSet<FaultLocation> {
         let mut found = SortedSet::new();
-        let mut open = vec![place.clone()];
+        let mut open = vec![location.clone()];
         while let Some(next) = open.pop() {
             for need in self.direct_needs(&next) {
                 if found.insert(need.clone()) {
@@ -60,8 +60,8 @@ impl DependencyIndex {
         found
     }
 
-    fn direct_needs(&self, place: &FaultLocation) -> Vec<FaultLocation> {
-        match place {
+    fn direct_needs(&self, location: &FaultLocation) -> Vec<FaultLocation> {
+        match location {
             FaultLocation::Object(address) if address.node == self.node => {
                 let needs = self.needs.get(&address.object);
                 needs
@@ -78,22 +78,23 @@ impl DependencyIndex {
         }
     }
 
-    /// The root of what a fault at `place` would be a symptom of: of everything needed that is
+    /// The root of what a fault at `location` would be a symptom of: of everything needed that is
     /// down, what was found first.
     pub(super) fn root_above(
         &self,
-        place: &FaultLocation,
-        chronicle: &FaultLog,
+        location: &FaultLocation,
+        fault_log: &FaultLog,
     ) -> Option<FaultId> {
-        let needs = self.needs_of(place);
-        let down = needs.iter().flat_map(|need| chronicle.standing_at(need)).filter(|f| is_down(f));
-        down.filter(|fault| fault.place != *place).map(|fault| chronicle.root(fault.id)).min()
+        let needs = self.needs_of(location);
+        let down =
+            needs.iter().flat_map(|need| fault_log.open_faults_at(need)).filter(|f| is_down(f));
+        down.filter(|fault| fault.location != *location).map(|fault| fault_log.root(fault.id)).min()
     }
 
-    /// Who here cannot work without `place`, directly or through others.
-    pub(super) fn users_of(&self, place: &FaultLocation) -> Dependents {
+    /// Who here cannot work without `location`, directly or through others.
+    pub(super) fn users_of(&self, location: &FaultLocation) -> Dependents {
         let (mut objects, mut open) = (SortedSet::new(), Vec::new());
-        match place {
+        match location {
             FaultLocation::Object(address) => open.extend(self.users.get(address)),
             FaultLocation::Node(node) => {
                 let there = |(address, _): &(&ObjectAddress, _)| address.node == *node;
@@ -109,7 +110,7 @@ impl DependencyIndex {
                 }
             }
         }
-        let node = match place {
+        let node = match location {
             FaultLocation::Node(node) => Some(node.clone()),
             FaultLocation::Object(_) | FaultLocation::Link { .. } => None,
         };
@@ -126,8 +127,8 @@ pub(super) struct Dependents {
 }
 
 impl Dependents {
-    pub(super) fn contain(&self, place: &FaultLocation) -> bool {
-        match place {
+    pub(super) fn contain(&self, location: &FaultLocation) -> bool {
+        match location {
             FaultLocation::Object(address) if address.node == self.here => {
                 self.objects.contains(&address.object)
             }
@@ -151,7 +152,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::LinkDown
         | FaultKind::NodeLost
         | FaultKind::NodeFaulty
-        | FaultKind::NodeAtRest
+        | FaultKind::NodeInSafeState
         | FaultKind::ServiceUnavailable
         | FaultKind::Unavailable
         | FaultKind::CrashLoop
@@ -235,11 +236,11 @@ mod tests {
                 let needs = needs.into_iter().map(parse).collect();
                 dependencies.declare(&here(names[object]).object, needs);
             }
-            let mut places: Vec<FaultLocation> = names[..6].iter().map(|n| FaultLocation::Object(here(n))).collect();
-            places.push(FaultLocation::Node(node("n")));
-            for user in &places[..6] {
+            let mut locations: Vec<FaultLocation> = names[..6].iter().map(|n| FaultLocation::Object(here(n))).collect();
+            locations.push(FaultLocation::Node(node("n")));
+            for user in &locations[..6] {
                 let needs = dependencies.needs_of(user);
-                for need in &places {
+                for need in &locations {
                     prop_assert_eq!(needs.contains(need), dependencies.users_of(need).contain(user));
                 }
             }

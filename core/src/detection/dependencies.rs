@@ -14,7 +14,7 @@ use crate::{NameError, NodeName, ObjectName};
 pub enum DependencyError {
     /// An object depends on what this node does not have.
     #[error(
-        "{name} depends on {needed:?}, which is no object of this node ({}): mend the name, or add it before",
+        "{name} depends on {needed:?}, which is no object of this node ({}): correct the name, or add it before",
         hint(nearest.as_deref(), known)
     )]
     Unknown {
@@ -28,7 +28,7 @@ pub enum DependencyError {
         /// are.
         known: (Vec<ObjectName>, usize),
     },
-    /// What an object depends on is no name.
+    /// A dependency of an object is not a valid name.
     #[error("what {name} depends on: {error}")]
     Name {
         /// The object.
@@ -214,10 +214,10 @@ mod tests {
         objects
     }
 
-    fn check(needs: &[(&str, &[&str])], told: &str) {
+    fn check(needs: &[(&str, &[&str])], reported: &str) {
         let text =
             objects(needs).check().map_or_else(|error| error.to_string(), |()| "fine".into());
-        assert!(text.contains(told), "{text}");
+        assert!(text.contains(reported), "{text}");
     }
 
     #[test]
@@ -243,8 +243,11 @@ mod tests {
 
     #[test]
     fn a_name_that_is_like_none_is_told_with_those_that_there_are() {
-        check(&[("lasr", &["laser"])], "no object of this node (which has no other): mend");
-        check(&[("laser", &[]), ("map", &[]), ("planner", &["b"])], "(which has laser, map): mend");
+        check(&[("lasr", &["laser"])], "no object of this node (which has no other): correct");
+        check(
+            &[("laser", &[]), ("map", &[]), ("planner", &["b"])],
+            "(which has laser, map): correct",
+        );
         let lamps: Vec<String> = (0..30).map(|n| format!("lamp/{n:02}")).collect();
         let lamps = lamps.iter().map(|lamp| (lamp.as_str(), &[][..]));
         let all: Vec<_> = lamps.chain([("planner", &["b"][..])]).collect();

@@ -44,7 +44,7 @@ pub struct Detector {
     isolated: SortedSet<ObjectName>,
     /// Who stands still behind which hang.
     behind: SortedMap<ObjectName, FaultId>,
-    chronicle: FaultLog,
+    fault_log: FaultLog,
     /// Faults that may turn out to be symptoms.
     explicable: SortedSet<FaultId>,
     /// Faults that the notifier knows of, and does not know to be over.
@@ -53,12 +53,12 @@ pub struct Detector {
     /// which were only told, and those whose next incarnation is on its way already.
     unhanded: SortedSet<FaultId>,
     reminders: DecisionTimeouts,
-    conduct: OffenceWindow,
+    offences: OffenceWindow,
     crash_loops: CrashLoops,
     /// The latest pause of this node, while links and nodes may suffer from it.
     pause: Option<Pause>,
     handover: ConfirmedQueue<FaultNotice>,
-    told: VecDeque<DetectorOutput>,
+    outputs: VecDeque<DetectorOutput>,
     last_number: u64,
     last_id: u64,
     stale: u64,
@@ -83,18 +83,16 @@ pub struct DetectorLimits {
     pub offences: u32,
     /// See `offences`.
     pub offences_period: Duration,
-    /// So many restarts of another node within `crash_loop_period` are a crash loop. More forgives
-    /// more.
+    /// This many restarts of another node within `crash_loop_period` are a crash loop.
     pub crash_loop_restarts: u32,
     /// See `crash_loop_restarts`. A node that stays up for as long has ended its crash loop. Longer
     /// finds slower loops, and keeps the fault for longer.
     pub crash_loop_period: Duration,
-    /// A pause of this node from this length on is a fault. A shorter one is a fault only if a link
-    /// or node suffers from it, up to this long after it. Shorter tells of each spell of an
-    /// overloaded computer.
+    /// A pause of this length is a fault. A shorter one is a fault only if a link or node suffers
+    /// from it, up to this long after it.
     pub pause: Duration,
-    /// After a pause that is a fault, links and other nodes have so long to be there again. What is
-    /// still down then is a fault of its own. Longer blames the pause for more.
+    /// The time for links and other nodes to return after a pause that is a fault. A link or node
+    /// that is still down then has a fault of its own.
     pub after_pause: Duration,
     /// The hand-over to the notifier.
     pub handover: ConfirmedQueueLimits,
@@ -105,14 +103,12 @@ impl Default for DetectorLimits {
         DetectorLimits {
             // A day with a fault every minute and a half.
             record: 1024,
-            // The slowest built-in watch (a link's, over wireless) finds its fault within two
-            // seconds.
+            // Links over wireless, the slowest, find a fault within two seconds.
             hindsight: Duration::from_secs(2),
             // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
             decision: Duration::from_secs(1),
             reminders: 3,
-            // A flood is told every three seconds; a process that dies five times in a minute will
-            // again.
+            // A flood is reported every three seconds; a fifth crash in a minute foretells a sixth.
             offences: 5,
             offences_period: Duration::from_secs(60),
             // An update and a second attempt restart a node twice; systemd itself ceases to start a
@@ -130,12 +126,12 @@ impl Default for DetectorLimits {
     }
 }
 
-/// What a [`Detector`] wants done.
+/// An output of a [`Detector`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum DetectorOutput {
     /// Hand this to the notifier, and bring its confirmation to [`Detector::handle_confirmed`].
     HandOver {
-        /// The number under which it is confirmed.
+        /// The number of its confirmation.
         number: u64,
         /// What the notifier must know.
         notice: FaultNotice,
@@ -147,7 +143,7 @@ pub enum DetectorOutput {
         /// How often it was sent.
         tries: u32,
     },
-    /// Tell everybody who has subscribed.
+    /// Report to all subscribers.
     Tell {
         /// The fault, as it now stands.
         fault: Fault,
@@ -175,21 +171,20 @@ impl Seen {
 
 /// Where and when something was seen.
 struct Scene {
-    place: FaultLocation,
+    location: FaultLocation,
     incarnation: Incarnation,
     at: Instant,
 }
 
 /// What a fault may be a symptom of.
 enum Cause {
-    /// It is its own cause, whatever else is down.
+    /// The fault is its own cause, whatever else is down.
     Itself,
     /// Whatever is down that it depends on.
     Above,
     /// This one.
     Known(FaultId),
-    /// This one, on the same thread. There is nothing to be done about it where it is found: it is
-    /// told, and handed over only if it is still there afterwards.
+    /// This one, on the same thread: reported, and handed over only if it is still open afterwards.
     Behind(FaultId),
 }
 
@@ -203,16 +198,16 @@ impl Detector {
             may_end: SortedSet::new(),
             isolated: SortedSet::new(),
             behind: SortedMap::new(),
-            chronicle: FaultLog::new(limits.record),
+            fault_log: FaultLog::new(limits.record),
             explicable: SortedSet::new(),
             handed: SortedSet::new(),
             unhanded: SortedSet::new(),
             reminders: DecisionTimeouts::default(),
-            conduct: OffenceWindow::new(limits.offences, limits.offences_period),
+            offences: OffenceWindow::new(limits.offences, limits.offences_period),
             crash_loops: CrashLoops::new(limits.crash_loop_restarts, limits.crash_loop_period),
             pause: None,
             handover: ConfirmedQueue::new(limits.handover, now.as_nanos()),
-            told: VecDeque::new(),
+            outputs: VecDeque::new(),
             last_number: 0,
             last_id: 0,
             stale: 0,
@@ -227,9 +222,9 @@ impl Detector {
             return;
         }
         self.last_number = number;
-        let Observation { place, incarnation, finding, seen_at } = observation;
-        let scene = Scene { place, incarnation, at: seen_at };
-        match scene.place.clone() {
+        let Observation { location, incarnation, finding, seen_at } = observation;
+        let scene = Scene { location, incarnation, at: seen_at };
+        match scene.location.clone() {
             FaultLocation::Object(address) => self.judge_object(&address.object, scene, finding),
             FaultLocation::Link { .. } => self.judge_link(scene, finding),
             FaultLocation::Node(_) => self.judge_node(scene, finding),
@@ -237,9 +232,9 @@ impl Detector {
         self.handover.handle_timeout(now);
     }
 
-    /// The recoverer tells what becomes of a fault.
+    /// The recoverer reports its progress with a fault.
     pub fn handle_outcome(&mut self, id: FaultId, at: Instant, outcome: RecoveryOutcome) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         if !entry.stands() || entry.recovered_at.is_some() {
             return;
         }
@@ -250,7 +245,7 @@ impl Detector {
             RecoveryOutcome::Failed { measure: action, reason } => {
                 let turn = FaultTransition::Failed { action, reason };
                 let fault = entry.fault.clone();
-                self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+                self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
             }
             RecoveryOutcome::Recovered => {
                 self.handed.remove(&id);
@@ -261,8 +256,8 @@ impl Detector {
         }
     }
 
-    /// The node was told to stop: that its components end from now on repairs nothing. What stands,
-    /// stands at its end.
+    /// The node stops: the end of a component repairs nothing from now on. Open faults stay open at
+    /// the node's end.
     pub fn handle_node_end(&mut self) {
         self.ending = true;
     }
@@ -279,7 +274,7 @@ impl Detector {
 
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
-        self.chronicle.read()
+        self.fault_log.read()
     }
 
     /// Where an object stands in its incarnation, as the detector has followed it.
@@ -292,24 +287,23 @@ impl Detector {
         self.stale
     }
 
-    /// A detector that knows the same plain facts, for a body that was struck in the middle of an
-    /// input.
+    /// The detector with the same facts, for an actor that panicked within an input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
-        Detector { handover: self.handover.reborn(now), ..self }
+    pub fn restarted(self, now: Instant) -> Self {
+        Detector { handover: self.handover.restarted(now), ..self }
     }
 
     /// A fault was seen: it is counted if it stands already, else recorded and handed over.
     fn find(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         let is_behind = matches!(cause, Cause::Behind(_));
-        let known = self.chronicle.standing(&scene.place, &kind);
-        let incarnation = known.and_then(|id| Some(self.chronicle.entry(id)?.fault.incarnation));
+        let known = self.fault_log.open_fault(&scene.location, &kind);
+        let incarnation = known.and_then(|id| Some(self.fault_log.entry(id)?.fault.incarnation));
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = match known {
             Some(id) if is_behind || !self.unhanded.remove(&id) => {
                 if self.handed.contains(&id) && incarnation < Some(scene.incarnation) {
                     // What was done about it has not helped.
-                    let fault = self.chronicle.entry(id).expect("it stands").fault.clone();
+                    let fault = self.fault_log.entry(id).expect("it stands").fault.clone();
                     let due = scene.at + self.limits.decision;
                     self.reminders.set(id, DecisionTimeout { due, sent: 0 });
                     self.hand_over(FaultNotice::Found(fault), scene.at);
@@ -330,7 +324,7 @@ impl Detector {
         let due = scene.at + self.limits.decision;
         self.reminders.set(id, DecisionTimeout { due, sent: 0 });
         self.handed.insert(id);
-        let fault = self.chronicle.entry(id).expect("it was just recorded").fault.clone();
+        let fault = self.fault_log.entry(id).expect("it was just recorded").fault.clone();
         self.hand_over(FaultNotice::Found(fault), scene.at);
         self.explain_by(id, scene.at);
         id
@@ -339,7 +333,7 @@ impl Detector {
     /// Counts a fault once more, in its newest words; no, if what stands was given up in another
     /// incarnation.
     fn repeat(&mut self, id: FaultId, scene: &Scene, detail: &str) -> bool {
-        let Some(entry) = self.chronicle.entry_mut(id) else { return false };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return false };
         let another = scene.incarnation != entry.fault.incarnation;
         if another && entry.given_up.is_some() {
             return false;
@@ -353,7 +347,7 @@ impl Detector {
             let fault = entry.fault.clone();
             let tell =
                 DetectorOutput::Tell { fault, at: scene.at, turn: FaultTransition::Repeated };
-            self.told.push_back(tell);
+            self.outputs.push_back(tell);
         }
         true
     }
@@ -366,30 +360,30 @@ impl Detector {
         let id = FaultId(self.last_id);
         let symptom_of = match cause {
             Cause::Itself => None,
-            Cause::Known(cause) | Cause::Behind(cause) => Some(self.chronicle.root(cause)),
+            Cause::Known(cause) | Cause::Behind(cause) => Some(self.fault_log.root(cause)),
             Cause::Above => {
                 self.explicable.insert(id);
-                self.needs.root_above(&scene.place, &self.chronicle)
+                self.needs.root_above(&scene.location, &self.fault_log)
             }
         };
         let fault = Fault {
             id,
             severity: kind.severity(),
             kind,
-            place: scene.place.clone(),
+            location: scene.location.clone(),
             incarnation: scene.incarnation,
             detail,
             found_at: scene.at,
             symptom_of,
             count: 1,
         };
-        if let Some(dropped) = self.chronicle.open(fault.clone()) {
+        if let Some(dropped) = self.fault_log.open(fault.clone()) {
             self.explicable.remove(&dropped);
             self.handed.remove(&dropped);
             self.unhanded.remove(&dropped);
             self.reminders.cancel(dropped);
         }
-        self.told.push_back(DetectorOutput::Tell {
+        self.outputs.push_back(DetectorOutput::Tell {
             fault,
             at: scene.at,
             turn: FaultTransition::Found,
@@ -400,28 +394,28 @@ impl Detector {
     /// A root was found: what was found shortly before, and is explained by it, becomes its
     /// symptom.
     fn explain_by(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         if !is_down(&entry.fault) {
             return;
         }
-        let place = entry.fault.place.clone();
-        let root = self.chronicle.root(id);
+        let location = entry.fault.location.clone();
+        let root = self.fault_log.root(id);
         let since = at - (Instant::ORIGIN + self.limits.hindsight);
-        let is_behind = |fault: &Fault| match &fault.place {
+        let is_behind = |fault: &Fault| match &fault.location {
             FaultLocation::Object(address) => self.behind.get(&address.object) == Some(&id),
             _ => false,
         };
-        let users = self.needs.users_of(&place);
+        let users = self.needs.users_of(&location);
         let explained: Vec<FaultId> = self
-            .chronicle
-            .all_standing()
+            .fault_log
+            .all_open()
             .filter(|fault| {
                 fault.symptom_of.is_none()
                     && fault.id != root
                     && fault.id != id
                     && fault.found_at - Instant::ORIGIN >= since
                     && self.explicable.contains(&fault.id)
-                    && (is_behind(fault) || users.contain(&fault.place))
+                    && (is_behind(fault) || users.contain(&fault.location))
             })
             .map(|fault| fault.id)
             .collect();
@@ -431,19 +425,19 @@ impl Detector {
     /// It has turned out what these are symptoms of, or that they are roots.
     fn explain(&mut self, faults: &[FaultId], root: Option<FaultId>, at: Instant) {
         for id in faults {
-            let Some(entry) = self.chronicle.entry_mut(*id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(*id) else { continue };
             if entry.fault.symptom_of == root {
                 continue;
             }
             entry.fault.symptom_of = root;
             let (fault, turn) = (entry.fault.clone(), FaultTransition::Explained);
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
     /// The cause of the fault of this kind at this place, if there is one, is away.
     fn end_kind(&mut self, scene: &Scene, kind: &FaultKind) {
-        if let Some(id) = self.chronicle.standing(&scene.place, kind) {
+        if let Some(id) = self.fault_log.open_fault(&scene.location, kind) {
             self.repair(id, scene.at);
             self.withdraw(id, scene.at);
         }
@@ -451,8 +445,8 @@ impl Detector {
 
     /// These faults of the place that match; their causes are away, and service is restored if so.
     fn end_all_at(&mut self, scene: &Scene, is_over: impl Fn(&Fault) -> bool, restored: bool) {
-        let standing = self.chronicle.standing_at(&scene.place);
-        let over: Vec<FaultId> = standing.filter(|f| is_over(f)).map(|fault| fault.id).collect();
+        let open_fault = self.fault_log.open_faults_at(&scene.location);
+        let over: Vec<FaultId> = open_fault.filter(|f| is_over(f)).map(|fault| fault.id).collect();
         for id in over {
             if restored {
                 self.recover(id, scene.at);
@@ -464,18 +458,18 @@ impl Detector {
 
     /// A fault is over, and those who were told of it do not know yet.
     fn withdraw(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
-        let place = entry.fault.place.clone();
+        let Some(entry) = self.fault_log.entry(id) else { return };
+        let location = entry.fault.location.clone();
         let waits = |notice: &FaultNotice| notice.id() == id;
         if self.handed.remove(&id) && self.handover.withdraw(waits).is_none() {
-            self.hand_over(FaultNotice::Cleared { id, place }, at);
+            self.hand_over(FaultNotice::Cleared { id, location }, at);
         }
     }
 
     /// Service is restored. Of an object that is the repair as well.
     fn recover(&mut self, id: FaultId, at: Instant) {
         self.reminders.cancel(id);
-        let Some(entry) = self.chronicle.entry_mut(id) else { return };
+        let Some(entry) = self.fault_log.entry_mut(id) else { return };
         if entry.recovered_at.is_some() || !entry.stands() {
             return;
         }
@@ -484,9 +478,13 @@ impl Detector {
         if fault.is_repaired_by_recovery() {
             self.explicable.remove(&id);
             self.unhanded.remove(&id);
-            self.chronicle.repair(id, at);
+            self.fault_log.repair(id, at);
         }
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Recovered });
+        self.outputs.push_back(DetectorOutput::Tell {
+            fault,
+            at,
+            turn: FaultTransition::Recovered,
+        });
     }
 
     /// The cause is away.
@@ -494,20 +492,20 @@ impl Detector {
         self.reminders.cancel(id);
         self.explicable.remove(&id);
         self.unhanded.remove(&id);
-        let Some(entry) = self.chronicle.entry(id).filter(|entry| entry.stands()) else { return };
+        let Some(entry) = self.fault_log.entry(id).filter(|entry| entry.stands()) else { return };
         let fault = entry.fault.clone();
-        self.chronicle.repair(id, at);
-        self.told.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
+        self.fault_log.repair(id, at);
+        self.outputs.push_back(DetectorOutput::Tell { fault, at, turn: FaultTransition::Cleared });
     }
 
     /// What is done about a fault.
     fn decide(&mut self, id: FaultId, at: Instant, measure: String) {
         for id in self.sharing_the_outcome_of(id) {
-            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.decided = Some((at, measure.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::Decided { action: measure.clone() };
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -516,11 +514,11 @@ impl Detector {
         for id in self.sharing_the_outcome_of(id) {
             self.reminders.cancel(id);
             self.unhanded.remove(&id);
-            let Some(entry) = self.chronicle.entry_mut(id) else { continue };
+            let Some(entry) = self.fault_log.entry_mut(id) else { continue };
             entry.given_up = Some((at, reason.clone()));
             let fault = entry.fault.clone();
             let turn = FaultTransition::GaveUp { reason: reason.clone() };
-            self.told.push_back(DetectorOutput::Tell { fault, at, turn });
+            self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }
 
@@ -534,7 +532,7 @@ impl Detector {
         if self.unhanded.contains(&id) {
             return self.end_unhanded(id, now);
         }
-        let Some(entry) = self.chronicle.entry(id) else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
         let fault = entry.fault.clone();
         let notice = FaultNotice::Found(fault.clone());
         let progress = self.reminders.progress_towards(notice.rank(), id);
@@ -544,7 +542,7 @@ impl Detector {
         }
         let next = DecisionTimeout { due: now + self.limits.decision, ..reminder };
         let in_hand = |root| {
-            let root = self.chronicle.entry(root);
+            let root = self.fault_log.entry(root);
             root.is_some_and(|root| root.stands() && root.recovered_at.is_none())
         };
         if fault.symptom_of.is_some_and(in_hand) {
@@ -563,8 +561,8 @@ impl Machine for Detector {
     type Output = DetectorOutput;
 
     fn poll_output(&mut self) -> Option<DetectorOutput> {
-        if let Some(told) = self.told.pop_front() {
-            return Some(told);
+        if let Some(outputs) = self.outputs.pop_front() {
+            return Some(outputs);
         }
         self.handover.poll_output().map(|handed| match handed {
             ConfirmedQueueOutput::Deliver { number, item } => {

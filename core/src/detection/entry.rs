@@ -42,17 +42,17 @@ struct Remarks {
 pub(super) enum NoteCause {
     /// The incarnation ended.
     End,
-    /// It is in an error state.
+    /// The component is in an error state.
     State,
-    /// It declared this fault.
+    /// The object declared this fault.
     Declared(FaultKind),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LastExit {
-    /// It reached `Finalized`; its guard has not yet said how it ended.
+    /// The component reached `Finalized`; its guard has not reported the end yet.
     Finalized,
-    /// Its guard saw it end as it was told.
+    /// Its guard reported an ordered stop.
     Stopped,
     /// Its guard saw it die.
     Died,
@@ -127,7 +127,7 @@ impl MonitoredObject {
     fn opinion(&self) -> Opinion {
         match self.end {
             Some(LastExit::Died) => Opinion::Failed,
-            Some(LastExit::Stopped | LastExit::Finalized) => Opinion::AtRest,
+            Some(LastExit::Stopped | LastExit::Finalized) => Opinion::Stopped,
             None if self.silent || self.current().is_some() => Opinion::Failed,
             None if self.suspect => Opinion::Suspect,
             None if self.last_sign.is_none() => Opinion::Unheard,
@@ -136,7 +136,7 @@ impl MonitoredObject {
     }
 
     /// The row of the table, but for what only the watchdog and the ping monitor know.
-    pub(super) fn row(&self, place: FaultLocation, now: Instant) -> MonitorRow {
+    pub(super) fn row(&self, location: FaultLocation, now: Instant) -> MonitorRow {
         MonitorRow {
             incarnation: self.incarnation,
             state: self.state,
@@ -150,7 +150,7 @@ impl MonitoredObject {
                 .map(|(during, since)| CurrentHandler { during, age: now - since }),
             isolated: self.isolated,
             note: self.remarks.as_ref().and_then(|remarks| Some(remarks.notes.last()?.1.clone())),
-            ..MonitorRow::blank(place, self.kind)
+            ..MonitorRow::blank(location, self.kind)
         }
     }
 }

@@ -34,21 +34,21 @@ impl FaultLog {
     /// Takes a fault that was found, and latches it. Answers which one had to make room for it.
     pub fn open(&mut self, fault: Fault) -> Option<FaultId> {
         let full = self.entries.len() >= self.capacity;
-        let dropped = if full { self.make_room() } else { None };
-        let (scope, kind, id) = (scope(&fault.place), fault.kind.clone(), fault.id);
+        let dropped = if full { self.drop_oldest() } else { None };
+        let (scope, kind, id) = (scope(&fault.location), fault.kind.clone(), fault.id);
         self.latches.insert((scope, kind), id);
         self.entries.insert(id, FaultEntry::new(fault));
         dropped
     }
 
     /// The fault of this kind that stands at this place.
-    pub fn standing(&self, place: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
-        self.latches.get(&(scope(place), kind.clone())).copied()
+    pub fn open_fault(&self, location: &FaultLocation, kind: &FaultKind) -> Option<FaultId> {
+        self.latches.get(&(scope(location), kind.clone())).copied()
     }
 
     /// Every fault that stands at this place, in the order of their kinds.
-    pub fn standing_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        let scope = scope(place);
+    pub fn open_faults_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
+        let scope = scope(location);
         // The first kind of the list: all latches of the place follow.
         let first = (scope.clone(), FaultKind::Panic);
         self.latches
@@ -58,14 +58,14 @@ impl FaultLog {
     }
 
     /// Every fault that stands.
-    pub fn all_standing(&self) -> impl Iterator<Item = &Fault> {
+    pub fn all_open(&self) -> impl Iterator<Item = &Fault> {
         self.latches.values().filter_map(|id| Some(&self.entries.get(id)?.fault))
     }
 
     /// Whether this fault still stands, given up or not.
     pub fn stands(&self, id: FaultId) -> bool {
         self.entries.get(&id).is_some_and(|entry| {
-            self.latches.get(&(scope(&entry.fault.place), entry.fault.kind.clone())) == Some(&id)
+            self.latches.get(&(scope(&entry.fault.location), entry.fault.kind.clone())) == Some(&id)
         })
     }
 
@@ -83,7 +83,7 @@ impl FaultLog {
     pub(super) fn repair(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         entry.repaired_at = Some(at);
-        let latch = (scope(&entry.fault.place), entry.fault.kind.clone());
+        let latch = (scope(&entry.fault.location), entry.fault.kind.clone());
         if self.latches.get(&latch) == Some(&id) {
             self.latches.remove(&latch);
         }
@@ -111,7 +111,7 @@ impl FaultLog {
         FaultRecord { entries, dropped: self.dropped }
     }
 
-    fn make_room(&mut self) -> Option<FaultId> {
+    fn drop_oldest(&mut self) -> Option<FaultId> {
         let over = |entry: &&FaultEntry| !entry.stands();
         let oldest = self.entries.values().find(over).or(self.entries.values().next());
         let id = oldest?.fault.id;
@@ -123,8 +123,8 @@ impl FaultLog {
 }
 
 /// A place as latches know it: a link is the same whether or not its neighbour is known yet.
-fn scope(place: &FaultLocation) -> FaultLocation {
-    match place.clone() {
+fn scope(location: &FaultLocation) -> FaultLocation {
+    match location.clone() {
         FaultLocation::Link { node, link, .. } => {
             FaultLocation::Link { node, link, neighbour: None }
         }
@@ -150,12 +150,12 @@ mod tests {
         }
     }
 
-    fn fault(id: u64, place: FaultLocation, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
+    fn fault(id: u64, location: FaultLocation, kind: FaultKind, symptom_of: Option<u64>) -> Fault {
         Fault {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
-            place,
+            location,
             incarnation: Incarnation::FIRST,
             detail: String::new(),
             found_at: Instant::from_millis(id),
@@ -170,73 +170,76 @@ mod tests {
 
     #[test]
     fn a_link_is_the_same_place_before_and_after_its_neighbour_is_known() {
-        let mut chronicle = FaultLog::new(8);
+        let mut fault_log = FaultLog::new(8);
 
-        chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
+        fault_log.open(fault(1, cable(None), FaultKind::LinkDown, None));
 
-        let found = chronicle.standing(&cable(Some("b")), &FaultKind::LinkDown);
+        let found = fault_log.open_fault(&cable(Some("b")), &FaultKind::LinkDown);
         assert_eq!(found, Some(FaultId(1)));
-        assert_eq!(chronicle.standing_at(&cable(Some("b"))).count(), 1);
+        assert_eq!(fault_log.open_faults_at(&cable(Some("b"))).count(), 1);
     }
 
     #[test]
     fn a_fault_stands_until_its_cause_is_away_though_its_service_is_restored_or_it_is_given_up() {
-        let mut chronicle = FaultLog::new(8);
-        chronicle.open(fault(1, cable(None), FaultKind::LinkDown, None));
-        let status = |chronicle: &FaultLog| chronicle.entry(FaultId(1)).map(FaultEntry::status);
-        assert_eq!(status(&chronicle), Some(FaultStatus::Open));
+        let mut fault_log = FaultLog::new(8);
+        fault_log.open(fault(1, cable(None), FaultKind::LinkDown, None));
+        let status = |fault_log: &FaultLog| fault_log.entry(FaultId(1)).map(FaultEntry::status);
+        assert_eq!(status(&fault_log), Some(FaultStatus::Open));
 
-        let entry = chronicle.entry_mut(FaultId(1)).expect("it is recorded");
+        let entry = fault_log.entry_mut(FaultId(1)).expect("it is recorded");
         entry.given_up = Some((Instant::from_millis(5), "no path".into()));
-        assert!(chronicle.stands(FaultId(1)));
-        assert_eq!(status(&chronicle), Some(FaultStatus::GivenUp));
+        assert!(fault_log.stands(FaultId(1)));
+        assert_eq!(status(&fault_log), Some(FaultStatus::GivenUp));
 
-        let entry = chronicle.entry_mut(FaultId(1)).expect("it is recorded");
+        let entry = fault_log.entry_mut(FaultId(1)).expect("it is recorded");
         entry.recovered_at = Some(Instant::from_millis(7));
-        assert!(chronicle.stands(FaultId(1)));
-        assert_eq!(status(&chronicle), Some(FaultStatus::Recovered));
+        assert!(fault_log.stands(FaultId(1)));
+        assert_eq!(status(&fault_log), Some(FaultStatus::Recovered));
 
-        chronicle.repair(FaultId(1), Instant::from_millis(9));
-        assert!(!chronicle.stands(FaultId(1)));
-        assert_eq!(status(&chronicle), Some(FaultStatus::Closed));
-        assert_eq!(chronicle.all_standing().count(), 0);
+        fault_log.repair(FaultId(1), Instant::from_millis(9));
+        assert!(!fault_log.stands(FaultId(1)));
+        assert_eq!(status(&fault_log), Some(FaultStatus::Closed));
+        assert_eq!(fault_log.all_open().count(), 0);
     }
 
     #[test]
     fn each_root_is_read_before_its_symptoms_and_symptoms_follow_their_root() {
-        let mut chronicle = FaultLog::new(8);
-        let place = |name| FaultLocation::Node(node(name));
-        chronicle.open(fault(1, place("symptom"), FaultKind::Silence, Some(3)));
-        chronicle.open(fault(2, place("other"), FaultKind::Silence, None));
-        chronicle.open(fault(3, place("root"), FaultKind::Panic, None));
-        chronicle.open(fault(4, place("deeper"), FaultKind::Silence, Some(1)));
+        let mut fault_log = FaultLog::new(8);
+        let location = |name| FaultLocation::Node(node(name));
+        fault_log.open(fault(1, location("symptom"), FaultKind::Silence, Some(3)));
+        fault_log.open(fault(2, location("other"), FaultKind::Silence, None));
+        fault_log.open(fault(3, location("root"), FaultKind::Panic, None));
+        fault_log.open(fault(4, location("deeper"), FaultKind::Silence, Some(1)));
 
-        assert_eq!(ids(&chronicle.read()), [2, 3, 1, 4]);
-        assert_eq!(chronicle.root(FaultId(4)), FaultId(3));
+        assert_eq!(ids(&fault_log.read()), [2, 3, 1, 4]);
+        assert_eq!(fault_log.root(FaultId(4)), FaultId(3));
     }
 
     #[test]
     fn symptoms_that_name_each_other_end_the_search_for_their_root() {
-        let mut chronicle = FaultLog::new(8);
-        chronicle.open(fault(1, cable(None), FaultKind::Silence, Some(2)));
-        chronicle.open(fault(2, cable(None), FaultKind::Hang, Some(1)));
+        let mut fault_log = FaultLog::new(8);
+        fault_log.open(fault(1, cable(None), FaultKind::Silence, Some(2)));
+        fault_log.open(fault(2, cable(None), FaultKind::Hang, Some(1)));
 
-        assert_eq!(chronicle.read().entries.len(), 2);
+        assert_eq!(fault_log.read().entries.len(), 2);
     }
 
     #[test]
     fn the_oldest_that_has_ended_makes_room_and_is_counted() {
-        let mut chronicle = FaultLog::new(2);
-        chronicle.open(fault(1, FaultLocation::Node(node("a")), FaultKind::NodeLost, None));
-        chronicle.open(fault(2, FaultLocation::Node(node("b")), FaultKind::NodeLost, None));
-        chronicle.repair(FaultId(2), Instant::from_millis(5));
+        let mut fault_log = FaultLog::new(2);
+        fault_log.open(fault(1, FaultLocation::Node(node("a")), FaultKind::NodeLost, None));
+        fault_log.open(fault(2, FaultLocation::Node(node("b")), FaultKind::NodeLost, None));
+        fault_log.repair(FaultId(2), Instant::from_millis(5));
 
-        chronicle.open(fault(3, FaultLocation::Node(node("c")), FaultKind::NodeLost, None));
-        assert_eq!(ids(&chronicle.read()), [1, 3]);
+        fault_log.open(fault(3, FaultLocation::Node(node("c")), FaultKind::NodeLost, None));
+        assert_eq!(ids(&fault_log.read()), [1, 3]);
 
-        chronicle.open(fault(4, FaultLocation::Node(node("d")), FaultKind::NodeLost, None));
-        assert_eq!(ids(&chronicle.read()), [3, 4]);
-        assert_eq!(chronicle.read().dropped, 2);
-        assert_eq!(chronicle.standing(&FaultLocation::Node(node("a")), &FaultKind::NodeLost), None);
+        fault_log.open(fault(4, FaultLocation::Node(node("d")), FaultKind::NodeLost, None));
+        assert_eq!(ids(&fault_log.read()), [3, 4]);
+        assert_eq!(fault_log.read().dropped, 2);
+        assert_eq!(
+            fault_log.open_fault(&FaultLocation::Node(node("a")), &FaultKind::NodeLost),
+            None
+        );
     }
 }

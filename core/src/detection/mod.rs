@@ -1,10 +1,10 @@
-//! The observing half of the fault chain: who lives, what is wrong, who is told.
+//! The observing half of the fault chain: liveness, faults, and their report to recoverers.
 //!
 //! ```text
-//! stamps ───► Scanner ──┐
-//! answers ──► Inquiry ──┤
-//! exits, states, links ─┴─ Monitor ══► Detector ══► Notifier ══► recoverers
-//!                           sees        judges       tells
+//! activity records ─► HangDetector ─┐
+//! ping replies ────► PingMonitor ───┤
+//! exits, states, links ─────────────┴─ Monitor ══► Detector ══► Notifier ══► recoverers
+//!                                      observes    decides      reports
 //! ```
 //! Components are judged by the [scanner](hang), from counters that cost no message. The
 //! middleware's own objects have none, and are asked.
@@ -22,8 +22,8 @@
 //! object's fault.
 //!
 //! **A body that panics.** A machine that was struck in the middle of an input may hold half of it.
-//! Each of the three therefore has `reborn`, which makes a new machine from the plain facts of the
-//! old one: what is enrolled, which incarnation it is in, what is recorded, and what is not yet
+//! Each of the three therefore has `restarted`, which makes a new machine from the plain facts of
+//! the old one: what is enrolled, which incarnation it is in, what is recorded, and what is not yet
 //! confirmed. What was concluded from the passing of time (opinions, open pings) starts again. The
 //! input that caused the panic is lost, and nothing else.
 

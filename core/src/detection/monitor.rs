@@ -16,7 +16,7 @@ use crate::{
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Keeps the table of everything that is watched, and hands what it sees to the detector.
+/// Keeps the table of all monitored objects, and reports its observations to the detector.
 ///
 /// It judges the silence of what it asks, and nothing else. What an older incarnation still says,
 /// or one that has ended, changes nothing and is counted. Whatever begins a new incarnation of an
@@ -66,7 +66,7 @@ impl Default for MonitorLimits {
     }
 }
 
-/// What a [`Monitor`] wants done.
+/// An output of a [`Monitor`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MonitorOutput {
     /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
@@ -278,8 +278,8 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// What an object had declared is over.
-    pub fn handle_mended(
+    /// A fault that an object had declared is over.
+    pub fn handle_declared_fault_cleared(
         &mut self,
         object: &ObjectName,
         incarnation: Incarnation,
@@ -291,7 +291,7 @@ impl Monitor {
             entry.last_sign = Some(now);
         }
         entry.erase(&NoteCause::Declared(kind.clone()));
-        self.observe_object(object, incarnation, Finding::Mended { kind }, now);
+        self.observe_object(object, incarnation, Finding::Cleared { kind }, now);
         self.settle(now);
     }
 
@@ -309,8 +309,8 @@ impl Monitor {
             return;
         }
         let news = self.around.handle_link(node, link, neighbour, condition, now);
-        if let Some(PeerChange { place, incarnation, finding }) = news {
-            self.observe(place, incarnation, finding, now);
+        if let Some(PeerChange { location, incarnation, finding }) = news {
+            self.observe(location, incarnation, finding, now);
         }
     }
 
@@ -328,8 +328,8 @@ impl Monitor {
             return;
         }
         match self.around.handle_node(node, incarnation, condition, now) {
-            Ok(Some(PeerChange { place, incarnation, finding })) => {
-                self.observe(place, incarnation, finding, now);
+            Ok(Some(PeerChange { location, incarnation, finding })) => {
+                self.observe(location, incarnation, finding, now);
             }
             Ok(None) => {}
             Err(_) => self.stale += 1,
@@ -375,7 +375,7 @@ impl Monitor {
         self.stale
     }
 
-    /// How many reports came from strangers for whom the table had no room.
+    /// Returns how many reports of unregistered objects were dropped because the table was full.
     pub fn refused(&self) -> u64 {
         self.refused
     }
@@ -383,10 +383,10 @@ impl Monitor {
     /// A monitor that knows the same plain facts, for a body that was struck in the middle of an
     /// input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
+    pub fn restarted(self, now: Instant) -> Self {
         let mut monitor = Monitor {
             pings: PingMonitor::new(),
-            handover: self.handover.reborn(now),
+            handover: self.handover.restarted(now),
             asks: VecDeque::new(),
             ..self
         };
@@ -469,7 +469,7 @@ impl Monitor {
 
     fn observe(
         &mut self,
-        place: FaultLocation,
+        location: FaultLocation,
         incarnation: Incarnation,
         finding: Finding,
         now: Instant,
@@ -478,7 +478,7 @@ impl Monitor {
             return;
         }
         // One rank for all: the detector is told things in the order in which they happened.
-        self.handover.hand(0, Observation { place, incarnation, finding, seen_at: now }, now);
+        self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
     }
 
     /// Acts on what the pings has found.
@@ -515,7 +515,7 @@ impl Monitor {
                     self.observe_object(&object, incarnation, Finding::Spoke, now);
                 }
             }
-            Opinion::Unheard | Opinion::AtRest => {}
+            Opinion::Unheard | Opinion::Stopped => {}
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Who is told about a fault: the ports to recoverers, here and on other nodes.
+//! The notification of recoverers about a fault, on this and on other nodes.
 
 use super::{ConfirmedQueue, ConfirmedQueueLimits, ConfirmedQueueOutput, FaultNotice};
 use crate::sorted::SortedMap;
@@ -51,7 +51,7 @@ impl Default for NotifierLimits {
     }
 }
 
-/// Whose recoverer is told.
+/// The recoverer that is notified.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum RecovererPort {
     /// This node's.
@@ -69,7 +69,7 @@ impl fmt::Display for RecovererPort {
     }
 }
 
-/// What a [`Notifier`] wants done.
+/// An output of a [`Notifier`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum NotifierOutput {
     /// Hand this to the recoverer behind this port, and bring its confirmation to
@@ -195,9 +195,9 @@ impl Notifier {
     /// A notifier that knows the same plain facts, for a body that was struck in the middle of an
     /// input.
     #[must_use]
-    pub fn reborn(self, now: Instant) -> Self {
+    pub fn restarted(self, now: Instant) -> Self {
         let renew = |(port, lane): (RecovererPort, Lane)| {
-            (port, Lane { handover: lane.handover.reborn(now), ..lane })
+            (port, Lane { handover: lane.handover.restarted(now), ..lane })
         };
         let ports = self.ports.into_iter().map(renew).collect();
         let mut notifier = Notifier { ports, outputs: VecDeque::new(), ..self };
@@ -279,7 +279,7 @@ mod tests {
             id: FaultId(id),
             severity: kind.severity(),
             kind,
-            place: FaultLocation::Node(node("x")),
+            location: FaultLocation::Node(node("x")),
             incarnation: Incarnation::FIRST,
             detail: String::new(),
             found_at: at(0),
@@ -289,7 +289,7 @@ mod tests {
     }
 
     fn cleared(id: u64) -> FaultNotice {
-        FaultNotice::Cleared { id: FaultId(id), place: FaultLocation::Node(node("x")) }
+        FaultNotice::Cleared { id: FaultId(id), location: FaultLocation::Node(node("x")) }
     }
 
     fn notifier(ports: &[RecovererPort]) -> Notifier {
@@ -327,8 +327,8 @@ mod tests {
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(cleared(1), at(0));
 
-        let told = handed(&mut notifier, true, at(1));
-        assert_eq!(told, ["here +1", "n +1", "here -1", "n -1"]);
+        let reported = handed(&mut notifier, true, at(1));
+        assert_eq!(reported, ["here +1", "n +1", "here -1", "n -1"]);
         assert!(notifier.read_ports().iter().all(|row| (row.confirmed, row.pending) == (2, 0)));
     }
 
@@ -337,18 +337,18 @@ mod tests {
         let mut notifier = notifier(&[RecovererPort::Local, remote()]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         let mut now = at(0);
         loop {
             while let Some(output) = notifier.poll_output() {
                 match output {
                     NotifierOutput::HandOver { port: RecovererPort::Local, number, .. } => {
                         notifier.handle_confirmed(&RecovererPort::Local, number, now);
-                        told.push("here".to_string());
+                        reported.push("here".to_string());
                     }
-                    NotifierOutput::HandOver { .. } => told.push("n".into()),
+                    NotifierOutput::HandOver { .. } => reported.push("n".into()),
                     NotifierOutput::GivenUp { tries, .. } => {
-                        told.push(format!("lost after {tries}"))
+                        reported.push(format!("lost after {tries}"))
                     }
                 }
             }
@@ -357,7 +357,7 @@ mod tests {
             notifier.handle_timeout(due);
         }
 
-        assert_eq!(told, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
+        assert_eq!(reported, ["here", "n", "n", "n", "n", "n", "n", "n", "n", "lost after 8"]);
         assert_eq!(notifier.read_ports()[1].given_up, 1);
     }
 
@@ -370,9 +370,9 @@ mod tests {
         notifier.handle_notice(fault(4, FaultKind::NodeLost), at(0));
         notifier.handle_notice(cleared(1), at(0));
 
-        let told = handed(&mut notifier, true, at(1));
+        let reported = handed(&mut notifier, true, at(1));
 
-        assert_eq!(told, ["here +1", "here -1", "here +4", "here +3", "here +2"]);
+        assert_eq!(reported, ["here +1", "here -1", "here +4", "here +3", "here +2"]);
     }
 
     #[test]
@@ -453,9 +453,9 @@ mod tests {
         notifier.handle_notice(fault(2, FaultKind::Panic), at(0));
         handed(&mut notifier, false, at(0));
 
-        let mut notifier = notifier.reborn(at(1));
+        let mut notifier = notifier.restarted(at(1));
 
-        let told = handed(&mut notifier, true, at(1));
-        assert_eq!(told, ["here +1", "n +1", "here +2", "n +2"]);
+        let reported = handed(&mut notifier, true, at(1));
+        assert_eq!(reported, ["here +1", "n +1", "here +2", "n +2"]);
     }
 }

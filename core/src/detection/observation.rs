@@ -5,11 +5,11 @@ use crate::{FaultKind, FaultLocation, Incarnation, Instant, Lifecycle, ObjectAdd
 use std::sync::Arc;
 use std::time::Duration;
 
-/// One thing that the monitor saw and hands to the detector.
+/// One observation that the monitor reports to the detector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Observation {
     /// Where.
-    pub place: FaultLocation,
+    pub location: FaultLocation,
     /// In which incarnation; zero for a link.
     pub incarnation: Incarnation,
     /// What.
@@ -18,7 +18,7 @@ pub struct Observation {
     pub seen_at: Instant,
 }
 
-/// What was seen. Whether it is a fault is for the detector to say.
+/// The kind of an observation. The detector decides whether it is a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Finding {
     /// The object is now known, and needs these to do its work.
@@ -52,17 +52,17 @@ pub enum Finding {
         /// The particulars.
         detail: String,
     },
-    /// What the object had declared is over.
-    Mended {
+    /// A fault that the object had declared is over.
+    Cleared {
         /// Which.
         kind: FaultKind,
     },
-    /// It gave no sign of life, or no answer, for longer than is tolerated.
+    /// The object gave no sign of life, or no reply to a ping, for longer than is tolerated.
     Silent {
         /// For how long.
         age: Duration,
     },
-    /// It was silent and gives signs of life again.
+    /// The object was silent and gives signs of life again.
     Spoke,
     /// Its handler keeps its arbiter from turning.
     Hangs {
@@ -80,28 +80,28 @@ pub enum Finding {
         /// For how long at least.
         age: Duration,
     },
-    /// It stood still, and its arbiter turns again.
+    /// The object hung, and its arbiter runs again.
     Resumed,
-    /// It stands still behind this culprit for good and must be re-created elsewhere.
+    /// The object is blocked for good behind this culprit and must be re-created on another thread.
     Lost {
         /// Whose handler keeps their arbiter.
         culprit: ObjectName,
     },
-    /// It answers, but has taken no message for so long although messages wait.
+    /// The object answers pings, but has taken no message for so long although messages wait.
     Stuck {
         /// How long the oldest message has waited.
         oldest: Duration,
         /// How many wait.
         queued: usize,
     },
-    /// It works, and is, or makes others, later than they may be.
+    /// The object works, but exceeds its own limits of lateness or those of others on its thread.
     Overloaded {
         /// How much.
         figures: OverloadFigures,
         /// Who is late behind it, on the same thread.
         victims: Arc<[ObjectName]>,
     },
-    /// It was stuck or overloaded and has caught up.
+    /// The object was stuck or overloaded and has caught up.
     Flows,
     /// Its sending and receiving was forbidden, or allowed again, for all its incarnations.
     Isolated {
@@ -127,12 +127,12 @@ impl Finding {
 /// How an incarnation ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExitReason {
-    /// It ended itself, in order.
+    /// The incarnation ended itself, in order.
     Returned,
-    /// It could not go on: it did not come to work, or declared a fatal fault. What it had declared
-    /// before says why.
+    /// The incarnation did not become active, or declared a fatal fault. Its earlier declaration
+    /// names the cause.
     Fatal,
-    /// It panicked.
+    /// The incarnation panicked.
     Panicked {
         /// The panic's text.
         text: String,
@@ -143,7 +143,7 @@ pub enum ExitReason {
     },
     /// Its future was dropped before it ended: its arbiter went away.
     Aborted,
-    /// It was told to.
+    /// The incarnation was stopped.
     Stopped,
 }
 
@@ -159,20 +159,19 @@ pub struct WorkProgress {
 /// How a link is.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LinkCondition {
-    /// It carries.
+    /// The link carries frames.
     Up,
-    /// It carries, but late or with loss.
+    /// The link carries frames, but late or with loss.
     Degraded {
         /// What was measured, and against which limit.
         reason: String,
     },
-    /// It carries nothing.
+    /// The link carries no frames.
     Down {
         /// How that was noticed.
         reason: String,
     },
-    /// It is no more: it was not described, and what it was learned for has not been there for
-    /// long.
+    /// The link was removed: it had been discovered, and its neighbour has been absent for long.
     Forgotten,
 }
 
@@ -186,9 +185,9 @@ pub enum NodeCondition {
         /// How that was noticed.
         reason: String,
     },
-    /// It was heard under a new incarnation: its process died and began again.
+    /// The node was reached under a new incarnation: its process died and was restarted.
     Restarted,
-    /// It does harm: once is an accident, several times are a fault.
+    /// The node offends: a single offence is an accident, several are a fault.
     Offends {
         /// What it has done, in words that are the same each time.
         what: String,
@@ -198,14 +197,15 @@ pub enum NodeCondition {
         /// Who decided, and why.
         reason: String,
     },
-    /// It is isolated no longer.
+    /// The node is no longer isolated.
     Admitted,
-    /// It says that it has enter the safe state: it can be reached, and nothing of it serves.
-    AtRest {
+    /// The node reports that it is in the safe state: it can be reached, and no component of it
+    /// serves.
+    InSafeState {
         /// Why.
         reason: String,
     },
-    /// It says that it is at work again.
+    /// The node reports that it is active again.
     AtWork,
     /// This node itself: none of its threads ran.
     Paused {
@@ -224,7 +224,7 @@ pub enum NodeCondition {
     },
     /// No component of this node is late any more because of that.
     Relieved,
-    /// It said that it ends in order: that it is silent from now on is no fault, and its return is
-    /// an ordinary one.
+    /// The node reported that it leaves in order: its silence from now on is no fault, and its
+    /// return is an ordinary one.
     Left,
 }

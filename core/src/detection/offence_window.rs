@@ -72,10 +72,10 @@ mod tests {
 
     #[test]
     fn several_offences_within_the_period_are_too_many_and_spread_ones_never() {
-        let mut conduct = OffenceWindow::new(3, Duration::from_secs(60));
+        let mut offences = OffenceWindow::new(3, Duration::from_secs(60));
         let mut offends = |who: &str, second: u64| {
             let at = Instant::from_millis(second * 1000);
-            conduct.handle_offence(&node(who), "it floods".into(), at).is_some()
+            offences.handle_offence(&node(who), "it floods".into(), at).is_some()
         };
 
         let spread: Vec<_> = [0, 40, 80, 120, 160].map(|at| offends("a", at)).into();
@@ -86,26 +86,26 @@ mod tests {
 
     #[test]
     fn the_reason_counts_what_was_done_and_an_admitted_node_begins_anew() {
-        let mut conduct = OffenceWindow::new(3, Duration::from_secs(60));
+        let mut offences = OffenceWindow::new(3, Duration::from_secs(60));
         let now = Instant::from_millis(1000);
-        let mut offends = |what: &str| conduct.handle_offence(&node("a"), what.into(), now);
+        let mut offends = |what: &str| offences.handle_offence(&node("a"), what.into(), now);
         assert_eq!((offends("it died"), offends("it floods")), (None, None));
 
         let reason = offends("it died").expect("it is the third");
         assert_eq!(reason, "within 60s: 2 times it died; 1 times it floods");
 
-        conduct.forget(&node("a"));
-        assert_eq!(conduct.handle_offence(&node("a"), "it died".into(), now), None);
+        offences.forget(&node("a"));
+        assert_eq!(offences.handle_offence(&node("a"), "it died".into(), now), None);
     }
 
     #[test]
     fn more_nodes_than_there_can_be_are_not_remembered() {
-        let mut conduct = OffenceWindow::new(2, Duration::from_secs(60));
+        let mut offences = OffenceWindow::new(2, Duration::from_secs(60));
         for n in 0..1000 {
             let at = Instant::from_millis(n);
-            conduct.handle_offence(&node(&format!("n{n}")), "it floods".into(), at);
+            offences.handle_offence(&node(&format!("n{n}")), "it floods".into(), at);
         }
-        assert_eq!(conduct.offences.len(), NODES_MAX);
-        assert!(conduct.offences.contains_key(&node("n999")));
+        assert_eq!(offences.offences.len(), NODES_MAX);
+        assert!(offences.offences.contains_key(&node("n999")));
     }
 }

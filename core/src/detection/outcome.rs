@@ -4,7 +4,7 @@ use crate::{Fault, FaultId, FaultLocation, Instant, Severity};
 use std::fmt;
 use std::time::Duration;
 
-/// What the recoverer tells the detector, for the record.
+/// A step of recovery that the recoverer reports to the detector, for the record.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RecoveryOutcome {
     /// A recovery action was chosen.
@@ -31,15 +31,16 @@ pub enum RecoveryOutcome {
     },
 }
 
-/// One step in the history of a fault, as subscribers are told it.
+/// One step in the history of a fault, as reported to subscribers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FaultTransition {
-    /// It was found.
+    /// The fault was found.
     Found,
-    /// It was seen again while it stood; told at powers of two, so that a storm stays readable.
+    /// The fault was observed again while open; reported at powers of two, so that a storm stays
+    /// readable.
     Repeated,
-    /// It turned out to be a symptom: [`Fault::symptom_of`] now names the root.
+    /// The fault proved to be a symptom: [`Fault::symptom_of`] now names the root.
     Explained,
     /// A recovery action was chosen.
     Decided {
@@ -65,7 +66,7 @@ pub enum FaultTransition {
     Cleared,
 }
 
-/// What goes from the detector to the notifier, and on to every recoverer.
+/// A message from the detector to the notifier, which forwards it to every recoverer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FaultNotice {
     /// A fault was found.
@@ -75,7 +76,7 @@ pub enum FaultNotice {
         /// Which.
         id: FaultId,
         /// Where it was.
-        place: FaultLocation,
+        location: FaultLocation,
     },
 }
 
@@ -160,9 +161,9 @@ impl FaultEntry {
 /// How a fault is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum FaultStatus {
-    /// It stands, and service is not restored.
+    /// The fault is open, and service is not restored.
     Open,
-    /// It stands, and the recoverer has ceased to try.
+    /// The fault is open, and the recoverer has given it up.
     GivenUp,
     /// Service is restored; the part is not repaired.
     Recovered,

@@ -15,7 +15,7 @@ pub(super) struct PeerTable {
 
 /// Something that was not known before.
 pub(super) struct PeerChange {
-    pub(super) place: FaultLocation,
+    pub(super) location: FaultLocation,
     pub(super) incarnation: Incarnation,
     pub(super) finding: Finding,
 }
@@ -30,7 +30,7 @@ struct LinkSeen {
 #[derive(Clone, Debug)]
 struct NodeSeen {
     incarnation: Incarnation,
-    standing: PeerStatus,
+    status: PeerStatus,
     last_sign: Option<Instant>,
     restarts: u32,
     /// Who has isolated it, and why.
@@ -53,7 +53,7 @@ impl NodeSeen {
     fn unmet() -> Self {
         NodeSeen {
             incarnation: Incarnation::default(),
-            standing: PeerStatus::Lost("it was not met yet".to_owned()),
+            status: PeerStatus::Lost("it was not met yet".to_owned()),
             last_sign: None,
             restarts: 0,
             isolated: None,
@@ -90,9 +90,9 @@ impl PeerTable {
         let before = self.links.remove(&(node.clone(), link.clone()));
         if condition == LinkCondition::Forgotten {
             let neighbour = before?.neighbour;
-            let (place, incarnation) =
+            let (location, incarnation) =
                 (FaultLocation::Link { node, link, neighbour }, Incarnation(0));
-            return Some(PeerChange { place, incarnation, finding: Finding::Link(condition) });
+            return Some(PeerChange { location, incarnation, finding: Finding::Link(condition) });
         }
         let known = before.as_ref().is_some_and(|seen| match (&seen.condition, &condition) {
             (LinkCondition::Down { reason: before }, LinkCondition::Down { reason }) => {
@@ -103,7 +103,7 @@ impl PeerTable {
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
         // A link that is down does not say who was at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
-        let place = FaultLocation::Link {
+        let location = FaultLocation::Link {
             node: node.clone(),
             link: link.clone(),
             neighbour: neighbour.clone(),
@@ -113,11 +113,11 @@ impl PeerTable {
         let is_change = !known && (carries || !left);
         let finding = Finding::Link(condition.clone());
         self.links.insert((node, link), LinkSeen { neighbour, condition, last_sign });
-        is_change.then_some(PeerChange { place, incarnation: Incarnation::default(), finding })
+        is_change.then_some(PeerChange { location, incarnation: Incarnation::default(), finding })
     }
 
     fn has_left(&self, node: &NodeName) -> bool {
-        self.nodes.get(node).is_some_and(|seen| seen.standing == PeerStatus::Left)
+        self.nodes.get(node).is_some_and(|seen| seen.status == PeerStatus::Left)
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
@@ -130,11 +130,11 @@ impl PeerTable {
         condition: NodeCondition,
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
-        use NodeCondition::{Admitted, AtRest, AtWork, Isolated, Offends};
+        use NodeCondition::{Admitted, AtWork, InSafeState, Isolated, Offends};
         if let Offends { .. } | Isolated { .. } | Admitted = condition {
-            return Ok(self.handle_conduct(node, condition));
+            return Ok(self.handle_offences(node, condition));
         }
-        if let AtRest { .. } | AtWork = condition {
+        if let InSafeState { .. } | AtWork = condition {
             return self.handle_rest(node, incarnation, condition, now);
         }
         let before = self.nodes.get(&node);
@@ -147,11 +147,11 @@ impl PeerTable {
             && (incarnation < seen.incarnation
                 || incarnation != seen.incarnation
                     && seen.incarnation != Incarnation::default()
-                    && seen.standing == PeerStatus::Here)
+                    && seen.status == PeerStatus::Here)
         {
             return Err(seen.incarnation);
         }
-        let left = before.is_some_and(|seen| seen.standing == PeerStatus::Left);
+        let left = before.is_some_and(|seen| seen.status == PeerStatus::Left);
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
@@ -168,34 +168,34 @@ impl PeerTable {
             NodeCondition::Reachable | NodeCondition::Restarted => NodeCondition::Reachable,
             gone => gone,
         };
-        let standing = match &condition {
+        let status = match &condition {
             NodeCondition::Lost { reason } => PeerStatus::Lost(reason.clone()),
             NodeCondition::Left => PeerStatus::Left,
             _ => PeerStatus::Here,
         };
-        let known = before.map(|seen| discriminant(&seen.standing));
+        let known = before.map(|seen| discriminant(&seen.status));
         let isolated = before.and_then(|seen| seen.isolated.clone());
         // That an isolated node cannot be reached is as it should be.
-        let is_change = (restarted || known != Some(discriminant(&standing))) && isolated.is_none();
-        let here = standing == PeerStatus::Here;
+        let is_change = (restarted || known != Some(discriminant(&status))) && isolated.is_none();
+        let here = status == PeerStatus::Here;
         let last_sign = if here { Some(now) } else { before.and_then(|b| b.last_sign) };
         let restarts = before.map_or(0, |seen| seen.restarts) + u32::from(restarted);
         // Another incarnation is at work, until it says otherwise.
         let same = before.is_some_and(|seen| seen.incarnation == incarnation);
-        let rest = before.filter(|_| same && !matches!(standing, PeerStatus::Left));
+        let rest = before.filter(|_| same && !matches!(status, PeerStatus::Left));
         let rest = rest.and_then(|seen| seen.rest.clone());
-        let seen = NodeSeen { incarnation, standing, last_sign, restarts, isolated, rest };
+        let seen = NodeSeen { incarnation, status, last_sign, restarts, isolated, rest };
         self.nodes.insert(node.clone(), seen);
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation,
             finding,
         }))
     }
 
     /// What others think of a node, or what it has done: whatever incarnation of it is known.
-    fn handle_conduct(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
+    fn handle_offences(&mut self, node: NodeName, condition: NodeCondition) -> Option<PeerChange> {
         let seen = self.nodes.entry(node.clone()).or_insert_with(NodeSeen::unmet);
         let isolated = match &condition {
             NodeCondition::Isolated { reason } => Some(reason.clone()),
@@ -206,7 +206,11 @@ impl PeerTable {
         seen.isolated = isolated;
         let is_change = changed || matches!(condition, NodeCondition::Offends { .. });
         let (incarnation, finding) = (seen.incarnation, Finding::Node(condition));
-        is_change.then_some(PeerChange { place: FaultLocation::Node(node), incarnation, finding })
+        is_change.then_some(PeerChange {
+            location: FaultLocation::Node(node),
+            incarnation,
+            finding,
+        })
     }
 
     /// What a node says of itself: another one, or this.
@@ -218,13 +222,13 @@ impl PeerTable {
         now: Instant,
     ) -> Result<Option<PeerChange>, Incarnation> {
         let rest = match &condition {
-            NodeCondition::AtRest { reason } => Some(reason.clone()),
+            NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
         };
         // Who says so is here.
         let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
             incarnation,
-            standing: PeerStatus::Here,
+            status: PeerStatus::Here,
             last_sign: Some(now),
             ..NodeSeen::unmet()
         });
@@ -237,7 +241,7 @@ impl PeerTable {
         seen.rest = rest;
         let finding = Finding::Node(condition);
         Ok(is_change.then_some(PeerChange {
-            place: FaultLocation::Node(node),
+            location: FaultLocation::Node(node),
             incarnation,
             finding,
         }))
@@ -251,7 +255,7 @@ impl PeerTable {
                 LinkCondition::Degraded { reason } => (Opinion::Suspect, Some(reason)),
                 LinkCondition::Down { reason } => {
                     let left = seen.neighbour.as_ref().is_some_and(|node| self.has_left(node));
-                    (if left { Opinion::AtRest } else { Opinion::Failed }, Some(reason))
+                    (if left { Opinion::Stopped } else { Opinion::Failed }, Some(reason))
                 }
             };
             let (node, link, neighbour) = (node.clone(), link.clone(), seen.neighbour.clone());
@@ -263,15 +267,15 @@ impl PeerTable {
             }
         });
         let nodes = self.nodes.iter().map(move |(node, seen)| {
-            let (opinion, note) = match &seen.standing {
+            let (opinion, note) = match &seen.status {
                 PeerStatus::Here => (Opinion::Trusted, None),
                 PeerStatus::Lost(reason) => (Opinion::Failed, Some(reason.clone())),
                 // It is not watched any more.
-                PeerStatus::Left => (Opinion::AtRest, Some("it has left in order".to_owned())),
+                PeerStatus::Left => (Opinion::Stopped, Some("it has left in order".to_owned())),
             };
-            let (opinion, note) = match (&seen.standing, &seen.rest) {
+            let (opinion, note) = match (&seen.status, &seen.rest) {
                 (PeerStatus::Here, Some(reason)) => {
-                    (Opinion::AtRest, Some(format!("in the safe state: {reason}")))
+                    (Opinion::Stopped, Some(format!("in the safe state: {reason}")))
                 }
                 _ => (opinion, note),
             };
@@ -327,8 +331,9 @@ mod tests {
                 let change = report(&to, None);
 
                 assert_eq!(change.is_some(), from != to, "{from:?} to {to:?}");
-                if let Some(PeerChange { place: FaultLocation::Link { neighbour, .. }, .. }) =
-                    change
+                if let Some(PeerChange {
+                    location: FaultLocation::Link { neighbour, .. }, ..
+                }) = change
                 {
                     assert_eq!(neighbour, Some(node("b")), "who was there is remembered");
                 }
@@ -354,7 +359,7 @@ mod tests {
     fn every_condition_of_a_node_after_every_other_is_told_right() {
         use NodeCondition::{Left, Lost, Reachable, Restarted};
         let lost = || Lost { reason: "gone".into() };
-        let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), told| {
+        let check = |before: Option<(u64, NodeCondition)>, then: (u64, NodeCondition), reported| {
             let mut around = PeerTable::default();
             if let Some((incarnation, condition)) = before {
                 let first =
@@ -363,7 +368,7 @@ mod tests {
             }
             let change = around.handle_node(node("b"), Incarnation(then.0), then.1, at(2));
             let finding = change.map(|change| change.map(|change| change.finding));
-            assert_eq!(finding, told);
+            assert_eq!(finding, reported);
         };
         let says = |condition| Ok(Some(Finding::Node(condition)));
 
@@ -402,7 +407,7 @@ mod tests {
     fn that_an_isolated_node_is_lost_is_no_news_and_what_it_did_always_is() {
         use NodeCondition::{Admitted, Isolated, Lost, Offends, Reachable};
         let mut around = PeerTable::default();
-        let mut told = |condition: &NodeCondition| {
+        let mut reported = |condition: &NodeCondition| {
             let change = around.handle_node(node("b"), Incarnation(5), condition.clone(), at(1));
             let finding = change.expect("no incarnation is over").map(|change| change.finding);
             finding
@@ -412,21 +417,21 @@ mod tests {
         let isolated = Isolated { reason: "by a: it floods".into() };
         let offends = Offends { what: "it floods".into() };
 
-        assert!(told(&Reachable) && told(&offends) && told(&offends));
-        assert!(told(&isolated));
-        assert!(!told(&isolated), "once");
-        assert!(!told(&Lost { reason: "no path".into() }) && told(&offends));
-        assert!(told(&Admitted) && !told(&Admitted));
-        assert!(told(&Reachable));
+        assert!(reported(&Reachable) && reported(&offends) && reported(&offends));
+        assert!(reported(&isolated));
+        assert!(!reported(&isolated), "once");
+        assert!(!reported(&Lost { reason: "no path".into() }) && reported(&offends));
+        assert!(reported(&Admitted) && !reported(&Admitted));
+        assert!(reported(&Reachable));
     }
 
     /// Tells of one node's incarnations; answers whether that is change, and whether the node is at
     /// rest then.
-    fn rest_told_of() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
+    fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
         move |incarnation, condition| {
             let change = around.handle_node(node("b"), Incarnation(incarnation), condition, at(1));
-            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::AtRest);
+            let rests = around.rows(at(1)).any(|row| row.opinion == Opinion::Stopped);
             (change.map(|change| change.is_some()), rests)
         }
     }
@@ -434,65 +439,65 @@ mod tests {
     #[test]
     fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
      {
-        use NodeCondition::{AtRest, AtWork, Left, Lost, Reachable};
-        let mut told = rest_told_of();
-        let mut told = |incarnation, condition| {
-            let (change, rests) = told(incarnation, condition);
+        use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
+        let mut reported = rest_reported();
+        let mut reported = |incarnation, condition| {
+            let (change, rests) = reported(incarnation, condition);
             (change.expect("no incarnation is over"), rests)
         };
-        let rest = || AtRest { reason: "it panics".into() };
+        let rest = || InSafeState { reason: "it panics".into() };
         let lost = || Lost { reason: "no path".into() };
 
-        assert_eq!(told(5, Reachable), (true, false));
-        assert_eq!(told(5, AtWork), (false, false));
-        assert_eq!(told(5, rest()), (true, true));
-        assert_eq!(told(5, rest()), (false, true));
-        assert_eq!(told(5, lost()), (true, false), "which is worse");
-        assert_eq!(told(5, Reachable), (true, true));
-        assert_eq!(told(5, AtWork), (true, false));
-        assert_eq!(told(5, rest()), (true, true));
-        assert_eq!(told(6, Reachable), (true, false), "another incarnation");
-        assert_eq!(told(6, rest()), (true, true));
-        assert_eq!(told(6, Left), (true, true), "it has left");
-        assert_eq!(told(7, Reachable), (true, false));
+        assert_eq!(reported(5, Reachable), (true, false));
+        assert_eq!(reported(5, AtWork), (false, false));
+        assert_eq!(reported(5, rest()), (true, true));
+        assert_eq!(reported(5, rest()), (false, true));
+        assert_eq!(reported(5, lost()), (true, false), "which is worse");
+        assert_eq!(reported(5, Reachable), (true, true));
+        assert_eq!(reported(5, AtWork), (true, false));
+        assert_eq!(reported(5, rest()), (true, true));
+        assert_eq!(reported(6, Reachable), (true, false), "another incarnation");
+        assert_eq!(reported(6, rest()), (true, true));
+        assert_eq!(reported(6, Left), (true, true), "it has left");
+        assert_eq!(reported(7, Reachable), (true, false));
     }
 
     #[test]
     fn that_an_incarnation_rests_which_another_one_has_followed_is_no_news() {
-        use NodeCondition::{AtRest, AtWork, Lost, Reachable};
-        let mut told = rest_told_of();
-        let rest = || AtRest { reason: "it panics".into() };
+        use NodeCondition::{AtWork, InSafeState, Lost, Reachable};
+        let mut reported = rest_reported();
+        let rest = || InSafeState { reason: "it panics".into() };
 
         // Of an unknown incarnation.
-        assert_eq!(told(0, Lost { reason: "no path".into() }), (Ok(true), false));
-        assert_eq!(told(5, rest()), (Ok(true), false));
-        assert_eq!(told(5, AtWork), (Ok(true), false));
-        assert_eq!(told(5, Reachable), (Ok(true), false));
-        assert_eq!(told(6, Reachable), (Ok(true), false));
+        assert_eq!(reported(0, Lost { reason: "no path".into() }), (Ok(true), false));
+        assert_eq!(reported(5, rest()), (Ok(true), false));
+        assert_eq!(reported(5, AtWork), (Ok(true), false));
+        assert_eq!(reported(5, Reachable), (Ok(true), false));
+        assert_eq!(reported(6, Reachable), (Ok(true), false));
 
-        assert_eq!(told(5, rest()), (Err(Incarnation(6)), false));
-        assert_eq!(told(6, rest()), (Ok(true), true));
-        assert_eq!(told(5, AtWork), (Err(Incarnation(6)), true));
+        assert_eq!(reported(5, rest()), (Err(Incarnation(6)), false));
+        assert_eq!(reported(6, rest()), (Ok(true), true));
+        assert_eq!(reported(5, AtWork), (Err(Incarnation(6)), true));
     }
 
     #[test]
     fn the_cables_of_a_node_that_left_go_down_without_news() {
         let mut around = PeerTable::default();
         let [up, _, down, _] = conditions();
-        let told = |around: &mut PeerTable, condition: &LinkCondition| {
+        let reported = |around: &mut PeerTable, condition: &LinkCondition| {
             let (here, there) = (node("a"), Some(node("b")));
             around.handle_link(here, "eth".into(), there, condition.clone(), at(1)).is_some()
         };
-        assert!(told(&mut around, &up));
+        assert!(reported(&mut around, &up));
         let left = around.handle_node(node("b"), Incarnation(1), NodeCondition::Left, at(2));
         assert!(left.is_ok_and(|change| change.is_some()));
 
-        assert!(!told(&mut around, &down));
-        assert!(told(&mut around, &up), "it returns");
+        assert!(!reported(&mut around, &down));
+        assert!(reported(&mut around, &up), "it returns");
         let back = around.handle_node(node("b"), Incarnation(2), NodeCondition::Reachable, at(3));
         assert!(back.is_ok_and(|change| change.is_some()));
 
-        assert!(told(&mut around, &down), "this time it was not announced");
+        assert!(reported(&mut around, &down), "this time it was not announced");
     }
 
     #[test]
@@ -508,6 +513,6 @@ mod tests {
         let shown = |row: &MonitorRow| (row.opinion, row.last_sign.map(|age| age.as_millis()));
         assert_eq!(shown(&rows[0]), (Opinion::Failed, Some(100)));
         assert_eq!(shown(&rows[1]), (Opinion::Trusted, Some(40)));
-        assert_eq!((rows[0].place.to_string(), around.len()), ("a -eth- b".into(), 2));
+        assert_eq!((rows[0].location.to_string(), around.len()), ("a -eth- b".into(), 2));
     }
 }

@@ -8,8 +8,9 @@ use std::time::Duration;
 
 /// Asks objects whether they are alive.
 ///
-/// It is for the middleware's own objects, which have no [stamps](crate::detection::hang): whether
-/// a component is alive, and how far its work has come, is seen without asking it.
+/// It is for the middleware's own objects, which have no [activity
+/// records](crate::detection::hang): whether a component is alive, and how far its work has come,
+/// is seen without asking it.
 ///
 /// ```text
 /// ask ──── answer within T ────► Trusted       alive?
@@ -24,7 +25,7 @@ pub struct PingMonitor {
     outputs: VecDeque<PingOutput>,
 }
 
-/// What an [`PingMonitor`] wants done, or has found.
+/// An output of a [`PingMonitor`]: a ping to send, or a finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PingOutput {
     /// Ask this object.
@@ -39,7 +40,7 @@ pub enum PingOutput {
 /// A change of opinion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verdict {
-    /// About whom.
+    /// The object concerned.
     pub object: ObjectName,
     /// In which incarnation.
     pub incarnation: Incarnation,
@@ -89,12 +90,12 @@ impl Asked {
             Opinion::Suspect => {
                 Some(asked + self.pull.within.saturating_mul(self.pull.tolerance.max(1)))
             }
-            Opinion::Failed | Opinion::AtRest => None,
+            Opinion::Failed | Opinion::Stopped => None,
         }
     }
 
     fn due(&self) -> Option<Instant> {
-        let question = (!self.open && self.opinion != Opinion::AtRest).then_some(self.next);
+        let question = (!self.open && self.opinion != Opinion::Stopped).then_some(self.next);
         [question, self.verdict_due()].into_iter().flatten().min()
     }
 }
@@ -135,7 +136,7 @@ impl PingMonitor {
     /// An object has answered. Answers of older incarnations do not count.
     pub fn handle_answer(&mut self, object: &ObjectName, progress: WorkProgress, now: Instant) {
         let Some(asked) = self.asked.get_mut(object) else { return };
-        if progress.incarnation < asked.incarnation || asked.opinion == Opinion::AtRest {
+        if progress.incarnation < asked.incarnation || asked.opinion == Opinion::Stopped {
             return self.handle_unanswered(object, now);
         }
         if progress.incarnation > asked.incarnation {
@@ -186,7 +187,7 @@ impl PingMonitor {
             && incarnation >= asked.incarnation
         {
             let fresh = Asked::new(asked.pull, incarnation, now);
-            *asked = Asked { look: asked.look, opinion: Opinion::AtRest, ..fresh };
+            *asked = Asked { look: asked.look, opinion: Opinion::Stopped, ..fresh };
             schedule(&mut self.looks, object, asked);
         }
     }
@@ -222,7 +223,7 @@ impl PingMonitor {
                 silence: asked.unanswered.map_or(Duration::ZERO, |since| now - since),
             }));
         }
-        if !asked.open && asked.opinion != Opinion::AtRest && asked.next <= now {
+        if !asked.open && asked.opinion != Opinion::Stopped && asked.next <= now {
             asked.open = true;
             asked.unanswered = asked.unanswered.or(Some(now));
             asked.next = now + asked.pull.interval;
@@ -304,7 +305,7 @@ mod tests {
 
     /// Wakes the machine exactly when it wants, up to `until`; an ask reads "ask".
     fn run(pings: &mut PingMonitor, until: u64) -> Vec<(u64, String)> {
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         loop {
             let now = pings.poll_timeout().unwrap_or(at(until)).min(at(until));
             pings.handle_timeout(now);
@@ -314,16 +315,16 @@ mod tests {
                     PingOutput::Ask { .. } => "ask".into(),
                     PingOutput::Verdict(verdict) => verdict.opinion.to_string(),
                 };
-                told.push((millis, text));
+                reported.push((millis, text));
             }
             if now == at(until) {
-                return told;
+                return reported;
             }
         }
     }
 
-    fn texts<const N: usize>(told: [(u64, &str); N]) -> Vec<(u64, String)> {
-        told.map(|(at, text)| (at, text.to_string())).into()
+    fn texts<const N: usize>(reported: [(u64, &str); N]) -> Vec<(u64, String)> {
+        reported.map(|(at, text)| (at, text.to_string())).into()
     }
 
     #[test]
@@ -341,9 +342,9 @@ mod tests {
     fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
         let mut pings = pings();
 
-        let told = run(&mut pings, 10_000);
+        let reported = run(&mut pings, 10_000);
 
-        assert_eq!(told, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
+        assert_eq!(reported, texts([(0, "ask"), (40, "suspect"), (120, "failed")]));
         pings.handle_answer(&map(), progress(ONE), at(10_000));
         assert_eq!(run(&mut pings, 10_000), texts([(10_000, "trusted"), (10_000, "ask")]));
     }
@@ -355,8 +356,8 @@ mod tests {
 
         pings.handle_unanswered(&map(), at(1));
 
-        let told = run(&mut pings, 150);
-        assert_eq!(told, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
+        let reported = run(&mut pings, 150);
+        assert_eq!(reported, texts([(40, "suspect"), (100, "ask"), (120, "failed")]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::{Incarnation, ObjectAddress, ObjectName};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What the monitor must know of an object to watch it.
+/// The registration of an object with the monitor.
 ///
 /// ```
 /// use blastema_core::detection::{Registration, Liveness};
@@ -20,7 +20,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Registration {
-    /// Who.
+    /// The object.
     pub object: ObjectName,
     /// What kind of object it is.
     pub kind: ObjectKind,
@@ -32,7 +32,7 @@ pub struct Registration {
     /// The objects, here or elsewhere, without which it cannot work: what it suffers while one of
     /// them is down is taken for a symptom.
     pub depends_on: Arc<[ObjectAddress]>,
-    /// It may end itself in order, and is not missed then: a transient or temporary child.
+    /// The object may end itself in order without a fault: a transient or temporary child.
     pub may_end: bool,
 }
 
@@ -106,7 +106,7 @@ pub enum RegistrationError {
     },
 }
 
-/// What kind of thing a row of the monitor's table is about.
+/// The kind of object in a row of the monitor's table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ObjectKind {
     /// An object of the application.
@@ -123,11 +123,11 @@ pub enum ObjectKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Liveness {
-    /// Its guard tells how it ends, and the watch thread sees it hang. It says nothing of its own.
+    /// Its guard reports its end, and the sampler its hangs. The object reports nothing itself.
     Guard,
-    /// It says "I am alive" by itself.
+    /// The object reports signs of life by itself.
     Push(Push),
-    /// It is asked "are you alive?".
+    /// The monitor pings the object.
     Pull(Pull),
 }
 
@@ -143,7 +143,7 @@ impl Liveness {
     }
 }
 
-/// The push model: an object says by itself that it is alive.
+/// The push model: an object reports signs of life by itself.
 ///
 /// ```text
 ///  beat            suspect                       failed

@@ -7,7 +7,7 @@ use crate::{FaultLocation, Incarnation, Lifecycle};
 use std::fmt;
 use std::time::Duration;
 
-/// What is known of one object, link or node, each fact with its age.
+/// The state of one object, link or node, each value with its age.
 ///
 /// A row is a picture of the moment in which it was read. Nothing in it is an instant, so that it
 /// can be sent to another node, and nothing old in it looks current: see
@@ -15,19 +15,19 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MonitorRow {
-    /// What the row is about.
-    pub place: FaultLocation,
-    /// What kind of thing that is.
+    /// The object, link or node of the row.
+    pub location: FaultLocation,
+    /// The kind of the object.
     pub kind: ObjectKind,
     /// Which incarnation everything else in the row is about; zero for a link.
     pub incarnation: Incarnation,
     /// Where it stands in its incarnation, as last reported; `None` for links, nodes and what has
     /// reported nothing yet.
     pub state: Option<Lifecycle>,
-    /// What it waits for before it can become active: the reason that its hook gave for being
+    /// The resource that it needs to become active: the reason that its hook gave for being
     /// [unavailable](FaultKind::Unavailable). The fault list has it too, as long.
     pub waiting_for: Option<String>,
-    /// What the monitor thinks of it.
+    /// The monitor's opinion of it.
     pub opinion: Opinion,
     /// How long ago it last gave a sign of life of whatever sort; `None` for never in this
     /// incarnation, and for a node that has no link to here.
@@ -45,7 +45,7 @@ pub struct MonitorRow {
     /// Rounds that it has missed in this incarnation: a round was due, and the one before had not
     /// ended, or another component kept the thread.
     pub missed_rounds: u64,
-    /// What it was seen to be doing for too long.
+    /// The handler or hook that takes too long.
     pub current: Option<CurrentHandler>,
     /// Its sending and receiving is forbidden.
     pub isolated: bool,
@@ -56,9 +56,10 @@ pub struct MonitorRow {
 
 impl MonitorRow {
     /// A row of which nothing is known yet.
-    pub fn blank(place: FaultLocation, kind: ObjectKind) -> Self {
+    #[doc(hidden)]
+    pub fn blank(location: FaultLocation, kind: ObjectKind) -> Self {
         MonitorRow {
-            place,
+            location,
             kind,
             incarnation: Incarnation::default(),
             state: None,
@@ -76,7 +77,7 @@ impl MonitorRow {
     }
 }
 
-/// What the monitor thinks of an object.
+/// The monitor's opinion of an object.
 ///
 /// | opinion | meaning | what follows |
 /// | --- | --- | --- |
@@ -84,19 +85,19 @@ impl MonitorRow {
 /// | trusted | its signs of life come | nothing |
 /// | suspect | a sign is overdue, or it waits behind another component that hangs | it is counted and shown |
 /// | failed | it was overdue for longer than is tolerated, or its end was reported | a fault |
-/// | at rest | its incarnation ended as it should | nothing |
+/// | stopped | its incarnation ended as it should | nothing |
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Opinion {
-    /// Never heard in this incarnation.
+    /// No sign of life in this incarnation yet.
     Unheard,
-    /// It gives signs of life.
+    /// The object gives signs of life.
     Trusted,
     /// Something is overdue; nothing is torn down yet.
     Suspect,
-    /// It is dead, or as good as dead.
+    /// The object has ended, or was silent for longer than is tolerated.
     Failed,
-    /// It was stopped; nothing is expected of it.
-    AtRest,
+    /// The object was stopped; no sign of life is expected.
+    Stopped,
 }
 
 impl fmt::Display for Opinion {
@@ -106,7 +107,7 @@ impl fmt::Display for Opinion {
             Opinion::Trusted => "trusted",
             Opinion::Suspect => "suspect",
             Opinion::Failed => "failed",
-            Opinion::AtRest => "at rest",
+            Opinion::Stopped => "stopped",
         })
     }
 }

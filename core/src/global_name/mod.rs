@@ -1,4 +1,4 @@
-//! Names of the whole robot: who claims them, and who is next.
+//! Global names: their claimants, holders and successors.
 //!
 //! An object's address names its node. A *claim* is a name without one, such as `map`: one node
 //! holds it, others may stand by, and all know who does. There is no broker: each node tells every
@@ -57,7 +57,7 @@ struct Peer {
     incarnation: Incarnation,
     /// A session is open.
     open: bool,
-    heard: Instant,
+    received_at: Instant,
     claims: SortedMap<ObjectName, NameClaim>,
     sum: u64,
     /// Which of them it has told of since it began to tell all of them.
@@ -67,7 +67,7 @@ struct Peer {
     /// When it was last asked for everything.
     asked: Option<Instant>,
     /// When it was last told everything.
-    told: Instant,
+    sent_all_at: Instant,
     refusals: Refusals,
 }
 
@@ -88,7 +88,8 @@ pub struct GlobalNames {
     alive_at: Instant,
     /// Until then nothing is granted; `None` once that is over.
     settles: Option<Instant>,
-    /// In the place of another machine of the same incarnation: it has forgotten what it was told.
+    /// In the place of another machine of the same incarnation: it has forgotten what it was
+    /// record.
     forgetful: bool,
     outputs: VecDeque<GlobalNamesOutput>,
 }
@@ -120,7 +121,7 @@ impl GlobalNames {
     /// Claims in the place of others of the same incarnation that were lost: with what that
     /// incarnation claims, and under which epochs. What others claim, they are asked when their
     /// sessions are told of again.
-    pub fn reborn(
+    pub fn restarted(
         config: GlobalNamesConfig,
         own: impl IntoIterator<Item = (ClaimRequest, Option<u64>)>,
         now: Instant,
@@ -211,17 +212,17 @@ impl GlobalNames {
         let fresh = Peer {
             incarnation,
             open: true,
-            heard: now,
+            received_at: now,
             claims: SortedMap::new(),
             sum: 0,
             telling: None,
             complete: false,
             asked: None,
-            told: now,
+            sent_all_at: now,
             refusals: Refusals::default(),
         };
         let peer = self.peers.entry(node.clone()).or_insert(fresh);
-        (peer.open, peer.heard, peer.telling) = (true, now, None);
+        (peer.open, peer.received_at, peer.telling) = (true, now, None);
         self.tell_all(&node, now);
         if self.forgetful {
             self.send(node, &GlobalNameMessage::TellAll);
@@ -248,14 +249,14 @@ impl GlobalNames {
             peer.refusals.malformed += 1;
             return;
         };
-        peer.heard = now;
+        peer.received_at = now;
         match message {
             GlobalNameMessage::All { first, last, claims } => {
                 self.hear_all(from, (first, last), claims, now)
             }
             GlobalNameMessage::Changed { claims, gone } => {
                 gone.iter().for_each(|name| self.unhear(from, name, now));
-                claims.into_iter().for_each(|told| self.hear(from, told, now));
+                claims.into_iter().for_each(|record| self.hear(from, record, now));
             }
             GlobalNameMessage::Alive { sum } => {
                 let again = self.config.lease / 4;
@@ -266,7 +267,7 @@ impl GlobalNames {
                 }
             }
             // However often it asks: everything may be megabytes.
-            GlobalNameMessage::TellAll if now < peer.told + self.config.lease / 8 => {
+            GlobalNameMessage::TellAll if now < peer.sent_all_at + self.config.lease / 8 => {
                 peer.refusals.unexpected += 1;
             }
             GlobalNameMessage::TellAll => self.tell_all(from, now),
@@ -285,12 +286,12 @@ impl GlobalNames {
         if let (true, Some(peer)) = (first, self.peers.get_mut(from)) {
             peer.telling = Some(SortedSet::new());
         }
-        claims.into_iter().for_each(|told| self.hear(from, told, now));
+        claims.into_iter().for_each(|record| self.hear(from, record, now));
         let Some(peer) = self.peers.get_mut(from).filter(|_| last) else { return };
-        let Some(told) = peer.telling.take() else { return };
+        let Some(names) = peer.telling.take() else { return };
         (peer.asked, peer.complete) = (None, true);
         let gone: Vec<_> =
-            peer.claims.keys().filter(|name| !told.contains(*name)).cloned().collect();
+            peer.claims.keys().filter(|name| !names.contains(*name)).cloned().collect();
         gone.iter().for_each(|name| self.unhear(from, name, now));
         let complete = |node| self.peers.get(node).is_some_and(|peer| peer.complete);
         if !self.config.expected.is_empty() && self.config.expected.iter().all(complete) {
@@ -298,9 +299,9 @@ impl GlobalNames {
         }
     }
 
-    fn hear(&mut self, from: &NodeName, told: ClaimRecord, now: Instant) {
+    fn hear(&mut self, from: &NodeName, record: ClaimRecord, now: Instant) {
         let Some(peer) = self.peers.get_mut(from) else { return };
-        let ClaimRecord { name, stake } = told;
+        let ClaimRecord { name, stake } = record;
         let full = peer.claims.len() >= CLAIMS_MAX && !peer.claims.contains_key(&name)
             || self.known.len() >= NAMES_MAX && !self.known.contains_key(&name);
         let beyond = stake.epoch.is_some_and(|epoch| epoch >= EPOCH_MAX);
@@ -455,13 +456,13 @@ impl GlobalNames {
 
     fn tell_all(&mut self, to: &NodeName, now: Instant) {
         if let Some(peer) = self.peers.get_mut(to) {
-            peer.told = now;
+            peer.sent_all_at = now;
         }
-        let told = |(name, own): (&ObjectName, &Own)| ClaimRecord {
+        let record = |(name, own): (&ObjectName, &Own)| ClaimRecord {
             name: name.clone(),
             stake: own.stake(name),
         };
-        let all: Vec<ClaimRecord> = self.own.iter().map(told).collect();
+        let all: Vec<ClaimRecord> = self.own.iter().map(record).collect();
         let mut parts: Vec<_> = all.chunks(CLAIMS_PER_MESSAGE).map(<[_]>::to_vec).collect();
         if parts.is_empty() {
             parts.push(vec![]);

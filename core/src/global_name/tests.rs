@@ -20,7 +20,7 @@ struct Robot {
     now: u64,
     nodes: SortedMap<NodeName, GlobalNames>,
     parted: bool,
-    told: Vec<String>,
+    outputs: Vec<String>,
     /// Of nodes that start from now on.
     settle: Duration,
     expected: SortedSet<NodeName>,
@@ -29,8 +29,8 @@ struct Robot {
 impl Robot {
     fn new(names: &[&str]) -> Self {
         let (settle, expected) = (Duration::ZERO, SortedSet::new());
-        let (nodes, told) = (SortedMap::new(), vec![]);
-        let mut robot = Robot { now: 0, nodes, parted: false, told, settle, expected };
+        let (nodes, outputs) = (SortedMap::new(), vec![]);
+        let mut robot = Robot { now: 0, nodes, parted: false, outputs, settle, expected };
         names.iter().for_each(|name| robot.start(name, 0));
         robot
     }
@@ -72,13 +72,13 @@ impl Robot {
                     }
                     GlobalNamesOutput::Send { .. } | GlobalNamesOutput::StandsBy { .. } => {}
                     GlobalNamesOutput::Granted { name, .. } => {
-                        self.told.push(format!("{from} has {name}"))
+                        self.outputs.push(format!("{from} has {name}"))
                     }
                     GlobalNamesOutput::Lost { name, to, .. } => {
-                        self.told.push(format!("{from} lost {name} to {to}"));
+                        self.outputs.push(format!("{from} lost {name} to {to}"));
                     }
                     GlobalNamesOutput::Refused(held) => {
-                        self.told.push(format!("{from} is refused {}", held.name));
+                        self.outputs.push(format!("{from} is refused {}", held.name));
                     }
                     GlobalNamesOutput::Held { name, holder } => {
                         let known = self.nodes[&from].shown.get(&name).cloned();
@@ -109,8 +109,8 @@ impl Robot {
         self.nodes[&node(seen_by)].holder(&map()).map(|holder| holder.node.to_string())
     }
 
-    fn told(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.told)
+    fn outputs(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.outputs)
     }
 }
 
@@ -125,7 +125,7 @@ fn a_second_claimant_is_refused_or_stands_by_as_it_wishes() {
     assert_eq!(robot.claim("b", ClaimPolicy::Refuse), Ok(Some(epoch)), "it has it already");
 
     assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by).unwrap()), ["b"; 3]);
-    assert_eq!(robot.told(), ["b has map"]);
+    assert_eq!(robot.outputs(), ["b has map"]);
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn the_first_standby_takes_over_when_the_lease_of_a_node_that_died_is_over() {
     robot.claim("c", ClaimPolicy::Standby).unwrap();
     robot.claim("b", ClaimPolicy::Standby).unwrap();
     robot.advance(1000);
-    robot.told();
+    robot.outputs();
 
     robot.nodes.remove(&node("a"));
     robot.nodes.values_mut().for_each(|claims| claims.handle_ended(&node("a")));
@@ -143,7 +143,7 @@ fn the_first_standby_takes_over_when_the_lease_of_a_node_that_died_is_over() {
     assert_eq!(robot.holder("c").as_deref(), Some("a"), "its lease holds");
     robot.advance(110);
 
-    assert_eq!(robot.told(), ["b has map"]);
+    assert_eq!(robot.outputs(), ["b has map"]);
     let holder = robot.nodes[&node("c")].holder(&map()).unwrap();
     assert_eq!((holder.node, holder.object), (node("b"), map()));
     assert!(holder.epoch > old);
@@ -154,13 +154,13 @@ fn a_name_that_is_given_back_goes_to_a_standby_at_once() {
     let mut robot = Robot::new(&["a", "b", "c"]);
     robot.claim("c", ClaimPolicy::Refuse).unwrap();
     robot.claim("a", ClaimPolicy::Standby).unwrap();
-    robot.told();
+    robot.outputs();
 
     robot.nodes.get_mut(&node("c")).unwrap().handle_withdrawn(&map());
     robot.carry();
     robot.advance(1);
 
-    assert_eq!(robot.told(), ["a has map"]);
+    assert_eq!(robot.outputs(), ["a has map"]);
     assert_eq!(robot.holder("c").as_deref(), Some("a"));
 }
 
@@ -174,13 +174,13 @@ fn two_halves_of_a_robot_agree_again_when_they_meet() {
         robot.advance(500);
         let halves = (robot.holder("a").unwrap(), robot.holder("c").unwrap());
         assert_eq!(halves, ("a".to_owned(), "b".to_owned()));
-        robot.told();
+        robot.outputs();
 
         robot.parted = false;
         robot.advance(500);
 
         assert_eq!(["a", "b", "c"].map(|seen_by| robot.holder(seen_by).unwrap()), ["b"; 3]);
-        assert_eq!(robot.told(), ["a lost map to b"]);
+        assert_eq!(robot.outputs(), ["a lost map to b"]);
         assert_eq!(robot.nodes[&node("a")].own.len(), after, "{policy:?}");
     }
 }
@@ -213,9 +213,9 @@ fn what_went_astray_is_found_by_its_sum_and_told_again() {
 #[test]
 fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
     let mut robot = Robot::new(&["a", "b"]);
-    let hostile = (0..CLAIMS_MAX + 3).map(|n| told(&format!("name{n}"), 1));
+    let hostile = (0..CLAIMS_MAX + 3).map(|n| outputs(&format!("name{n}"), 1));
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    hostile.for_each(|told| claims.hear(&node("a"), told, ms(0)));
+    hostile.for_each(|outputs| claims.hear(&node("a"), outputs, ms(0)));
     claims.handle_message(&node("a"), b"\xff\xff", ms(0));
     claims.handle_message(&node("stranger"), b"\0", ms(0));
     for _ in 0..10 {
@@ -232,8 +232,8 @@ fn too_many_claims_and_nonsense_are_refused_and_counted_by_node() {
 fn an_epoch_that_leaves_no_greater_one_is_refused() {
     let mut robot = Robot::new(&["a", "b"]);
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), told("map", u64::MAX), ms(0));
-    claims.hear(&node("a"), told("plan", EPOCH_MAX - 1), ms(0));
+    claims.hear(&node("a"), outputs("map", u64::MAX), ms(0));
+    claims.hear(&node("a"), outputs("plan", EPOCH_MAX - 1), ms(0));
 
     assert_eq!(claims.refusals().next().unwrap().1.malformed, 1);
     robot.claim("b", ClaimPolicy::Refuse).unwrap();
@@ -244,18 +244,18 @@ fn an_epoch_that_leaves_no_greater_one_is_refused() {
 fn a_node_that_starts_takes_no_name_before_it_has_heard_who_holds_it() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
-    robot.told();
+    robot.outputs();
     robot.parted = true; // Its sessions take a while.
     robot.settle = Duration::from_millis(350);
     robot.start("c", 9);
     assert_eq!(robot.claim("c", ClaimPolicy::Refuse), Ok(None), "it waits");
     robot.advance(200);
-    assert_eq!(robot.told(), Vec::<String>::new());
+    assert_eq!(robot.outputs(), Vec::<String>::new());
 
     robot.parted = false;
     robot.advance(150);
 
-    assert_eq!(robot.told(), ["c is refused map"]);
+    assert_eq!(robot.outputs(), ["c is refused map"]);
     assert_eq!(robot.holder("c").as_deref(), Some("a"));
 }
 
@@ -272,11 +272,11 @@ fn a_name_that_nobody_has_is_granted_once_all_that_are_expected_were_heard_or_ar
     let other = ClaimRequest::new(ObjectName::new("plan").unwrap(), ClaimPolicy::Refuse);
     let claims = robot.nodes.get_mut(&node("d")).unwrap();
     assert_eq!(claims.handle_claim(other, ms(robot.now)), Ok(None));
-    robot.told();
+    robot.outputs();
     robot.advance(299);
-    assert_eq!(robot.told(), Vec::<String>::new());
+    assert_eq!(robot.outputs(), Vec::<String>::new());
     robot.advance(1);
-    assert_eq!(robot.told(), ["d has plan"]);
+    assert_eq!(robot.outputs(), ["d has plan"]);
 }
 
 #[test]
@@ -289,7 +289,7 @@ fn all_nodes_that_start_together_and_want_one_name_agree_without_a_dispute() {
     }
     robot.advance(400);
 
-    assert_eq!(robot.told(), ["a has map"]);
+    assert_eq!(robot.outputs(), ["a has map"]);
 }
 
 #[test]
@@ -297,7 +297,7 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
     let mut robot = Robot::new(&["a", "b"]);
     robot.claim("a", ClaimPolicy::Refuse).unwrap();
     let claims = robot.nodes.get_mut(&node("b")).unwrap();
-    claims.hear(&node("a"), told("old", 7), ms(0));
+    claims.hear(&node("a"), outputs("old", 7), ms(0));
     while claims.poll_output().is_some() {}
 
     let epoch = claims.holder(&map()).unwrap().epoch;
@@ -305,7 +305,7 @@ fn what_is_told_again_in_parts_does_not_come_and_go() {
     claims.handle_message(&node("a"), &codec::encode_unbounded(&first), ms(1));
     assert_eq!(claims.held(), 2);
     let last =
-        GlobalNameMessage::All { first: false, last: true, claims: vec![told("map", epoch)] };
+        GlobalNameMessage::All { first: false, last: true, claims: vec![outputs("map", epoch)] };
     claims.handle_message(&node("a"), &codec::encode_unbounded(&last), ms(2));
 
     let old = ObjectName::new("old").unwrap();
@@ -319,7 +319,7 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
     let mut robot = Robot::new(&["a", "b", "c"]);
     let epoch = robot.claim("a", ClaimPolicy::Refuse).unwrap();
     robot.claim("b", ClaimPolicy::Standby).unwrap();
-    robot.told();
+    robot.outputs();
     robot.advance(100);
     for name in ["a", "b"] {
         let claims = robot.nodes.remove(&node(name)).unwrap();
@@ -329,7 +329,7 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
                 own.epoch,
             )
         });
-        let mut restarted = GlobalNames::reborn(claims.config.clone(), own, ms(robot.now));
+        let mut restarted = GlobalNames::restarted(claims.config.clone(), own, ms(robot.now));
         for (other, peer) in &claims.peers {
             restarted.handle_opened(other.clone(), peer.incarnation, ms(robot.now));
         }
@@ -338,11 +338,11 @@ fn claims_that_begin_anew_within_their_nodes_incarnation_keep_what_they_hold_and
     }
     robot.advance(500);
 
-    assert_eq!(robot.told(), Vec::<String>::new());
+    assert_eq!(robot.outputs(), Vec::<String>::new());
     assert_eq!(robot.nodes[&node("b")].holder(&map()).map(|holder| holder.epoch), epoch);
 }
 
-fn told(name: &str, epoch: u64) -> ClaimRecord {
+fn outputs(name: &str, epoch: u64) -> ClaimRecord {
     let stake = NameClaim { epoch: Some(epoch), object: None };
     ClaimRecord { name: ObjectName::new(name).unwrap(), stake }
 }

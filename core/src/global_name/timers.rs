@@ -35,7 +35,7 @@ impl Timers for GlobalNames {
             GlobalNamesTimer::LeaseExpiry => {
                 let holders =
                     self.peers.values().filter(|peer| !peer.open || !peer.claims.is_empty());
-                holders.map(|peer| peer.heard + self.config.lease).min()
+                holders.map(|peer| peer.received_at + self.config.lease).min()
             }
             GlobalNamesTimer::Turn => self.vacant.values().min().copied(),
         }
@@ -63,14 +63,14 @@ impl Timers for GlobalNames {
 
 impl GlobalNames {
     fn expire_leases(&mut self, now: Instant) {
-        let lapsed = |peer: &Peer| now >= peer.heard + self.config.lease;
+        let lapsed = |peer: &Peer| now >= peer.received_at + self.config.lease;
         let gone = self.peers.iter().filter(|(_, peer)| lapsed(peer));
         let gone: Vec<_> = gone.map(|(node, peer)| (node.clone(), peer.open)).collect();
         for (node, open) in gone {
             match self.peers.get_mut(&node).filter(|_| open) {
                 // It may speak again; then its sum differs, and it is asked.
                 Some(peer) => {
-                    peer.heard = now;
+                    peer.received_at = now;
                     self.clear(&node, now);
                 }
                 None => self.handle_left(&node, now),

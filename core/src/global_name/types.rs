@@ -1,4 +1,4 @@
-//! What claims are configured with, are told, and want done.
+//! Configuration, inputs and outputs of the global names.
 
 use crate::sorted::SortedSet;
 use crate::{Incarnation, NodeName, ObjectName, hash};

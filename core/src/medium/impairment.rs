@@ -229,7 +229,7 @@ impl<T: Impairable> ImpairedDirection<T> {
         self.injected.parted += (before - self.held()) as u64;
     }
 
-    /// Mends the cable and everything else.
+    /// Restores the cable and everything else.
     pub fn restore(&mut self) {
         self.cut = false;
         self.parted_from.clear();

@@ -31,7 +31,7 @@ pub const LEARNED_MAX: usize = 32;
 /// never have asked for it.
 const TRIED_MAX: usize = 16;
 /// The most neighbours that one message names: a node has no more.
-const TOLD_MAX: usize = 64;
+const REPORTED_MAX: usize = 64;
 /// The longest address, in bytes: a path of a socket.
 const ADDRESS_MAX: usize = 108;
 /// Addresses that did not prove themselves; the oldest is forgotten first.
@@ -158,7 +158,7 @@ enum Origin {
 /// What is known of who tells us.
 #[derive(Debug, Default)]
 struct Teller {
-    heard: Option<Instant>,
+    received_at: Option<Instant>,
     refusals: Refusals,
 }
 
@@ -201,8 +201,8 @@ impl Discovery {
 
     /// What was refused of each neighbour, and of beacons.
     pub fn refusals(&self) -> impl Iterator<Item = (Option<&NodeName>, Refusals)> {
-        let told = self.tellers.iter().map(|(node, teller)| (Some(node), teller.refusals));
-        told.chain([(None, self.beacons)])
+        let counted = self.tellers.iter().map(|(node, teller)| (Some(node), teller.refusals));
+        counted.chain([(None, self.beacons)])
     }
 
     /// A link to a neighbour is up.
@@ -244,17 +244,17 @@ impl Discovery {
     pub fn handle_message(&mut self, from: &NodeName, message: &[u8], now: Instant) {
         let near = self.neighbours.iter().any(|((_, node), known)| node == from && known.up);
         let Some(teller) = self.tellers.get_mut(from) else { return };
-        if !near || teller.heard.is_some_and(|heard| now < heard + Self::LISTEN) {
+        if !near || teller.received_at.is_some_and(|received_at| now < received_at + Self::LISTEN) {
             teller.refusals.unexpected += 1;
             return;
         }
-        teller.heard = Some(now);
-        let Ok(told) = codec::decode_bounded::<Vec<Gossip>, MESSAGE_MAX>(message) else {
+        teller.received_at = Some(now);
+        let Ok(gossips) = codec::decode_bounded::<Vec<Gossip>, MESSAGE_MAX>(message) else {
             teller.refusals.malformed += 1;
             return;
         };
-        let mut left = TOLD_MAX;
-        for Gossip { network, medium, neighbours } in told {
+        let mut left = REPORTED_MAX;
+        for Gossip { network, medium, neighbours } in gossips {
             let domains = self.grounds_with(from, &network, &medium);
             for (node, address) in neighbours {
                 let Some(rest) = left.checked_sub(1) else {
@@ -392,7 +392,7 @@ impl Discovery {
                 up().find(|((m, node), _)| *m == n && node == to)?;
                 let others = up().filter(|((m, node), _)| *m == n && node != to);
                 let others = others.map(|((_, node), known)| (node.clone(), known.address.clone()));
-                let neighbours: Vec<_> = others.take(TOLD_MAX).collect();
+                let neighbours: Vec<_> = others.take(REPORTED_MAX).collect();
                 let (network, medium) = (domain.name.clone(), domain.medium.clone());
                 (!neighbours.is_empty()).then_some(Gossip { network, medium, neighbours })
             };

@@ -122,7 +122,7 @@ pub struct Isolation {
     judges: IsolationAuthority,
     /// By whom they are about, and whose they are.
     votes: SortedMap<NodeName, SortedMap<NodeName, Vote>>,
-    kept_out: SortedSet<NodeName>,
+    isolated: SortedSet<NodeName>,
     peers: SortedSet<NodeName>,
     refused: u64,
     outputs: VecDeque<IsolationOutput>,
@@ -136,7 +136,7 @@ impl Isolation {
             incarnation,
             judges,
             votes: SortedMap::new(),
-            kept_out: SortedSet::new(),
+            isolated: SortedSet::new(),
             peers: SortedSet::new(),
             refused: 0,
             outputs: VecDeque::new(),
@@ -150,7 +150,7 @@ impl Isolation {
 
     /// Whether nothing is taken from this node.
     pub fn is_isolated(&self, node: &NodeName) -> bool {
-        self.kept_out.contains(node)
+        self.isolated.contains(node)
     }
 
     /// The node of this number, if a session with it is open.
@@ -183,7 +183,7 @@ impl Isolation {
         if own.is_some_and(|vote| vote.isolated && isolated) && self.is_isolated(node) {
             return Ok(());
         }
-        if own.is_none() && !self.makes_room_for(&self.own.clone()) {
+        if own.is_none() && !self.can_admit_voter(&self.own.clone()) {
             self.refused += 1;
             return Err(VoteRefused::TooMany { limit: VOTES_MAX });
         }
@@ -224,9 +224,9 @@ impl Isolation {
     }
 
     /// Another node tells its votes, over the session with it.
-    pub fn handle_told(&mut self, from: &NodeName, message: &[u8]) {
-        let told = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
-        let (Ok(Ballot { incarnation, votes }), false) = (told, self.is_isolated(from)) else {
+    pub fn handle_ballot(&mut self, from: &NodeName, message: &[u8]) {
+        let ballot = codec::decode_bounded::<Ballot, MESSAGE_MAX>(message);
+        let (Ok(Ballot { incarnation, votes }), false) = (ballot, self.is_isolated(from)) else {
             self.refused += 1;
             return;
         };
@@ -238,7 +238,7 @@ impl Isolation {
             }
             let is_new = self.votes.get(&node).is_none_or(|votes| !votes.contains_key(from));
             // What is too much once is so for the rest of the message, and not sought again.
-            crowded |= node != *from && is_new && !crowded && !self.makes_room_for(from);
+            crowded |= node != *from && is_new && !crowded && !self.can_admit_voter(from);
             let known = self.votes.get(&node).and_then(|votes| votes.get(from));
             if node == *from || crowded {
                 self.refused += 1;
@@ -266,7 +266,7 @@ impl Isolation {
 
     /// Whether this one may vote on one more. Its vote that a node is admitted, where no node says
     /// otherwise any more, gives way.
-    fn makes_room_for(&mut self, voter: &NodeName) -> bool {
+    fn can_admit_voter(&mut self, voter: &NodeName) -> bool {
         if self.count_of(voter) < VOTES_MAX {
             return true;
         }
@@ -293,10 +293,10 @@ impl Isolation {
             let isolated = !self.is_isolated(&node);
             let reason = self.reason(&node, isolated);
             if isolated {
-                self.kept_out.insert(node.clone());
+                self.isolated.insert(node.clone());
                 self.votes.values_mut().for_each(|votes| drop(votes.remove(&node)));
             } else {
-                self.kept_out.remove(&node);
+                self.isolated.remove(&node);
             }
             self.outputs.push_back(IsolationOutput::Isolate { node, isolated, reason });
         }
@@ -305,7 +305,7 @@ impl Isolation {
 
     fn misjudged(&self) -> Option<NodeName> {
         let wrong = |node: &&NodeName| self.judge(node) != self.is_isolated(node);
-        self.votes.keys().chain(&self.kept_out).find(wrong).cloned()
+        self.votes.keys().chain(&self.isolated).find(wrong).cloned()
     }
 
     fn judge(&self, node: &NodeName) -> bool {

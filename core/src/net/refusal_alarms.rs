@@ -19,8 +19,8 @@ const LOOKS: u32 = 3;
 pub struct RefusalAlarms<K> {
     /// As many as are looked at.
     seen: SortedMap<K, Seen>,
-    /// Of whom it was told.
-    told: ActiveAlarms<K>,
+    /// Of whom it was reported.
+    alarms: ActiveAlarms<K>,
     /// An alarm was reported, and not yet that all alarms are over.
     stands: bool,
 }
@@ -34,7 +34,7 @@ struct Seen {
 
 impl<K> Default for RefusalAlarms<K> {
     fn default() -> Self {
-        RefusalAlarms { seen: SortedMap::new(), told: ActiveAlarms::default(), stands: false }
+        RefusalAlarms { seen: SortedMap::new(), alarms: ActiveAlarms::default(), stands: false }
     }
 }
 
@@ -46,27 +46,27 @@ impl<K: Ord + Clone> RefusalAlarms<K> {
         let since = refusals.since(&std::mem::replace(&mut seen.refusals, refusals));
         let many = since.total() >= MANY;
         seen.looks = if many { seen.looks.saturating_add(1) } else { 0 };
-        let told = seen.looks > 0 && seen.looks.is_multiple_of(LOOKS);
-        if told {
+        let reported = seen.looks > 0 && seen.looks.is_multiple_of(LOOKS);
+        if reported {
             self.stands = true;
-            self.told.raise(who, now);
+            self.alarms.raise(who, now);
         } else if many {
-            self.told.go_on(&who, now);
+            self.alarms.go_on(&who, now);
         }
-        told.then_some(since)
+        reported.then_some(since)
     }
 
     /// Forgets `who`.
     pub fn forget(&mut self, who: &K) {
         self.seen.remove(who);
-        self.told.clear(who);
+        self.alarms.clear(who);
     }
 
-    /// Whether all that was told is over by now, which it is when no look found many for
+    /// Whether all that was reported is over by now, which it is when no look found many for
     /// [a minute](super::active_alarms::QUIET); once.
     pub fn take_over(&mut self, now: Instant) -> bool {
-        self.told.take_over(now);
-        let over = self.told.iter().next().is_none();
+        self.alarms.take_over(now);
+        let over = self.alarms.iter().next().is_none();
         over && std::mem::take(&mut self.stands)
     }
 }
@@ -81,17 +81,17 @@ mod tests {
         let mut total = Refusals::default();
         let mut look = |malformed: u64| {
             total.malformed += malformed;
-            let told = complaints.handle_look("peer", total, Instant::ORIGIN);
-            told.map(|since| since.malformed)
+            let reported = complaints.handle_look("peer", total, Instant::ORIGIN);
+            reported.map(|since| since.malformed)
         };
 
-        let told: Vec<_> =
+        let reported: Vec<_> =
             [1000, 49, 50, 50, 0, 60, 70, 80, 90, 0, 50, 51, 52, 53, 54, 55].map(&mut look).into();
 
         let mut wanted = vec![None; 16];
         wanted[7] = Some(80);
         (wanted[12], wanted[15]) = (Some(52), Some(55));
-        assert_eq!(told, wanted);
+        assert_eq!(reported, wanted);
     }
 
     #[test]
@@ -114,21 +114,21 @@ mod tests {
         let mut refused = [0; 2];
         let mut second = |at: u64, many: [bool; 2]| {
             let now = Instant::from_millis(at * 1000);
-            let told = [0, 1].map(|who| {
+            let reported = [0, 1].map(|who| {
                 refused[who] += if many[who] { 100 } else { 1 };
                 let refusals = Refusals { stale: refused[who], ..Refusals::default() };
                 complaints.handle_look(who, refusals, now).is_some()
             });
-            (told, complaints.take_over(now))
+            (reported, complaints.take_over(now))
         };
-        let mut told = Vec::new();
+        let mut reported = Vec::new();
         for at in 0..300 {
             // One goes on until 40, the other from 10 until 20, and once more from 200 until 205.
             let many = [(0..40).contains(&at) || (200..205).contains(&at), (10..20).contains(&at)];
             let (of, over) = second(at, many);
-            told.extend(over.then_some((at, "over")));
-            told.extend((of[0] && !(3..=100).contains(&at)).then_some((at, "told")));
+            reported.extend(over.then_some((at, "over")));
+            reported.extend((of[0] && !(3..=100).contains(&at)).then_some((at, "told")));
         }
-        assert_eq!(told, [(2, "told"), (99, "over"), (202, "told"), (264, "over")]);
+        assert_eq!(reported, [(2, "told"), (99, "over"), (202, "told"), (264, "over")]);
     }
 }

@@ -6,15 +6,15 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// One thing that can be done about a fault.
+/// A recovery action.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum RecoveryAction {
     /// Nothing but to keep it in the record: it passes, or another part recovers it.
     Observe,
     /// Let the component recover by itself, in its present incarnation (`on_reset`).
     Reset,
-    /// Replace the present incarnation by the next one, with its siblings as the supervisor's
-    /// strategy says.
+    /// Replace the present incarnation by the next one, and its siblings as the supervisor's
+    /// strategy requires.
     Restart,
     /// Let the component go on in its next incarnation on a thread of its own, with its queue:
     /// against an overload that makes its neighbours late. It fails where the component has one
@@ -45,8 +45,8 @@ impl RecoveryAction {
         }
     }
 
-    /// How long it is given unless the plan says otherwise: about ten times what it takes on a busy
-    /// computer, and for a restart the deadlines of a group of children one after the other.
+    /// The default limit of this action: about ten times what it takes on a busy computer, and for
+    /// a restart the deadlines of a group of children one after the other.
     fn usual_limit(&self) -> Duration {
         match self {
             RecoveryAction::Observe | RecoveryAction::Isolate => Duration::from_secs(1),
@@ -68,19 +68,19 @@ impl fmt::Display for RecoveryAction {
 /// One rung of a [`Ladder`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LadderStep {
-    /// What is done.
+    /// The action of this step.
     pub measure: RecoveryAction,
     /// How often it is tried before the next rung; at least 1.
     pub attempts: u32,
     /// How long to wait between two attempts.
     pub backoff: Backoff,
-    /// One attempt that takes longer has failed.
+    /// The limit of one attempt; an attempt that takes longer has failed.
     pub within: Duration,
 }
 
 /// Measures in the order in which they are tried.
 ///
-/// A ladder that is exhausted ends in safe state, whether or not that is its last rung.
+/// A ladder that is exhausted ends in the safe state, whether or not that is its last rung.
 ///
 /// ```
 /// use blastema_core::recovery::{Ladder, RecoveryAction};
@@ -97,7 +97,7 @@ impl Ladder {
         Ladder(Vec::new()).then(measure)
     }
 
-    /// One more rung: one attempt at `measure`.
+    /// Adds a step: one attempt at `measure`.
     #[must_use]
     pub fn then(mut self, measure: RecoveryAction) -> Self {
         let within = measure.usual_limit();

@@ -9,9 +9,9 @@
 //! ```
 //!
 //! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind
-//! of fault, one rung after the other, and ends in safe state. [`Supervisor`] keeps the tree as in
-//! Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts than
-//! the intensity allows, and it ends and escalates. Neither of them detects anything.
+//! of fault, one rung after the other, and ends in the safe state. [`Supervisor`] keeps the tree as
+//! in Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts
+//! than the intensity allows, and it ends and escalates. Neither of them detects anything.
 
 mod ladder;
 mod plan;

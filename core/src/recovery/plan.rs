@@ -31,7 +31,7 @@ pub struct Plan {
     observe: Ladder,
 }
 
-/// What is wrong with a [`Plan`]. Each of them is the designer's to mend.
+/// An error in a [`Plan`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanError {
@@ -146,7 +146,7 @@ impl Default for Plan {
             // The actuator's node has applied the safe outputs already.
             FaultKind::CommanderGone => observe.clone(),
             // A user, or the application, brings it back.
-            FaultKind::NodeAtRest => observe.clone(),
+            FaultKind::NodeInSafeState => observe.clone(),
             // Who starts its process again is for the robot's service manager to say.
             FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
@@ -194,8 +194,8 @@ impl Plan {
     }
 
     /// The answer that the recoverer of `node` has to a kind of fault at a place.
-    pub fn answer(&self, node: &NodeName, kind: &FaultKind, place: &FaultLocation) -> &Ladder {
-        match place {
+    pub fn answer(&self, node: &NodeName, kind: &FaultKind, location: &FaultLocation) -> &Ladder {
+        match location {
             FaultLocation::Object(address) if address.node == *node => {
                 self.answer_for(kind, Some(&address.object))
             }
@@ -211,12 +211,14 @@ impl Plan {
 
     /// Whether the guard of `component` may carry out a restart after a panic by itself: only where
     /// the plan's first measure is the built-in restart.
+    #[doc(hidden)]
     pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
         let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
         first.measure == RecoveryAction::Restart
     }
 
     /// The codes of all faults of the application's own that the plan answers.
+    #[doc(hidden)]
     pub fn codes(&self) -> SortedSet<Arc<str>> {
         let of_components = self.components.values().flat_map(SortedMap::keys);
         let kinds = self.kinds.keys().chain(of_components);
@@ -314,7 +316,7 @@ fn check_ladder(
         kind,
         FaultKind::NodeLost
             | FaultKind::NodeFaulty
-            | FaultKind::NodeAtRest
+            | FaultKind::NodeInSafeState
             | FaultKind::CrashLoop
             | FaultKind::NodePaused
     );
@@ -422,8 +424,8 @@ mod tests {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default();
 
-        let place = FaultLocation::Node(node.clone());
-        let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &place);
+        let location = FaultLocation::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &location);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }
@@ -433,8 +435,8 @@ mod tests {
         let node: NodeName = "module1".parse().expect("a good name");
         let plan = Plan::default().on(FaultKind::Overload, Ladder::first(RecoveryAction::SafeStop));
 
-        let place = FaultLocation::Node(node.clone());
-        let ladder = plan.answer(&node, &FaultKind::Overload, &place);
+        let location = FaultLocation::Node(node.clone());
+        let ladder = plan.answer(&node, &FaultKind::Overload, &location);
 
         assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
     }

@@ -1,7 +1,7 @@
 //! Which measure answers a fault, and what comes next when it does not help.
 //!
 //! ```text
-//!  fault ─► case of its place ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
+//!  fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
 //!                                   └─ done ─► recovered, its symptoms are judged again
 //! ```
 //!
@@ -150,7 +150,7 @@ impl Recoverer {
     /// A fault was found, or is reported once more.
     pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
         let id = fault.id;
-        if let Some(case) = self.cases.get_mut(&fault.place)
+        if let Some(case) = self.cases.get_mut(&fault.location)
             && let Some(noted) = case.faults.iter_mut().find(|noted| noted.fault.id == id)
         {
             if fault.incarnation > noted.fault.incarnation {
@@ -177,15 +177,15 @@ impl Recoverer {
     }
 
     /// A fault has gone by itself.
-    pub fn handle_stand_down(&mut self, id: FaultId, place: &FaultLocation, now: Instant) {
+    pub fn handle_stand_down(&mut self, id: FaultId, location: &FaultLocation, now: Instant) {
         if self.symptoms.remove(&id).is_some() {
             self.release_symptoms(&[id], now);
         }
-        let Some(case) = self.cases.get_mut(place) else { return };
+        let Some(case) = self.cases.get_mut(location) else { return };
         if let Progress::Waiting { .. } = case.progress {
             case.faults.retain(|noted| noted.fault.id != id);
             if case.faults.is_empty() {
-                self.cases.remove(place);
+                self.cases.remove(location);
                 self.release_symptoms(&[id], now);
             }
             return;
@@ -203,18 +203,18 @@ impl Recoverer {
         outcome: Result<RecoveryDone, RecoveryFailed>,
         now: Instant,
     ) {
-        let Some((place, measure)) = self.close_order(number, now) else { return };
-        let Some(case) = self.cases.get_mut(&place) else { return };
+        let Some((location, measure)) = self.close_order(number, now) else { return };
+        let Some(case) = self.cases.get_mut(&location) else { return };
         if case.order != number {
             return;
         }
         match outcome {
-            Ok(done) => self.settle_case(&place, &measure, done, now),
+            Ok(done) => self.settle_case(&location, &measure, done, now),
             Err(RecoveryFailed { reason, is_final }) => {
                 if is_final {
                     case.attempt = case.ladder.steps()[case.rung].attempts;
                 }
-                self.climb(&place, reason, now);
+                self.climb(&location, reason, now);
             }
         }
     }
@@ -222,26 +222,27 @@ impl Recoverer {
     /// The incarnation that a measure has begun has the fault too. Where it does not answer, no
     /// other part finds out that the measure has failed.
     fn handle_struck_again(&mut self, fault: &Fault, now: Instant) {
-        let case = &self.cases[&fault.place];
+        let case = &self.cases[&fault.location];
         if is_stuck(fault) && matches!(case.progress, Progress::Acting { .. }) {
             self.close_order(case.order, now);
-            self.climb(&fault.place, "its next incarnation does not answer either".into(), now);
+            self.climb(&fault.location, "its next incarnation does not answer either".into(), now);
         }
     }
 
     fn treat(&mut self, fault: Fault, now: Instant) {
         let since = self.orders;
-        let ladder = self.plan.answer(&self.node, &fault.kind, &fault.place);
+        let ladder = self.plan.answer(&self.node, &fault.kind, &fault.location);
         if ladder.steps()[0].measure == RecoveryAction::Observe {
             return self.tell(&fault, FaultResolution::Observed);
         }
-        if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.place) {
+        if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.location) {
             return self.leave_untreated(&fault, standstill);
         }
-        let place = fault.place.clone();
-        if let Some(case) = self.cases.get_mut(&place) {
+        let location = fault.location.clone();
+        if let Some(case) = self.cases.get_mut(&location) {
             if case.faults.len() == FAULTS_LIMIT {
-                let reason = format!("{FAULTS_LIMIT} faults of {place} are being treated already");
+                let reason =
+                    format!("{FAULTS_LIMIT} faults of {location} are being treated already");
                 return self.tell(&fault, FaultResolution::GaveUp { reason });
             }
             case.faults.push(Noted { fault, since, over: false });
@@ -252,7 +253,7 @@ impl Recoverer {
             return self.tell(&fault, FaultResolution::GaveUp { reason });
         }
         let ladder = ladder.clone();
-        let remembered = self.memories.remove(&(place.clone(), fault.kind.clone()));
+        let remembered = self.memories.remove(&(location.clone(), fault.kind.clone()));
         let (mut rung, mut attempt) = (0, 1);
         if let Some(memory) = remembered.filter(|memory| now <= memory.until) {
             (rung, attempt) = (memory.rung, memory.attempt + 1);
@@ -269,16 +270,16 @@ impl Recoverer {
             progress: Progress::Waiting { due: now },
             given_up: false,
         };
-        self.cases.insert(place.clone(), case);
-        self.approach(&place, "it came back after it had been recovered".into(), now);
+        self.cases.insert(location.clone(), case);
+        self.approach(&location, "it came back after it had been recovered".into(), now);
     }
 
     /// The attempt did not help: the next one, or the next rung.
-    fn climb(&mut self, place: &FaultLocation, reason: String, now: Instant) {
-        let case = self.cases.get_mut(place).expect("a case that climbs is open");
+    fn climb(&mut self, location: &FaultLocation, reason: String, now: Instant) {
+        let case = self.cases.get_mut(location).expect("a case that climbs is open");
         if case.faults.iter().all(|noted| noted.over) {
             // The answer was late, or lost; what it was about has gone.
-            let case = self.cases.remove(place).expect("it was just looked at");
+            let case = self.cases.remove(location).expect("it was just looked at");
             let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
             return self.release_symptoms(&ids(&faults), now);
         }
@@ -294,19 +295,19 @@ impl Recoverer {
             let (measure, reason) = (measure.clone(), reason.clone());
             self.tell(&fault, FaultResolution::Failed { measure, reason });
         }
-        self.approach(place, reason, now);
+        self.approach(location, reason, now);
     }
 
     /// Waits for the next attempt, or makes it.
-    fn approach(&mut self, place: &FaultLocation, reason: String, now: Instant) {
-        let case = self.cases.get_mut(place).expect("a case in treatment is open");
-        if case.rung == case.ladder.steps().len() && !self.fall_back(place, reason, now) {
+    fn approach(&mut self, location: &FaultLocation, reason: String, now: Instant) {
+        let case = self.cases.get_mut(location).expect("a case in treatment is open");
+        if case.rung == case.ladder.steps().len() && !self.fall_back(location, reason, now) {
             return;
         }
-        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
         if step.measure == RecoveryAction::Observe {
-            for fault in self.close(place, now) {
+            for fault in self.close(location, now) {
                 self.tell(&fault, FaultResolution::Observed);
             }
             return;
@@ -314,14 +315,14 @@ impl Recoverer {
         let delay = step.backoff.delay(case.attempt, self.seed ^ self.orders);
         case.progress = Progress::Waiting { due: now + delay };
         if delay.is_zero() {
-            self.give_order(place, now);
+            self.give_order(location, now);
         }
     }
 
     /// The ladder is at its end. Safe stop is left, or, if that has been tried, the node's own
     /// rest; then the case is closed.
-    fn fall_back(&mut self, place: &FaultLocation, reason: String, now: Instant) -> bool {
-        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+    fn fall_back(&mut self, location: &FaultLocation, reason: String, now: Instant) -> bool {
+        let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let untold = !std::mem::replace(&mut case.given_up, true);
         let rested =
             case.ladder.steps().iter().any(|step| step.measure == RecoveryAction::SafeStop);
@@ -334,7 +335,7 @@ impl Recoverer {
             }
         }
         if rested {
-            let first = self.close(place, now).into_iter().next();
+            let first = self.close(location, now).into_iter().next();
             let fault = first.expect("a case has its first fault");
             self.outputs.push_back(RecovererOutput::LastResort { fault, reason });
         }
@@ -342,16 +343,16 @@ impl Recoverer {
     }
 
     /// Ends a case that has no cure.
-    fn close(&mut self, place: &FaultLocation, now: Instant) -> Vec<Fault> {
-        let faults = self.cases.remove(place).map(|case| case.known()).unwrap_or_default();
+    fn close(&mut self, location: &FaultLocation, now: Instant) -> Vec<Fault> {
+        let faults = self.cases.remove(location).map(|case| case.known()).unwrap_or_default();
         self.release_symptoms(&ids(&faults), now);
         faults
     }
 
-    fn give_order(&mut self, place: &FaultLocation, now: Instant) {
+    fn give_order(&mut self, location: &FaultLocation, now: Instant) {
         self.orders += 1;
         let number = self.orders;
-        let case = self.cases.get_mut(place).expect("a case in treatment is open");
+        let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
         let (measure, attempt, within) = (step.measure.clone(), case.attempt, step.within);
         case.order = number;
@@ -365,7 +366,7 @@ impl Recoverer {
         for fault in case.known() {
             self.tell(&fault, FaultResolution::Decided { measure: measure.clone(), attempt });
         }
-        self.open.insert(number, (place.clone(), measure.clone()));
+        self.open.insert(number, (location.clone(), measure.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
         self.engaged.entry(measure.clone()).or_insert(idle).orders += 1;
         let order = RecoveryOrder { number, measure, fault: telling, attempt, within };
@@ -375,17 +376,17 @@ impl Recoverer {
     /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
     fn settle_case(
         &mut self,
-        place: &FaultLocation,
+        location: &FaultLocation,
         measure: &RecoveryAction,
         done: RecoveryDone,
         now: Instant,
     ) {
-        let case = self.cases.remove(place).expect("a case that is settled is open");
+        let case = self.cases.remove(location).expect("a case that is settled is open");
         let kind = case.faults[0].fault.kind.clone();
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
-        let struck = known.map(|noted| noted.fault.incarnation).max();
+        let faulty = known.map(|noted| noted.fault.incarnation).max();
         // Isolation leaves an incarnation alone that has followed the struck one.
-        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > struck;
+        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > faulty;
         let contained =
             !is_late && matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
         let restarted = *measure == RecoveryAction::Restart;
@@ -414,7 +415,7 @@ impl Recoverer {
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
         if !contained && !restarted && !is_late && *measure != RecoveryAction::Reroute {
-            self.remember((place.clone(), kind), case.rung, case.attempt, now);
+            self.remember((location.clone(), kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&[ids(&cured), over].concat(), now);
         for noted in left {
@@ -457,12 +458,12 @@ impl Recoverer {
         number: u64,
         now: Instant,
     ) -> Option<(FaultLocation, RecoveryAction)> {
-        let (place, measure) = self.open.remove(&number)?;
+        let (location, measure) = self.open.remove(&number)?;
         if let Some(engaged) = self.engaged.get_mut(&measure) {
             engaged.orders -= 1;
             engaged.idle_since = now;
         }
-        Some((place, measure))
+        Some((location, measure))
     }
 
     fn is_open(&self, id: FaultId) -> bool {
@@ -480,7 +481,7 @@ impl Recoverer {
     /// What another node found in itself has a number of that node's record, which says nothing
     /// here.
     fn is_ours(&self, fault: &Fault) -> bool {
-        match &fault.place {
+        match &fault.location {
             FaultLocation::Object(address) => address.node == self.node,
             FaultLocation::Link { node, .. } => *node == self.node,
             FaultLocation::Node(_) => true,
@@ -489,8 +490,8 @@ impl Recoverer {
 
     fn tell(&mut self, fault: &Fault, settled: FaultResolution) {
         if self.is_ours(fault) {
-            let (fault, place) = (fault.id, fault.place.clone());
-            self.outputs.push_back(RecovererOutput::Settle { fault, place, settled });
+            let (fault, location) = (fault.id, fault.location.clone());
+            self.outputs.push_back(RecovererOutput::Settle { fault, location, settled });
         }
     }
 }

@@ -15,7 +15,7 @@ pub enum Strategy {
     RestForOne,
 }
 
-/// What a supervisor does about a child that needs more restarts than it allows.
+/// The action of a supervisor when a child exceeds the intensity of restarts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WhenExceeded {
     /// Restarts are counted per child. The child that exceeds the intensity is not restarted any
@@ -50,7 +50,7 @@ pub struct ChildRules {
     pub restart: Restart,
     /// From start to being at work. Longer suits slow devices; a failed start is noticed later.
     pub ready_within: Duration,
-    /// From being told to stop to having stopped. After that it is given up without its consent.
+    /// The limit from the order to stop to the end. A child that takes longer is abandoned.
     pub shutdown_within: Duration,
     /// A panic's first measure is the built-in restart, so that the guard may restart on the spot.
     pub on_the_spot: bool,
@@ -112,9 +112,9 @@ pub struct SupervisorRules {
     pub intensity: u32,
     /// The sliding window in which restarts are counted.
     pub period: Duration,
-    /// What is done when restarts exceed the intensity.
+    /// The action when restarts exceed the intensity.
     pub when_exceeded: WhenExceeded,
-    /// It has no parent: its end is the node's safe state.
+    /// The supervisor is the root: its escalation puts the node into the safe state.
     pub root: bool,
 }
 

@@ -156,8 +156,8 @@ fn who_lies_about_a_link_of_others_diverts_them_for_two_hellos_and_takes_nothing
                 mtu: 9000,
             });
             let edges = if n % 4 == 0 { with.to_vec() } else { Vec::new() };
-            let stamp = AdvertisementId { origin, incarnation, sequence: 1000 + 2 * n };
-            let lie = Advertisement { stamp, node, edges, withdrawn: false };
+            let advertisement_id = AdvertisementId { origin, incarnation, sequence: 1000 + 2 * n };
+            let lie = Advertisement { id: advertisement_id, node, edges, withdrawn: false };
             let now = world.now;
             let victim = world.nodes[1].as_mut().unwrap();
             victim.router.handle_routing(

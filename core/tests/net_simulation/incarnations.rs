@@ -98,7 +98,7 @@ fn what_an_incarnation_that_is_over_has_said_changes_nothing_whichever_number_is
             world.start(1);
             world.run(1000 * MS);
             world.send(1, 2, 100);
-            let said = watch(&mut world, 300 * MS);
+            let sent = watch(&mut world, 300 * MS);
             world.kill(1);
             world.incarnations[1] = new;
             world.start(1);
@@ -106,7 +106,7 @@ fn what_an_incarnation_that_is_over_has_said_changes_nothing_whichever_number_is
             world.run(2000 * MS);
             let delivered = world.delivered.len();
 
-            let end = replay(&mut world, said);
+            let end = replay(&mut world, sent);
             while world.now < end {
                 world.run(5 * MS);
                 assert!(is_whole(&world), "{:?}", world.now);
@@ -131,21 +131,21 @@ fn recorded(seed: u64) -> (World, Vec<(usize, usize, Bytes)>) {
     }
     let before = world.now;
     // Each frame is on its way for a tenth of a millisecond at least.
-    let said = watch(&mut world, Duration::from_secs(10)).into_values().collect();
+    let sent = watch(&mut world, Duration::from_secs(10)).into_values().collect();
     assert!(world.now > before && is_whole(&world));
-    (world, said)
+    (world, sent)
 }
 
 /// Runs for a millisecond, in which some of these arrive again: in turn, or any.
-fn repeat(world: &mut World, said: &[(usize, usize, Bytes)], in_turn: bool) {
+fn repeat(world: &mut World, sent: &[(usize, usize, Bytes)], in_turn: bool) {
     for _ in 0..3 {
         world.count += 1;
         let one = match in_turn {
-            true => world.count % said.len() as u64,
-            false => world.random.below(said.len() as u64),
+            true => world.count % sent.len() as u64,
+            false => world.random.below(sent.len() as u64),
         };
         let key = (world.now, (1 << 60) + world.count);
-        world.frames.insert(key, said[one as usize].clone());
+        world.frames.insert(key, sent[one as usize].clone());
     }
     world.run(MS);
 }
@@ -154,9 +154,9 @@ fn repeat(world: &mut World, said: &[(usize, usize, Bytes)], in_turn: bool) {
 fn what_was_said_before_takes_no_link_down() {
     for_seeds(260..262, |seed| {
         for in_turn in [true, false] {
-            let (mut world, said) = recorded(seed);
+            let (mut world, sent) = recorded(seed);
             for _ in 0..2_000 {
-                repeat(&mut world, &said, in_turn);
+                repeat(&mut world, &sent, in_turn);
                 assert!(is_whole(&world), "{:?}", world.now);
                 let mut links = world.nodes.iter().flatten().flat_map(|node| &node.links);
                 assert!(links.all(|(_, _, link)| link.state() == LinkState::Up));
@@ -169,16 +169,16 @@ fn what_was_said_before_takes_no_link_down() {
 fn a_node_that_begins_anew_while_its_past_is_repeated_is_back_within_a_second() {
     for_seeds(262..264, |seed| {
         for (in_turn, incarnation) in [(true, 1), (false, 1), (true, 900), (false, 900)] {
-            let (mut world, said) = recorded(seed);
+            let (mut world, sent) = recorded(seed);
             world.kill(1);
             for _ in 0..200 {
-                repeat(&mut world, &said, in_turn);
+                repeat(&mut world, &sent, in_turn);
             }
             world.incarnations[1] = incarnation;
             world.start(1);
             let began = world.now;
             while !is_whole(&world) {
-                repeat(&mut world, &said, in_turn);
+                repeat(&mut world, &sent, in_turn);
                 let took = world.now - began;
                 assert!(took < Duration::from_secs(1), "{took:?}, {in_turn} {incarnation}");
             }

@@ -38,8 +38,8 @@ fn lie(origin: usize, (incarnation, sequence): (u64, u32), to: &[usize]) -> Adve
     let (origin, incarnation) = (NodeId::of(&node), Incarnation(incarnation));
     let edge = |to: &usize| Edge { to: NodeId::of(&name(*to)), incarnation: 1, cost: 1, mtu: 9000 };
     let edges = to.iter().map(edge).collect();
-    let stamp = AdvertisementId { origin, incarnation, sequence };
-    Advertisement { stamp, node, edges, withdrawn: false }
+    let advertisement_id = AdvertisementId { origin, incarnation, sequence };
+    Advertisement { id: advertisement_id, node, edges, withdrawn: false }
 }
 
 /// The way from 0 to 2 is over 3, and there is traffic on it. Node 1 is next to 0 alone, and tells

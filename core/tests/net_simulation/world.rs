@@ -1,5 +1,5 @@
 //! Whole networks of link, router and session machines over wires that lose, delay, reorder and
-//! double, are cut and mended, between nodes that die and live again: one seed, one run.
+//! double, are cut and restored, between nodes that die and live again: one seed, one run.
 
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
@@ -392,7 +392,7 @@ impl World {
                     SessionOutput::Opened { .. }
                     | SessionOutput::Ended { .. }
                     | SessionOutput::Full { .. }
-                    | SessionOutput::Room { .. }
+                    | SessionOutput::Ready { .. }
                     | SessionOutput::Newest { .. } => {}
                 }
             }

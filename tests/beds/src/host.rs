@@ -107,7 +107,7 @@ impl Host {
         self.lines.lock().0.iter().find(|line| line.starts_with(beginning)).cloned()
     }
 
-    /// Its latest lines, for people.
+    /// Its latest lines, for display.
     pub(crate) fn last_words(&self, count: usize) -> String {
         let times = self.lines.times.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let lines = self.lines.lock();

@@ -216,7 +216,7 @@ async fn tell_faults(node: Node) {
     while let Some(event) = events.next().await {
         let turn = format!("{:?}", event.turn).to_lowercase();
         let turn = turn.split([' ', '{']).next().unwrap_or_default().to_owned();
-        say(&format!("fault {turn} {} at {}", event.fault.kind, event.fault.place));
+        say(&format!("fault {turn} {} at {}", event.fault.kind, event.fault.location));
     }
 }
 
@@ -233,7 +233,7 @@ async fn tell_changes(node: Node) {
             }
         }
         for row in node.sessions().await {
-            let incarnation = format!("{:?}", row.standing.incarnation);
+            let incarnation = format!("{:?}", row.status.incarnation);
             if before.insert(format!("with {}", row.node), incarnation.clone()).as_ref()
                 != Some(&incarnation)
             {

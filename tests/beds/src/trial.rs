@@ -100,8 +100,8 @@ impl Trial {
         self.count()
     }
 
-    /// Breaks a cable, waits until both ends have named the fault, mends it, and waits until both
-    /// have it back.
+    /// Breaks a cable, waits until both ends have named the fault, restores it, and waits until
+    /// both have it back.
     fn injure(
         &mut self,
         how: &str,

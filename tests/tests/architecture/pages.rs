@@ -95,7 +95,7 @@ const VAGUE: [&str; 5] = ["whoever", "nobody", "somebody", "anybody", "anew"];
 /// its new, lower number; none rises.
 const VAGUE_MAX: [(&str, usize); 6] = [
     ("actors/", 55),
-    ("core/", 166),
+    ("core/", 164),
     ("examples/", 0),
     ("tests/", 10),
     ("transports/", 0),

@@ -11,12 +11,12 @@
 //! LOOM_MAX_PREEMPTIONS=4 LOOM_LOG=1 cargo test ..               # deeper; and what a failing one did
 //! ```
 
+mod activity;
 mod arbiter;
 mod liveness;
 mod messaging;
 mod queues;
 mod replies;
-mod stamps;
 mod tokens;
 
 use loom::model::Builder;
@@ -61,7 +61,7 @@ type Model = (&'static str, fn());
 fn main() {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    let models = [&queues::MODELS[..], &replies::MODELS, &tokens::MODELS, &stamps::MODELS];
+    let models = [&queues::MODELS[..], &replies::MODELS, &tokens::MODELS, &activity::MODELS];
     let chosen = |name: &str| wanted.is_empty() || wanted.iter().any(|word| name.contains(word));
     for (name, model) in models.into_iter().flatten().filter(|(name, _)| chosen(name)) {
         let mut builder = Builder::new();

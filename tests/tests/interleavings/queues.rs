@@ -19,8 +19,8 @@ pub(crate) const MODELS: [Model; 7] = [
         "queue: of an incarnation that dies and one who gives it up, one decides",
         death_and_abandonment,
     ),
-    ("queue: a sender that waits for capacity gets it", waiting_for_room),
-    ("queue: room that a sender gave up is the next one's", room_given_up),
+    ("queue: a sender that waits for capacity gets it", waiting_for_space),
+    ("queue: room that a sender gave up is the next one's", space_given_up),
     ("queue: what a stop meets is handed out or refused", push_and_stop),
     ("queue: a notice wakes its incarnation, and reaches no other", notice_and_change_of_owner),
 ];
@@ -60,8 +60,8 @@ fn take(
 fn deliver(queue: &BoundedQueue<u32>, n: u32) {
     let (bell, waker) = bell();
     while push(queue, n).is_err() {
-        let mut room = pin!(queue.room());
-        while room.as_mut().poll(&mut Context::from_waker(&waker)).is_pending() {
+        let mut space = pin!(queue.space());
+        while space.as_mut().poll(&mut Context::from_waker(&waker)).is_pending() {
             bell.0.wait();
         }
     }
@@ -126,7 +126,7 @@ fn death_and_abandonment() {
     assert_eq!(take(&queue, owner, 1, &bell()), [7]);
 }
 
-fn waiting_for_room() {
+fn waiting_for_space() {
     let queue = queue(1);
     push(&queue, 1).expect("there is room");
     let sender = {
@@ -141,7 +141,7 @@ fn waiting_for_room() {
     sender.join().expect("it does not panic");
 }
 
-fn room_given_up() {
+fn space_given_up() {
     let queue = queue(1);
     push(&queue, 1).expect("there is room");
     let sender = {
@@ -151,8 +151,8 @@ fn room_given_up() {
     let impatient = {
         let queue = queue.clone();
         thread::spawn(move || {
-            let mut room = Box::pin(queue.room());
-            let _ = room.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            let mut space = Box::pin(queue.space());
+            let _ = space.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         })
     };
 

@@ -15,9 +15,9 @@ pub(crate) fn isolation(evidence: &Evidence, out: &mut Vec<String>) {
     for event in &evidence.events {
         let isolated =
             matches!(&event.turn, FaultTransition::GaveUp { reason } if is_isolation(reason));
-        let place = event.fault.place.to_string();
+        let location = event.fault.location.to_string();
         let part =
-            evidence.robot.parts.iter().position(|part| place == format!("robot:{}", part.name));
+            evidence.robot.parts.iter().position(|part| location == format!("robot:{}", part.name));
         let (true, Some(part)) = (isolated, part) else { continue };
         // What it has taken before is noted when it is no longer held up.
         if evidence.was(part, Cause::Slow) {
@@ -47,18 +47,18 @@ fn is_isolation(reason: &str) -> bool {
 
 /// Whether the plan has had this component isolated.
 pub(crate) fn was_isolated(evidence: &Evidence, part: usize) -> bool {
-    let place = format!("robot:{}", evidence.name(part));
+    let location = format!("robot:{}", evidence.name(part));
     evidence.events.iter().any(|event| {
         let gave_up =
             matches!(&event.turn, FaultTransition::GaveUp { reason } if is_isolation(reason));
-        gave_up && event.fault.place.to_string() == place
+        gave_up && event.fault.location.to_string() == location
     })
 }
 
 /// Whether the plan has this component isolated, and it is.
 pub(crate) fn is_isolated(evidence: &Evidence, row: &MonitorRow) -> bool {
-    let of_row = |place: &_| *place == row.place;
-    let mut entries = evidence.record.entries.iter().filter(|entry| of_row(&entry.fault.place));
+    let of_row = |location: &_| *location == row.location;
+    let mut entries = evidence.record.entries.iter().filter(|entry| of_row(&entry.fault.location));
     let gave_up =
         |why: &Option<(_, String)>| why.as_ref().is_some_and(|(_, why)| is_isolation(why));
     row.isolated && entries.any(|entry| gave_up(&entry.given_up))

@@ -71,8 +71,8 @@ impl Evidence {
 
     /// The faults of this object.
     fn faults<'a>(&'a self, object: &str) -> impl Iterator<Item = &'a FaultEntry> {
-        let place = format!("robot:{object}");
-        self.record.entries.iter().filter(move |entry| entry.fault.place.to_string() == place)
+        let location = format!("robot:{object}");
+        self.record.entries.iter().filter(move |entry| entry.fault.location.to_string() == location)
     }
 
     /// Milliseconds since the first line of the ledger; before it, less than none.
@@ -86,7 +86,7 @@ impl Evidence {
     }
 
     /// Where this component stands with its supervisor.
-    pub(crate) fn standing(&self, part: usize) -> Option<(ChildState, u64)> {
+    pub(crate) fn child_status(&self, part: usize) -> Option<(ChildState, u64)> {
         let leaves = leaves(self.tree.as_ref()?);
         let own = leaves.into_iter().find(|(name, ..)| name == self.name(part))?;
         Some((own.1, own.2))
@@ -94,7 +94,7 @@ impl Evidence {
 
     pub(crate) fn is_running(&self, part: usize) -> bool {
         !self.at_rest()
-            && self.standing(part).is_some_and(|(state, _)| state == ChildState::Running)
+            && self.child_status(part).is_some_and(|(state, _)| state == ChildState::Running)
     }
 }
 
@@ -291,7 +291,7 @@ fn notices(evidence: &Evidence, out: &mut Vec<String>) {
             }
             last = *incarnation;
         }
-        let Some((state, now)) = evidence.standing(part) else { continue };
+        let Some((state, now)) = evidence.child_status(part) else { continue };
         let over = if state == ChildState::Running { now.saturating_sub(1) } else { now };
         if known < over && over >= *from {
             out.push(format!(
@@ -312,8 +312,8 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
         if fault.symptom_of.is_some() {
             continue;
         }
-        let place = fault.place.to_string();
-        let object = place.strip_prefix("robot:").unwrap_or(&place);
+        let location = fault.location.to_string();
+        let object = location.strip_prefix("robot:").unwrap_or(&location);
         let at = |part: usize| {
             evidence
                 .causes(part)
@@ -330,7 +330,7 @@ fn roots(evidence: &Evidence, out: &mut Vec<String>) {
             None => {
                 let of_group = groups.iter().filter(|(name, _)| name == object);
                 let mut parts = of_group.flat_map(|(_, parts)| parts);
-                place == "robot" || parts.any(|part| at(*part).next().is_some())
+                location == "robot" || parts.any(|part| at(*part).next().is_some())
             }
         };
         if !explained {
@@ -432,12 +432,14 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
     for (part, answer) in evidence.answers.iter().enumerate() {
         let name = evidence.name(part);
         let row =
-            evidence.table.iter().find(|row| row.place.to_string() == format!("robot:{name}"));
+            evidence.table.iter().find(|row| row.location.to_string() == format!("robot:{name}"));
         if evidence.is_away(part) {
-            let standing = evidence.standing(part);
-            let is_seen = row.is_some() || standing.is_some();
+            let child_status = evidence.child_status(part);
+            let is_seen = row.is_some() || child_status.is_some();
             if is_seen || !matches!(answer, Answer::NotTaken(_)) {
-                out.push(format!("pictures: {name} is away: {standing:?}, {answer:?}, {row:?}"));
+                out.push(format!(
+                    "pictures: {name} is away: {child_status:?}, {answer:?}, {row:?}"
+                ));
             }
             continue;
         }
@@ -445,11 +447,12 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
             out.push(format!("pictures: {name} is not in the table"));
             continue;
         };
-        let standing = evidence.standing(part);
+        let child_status = evidence.child_status(part);
         let began = |entry: &Entry| entry.what == What::Began && entry.at <= evidence.seen_at;
         let began = evidence.of_part(part).filter(|entry| began(entry)).last();
         let began = began.map_or(0, |entry| entry.incarnation);
-        let told = format!("{name}: in the tree {standing:?}, began #{began}, {answer:?}, {row:?}");
+        let told =
+            format!("{name}: in the tree {child_status:?}, began #{began}, {answer:?}, {row:?}");
         if is_isolated(evidence, row) {
             if !matches!(answer, Answer::NotTaken(_)) {
                 out.push(format!("pictures: isolated: {told}"));
@@ -458,7 +461,7 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
             let agreed = row.state == Some(Lifecycle::Active)
                 && (row.opinion == Opinion::Trusted
                     || evidence.robot.clock != Clock::Virtual && row.opinion == Opinion::Suspect)
-                && standing == Some((ChildState::Running, row.incarnation.0))
+                && child_status == Some((ChildState::Running, row.incarnation.0))
                 && began == row.incarnation.0
                 && *answer == Answer::Reply(row.incarnation.0);
             if !agreed {
@@ -477,7 +480,7 @@ fn pictures(evidence: &Evidence, out: &mut Vec<String>) {
                 || stopped
                 || evidence.robot.parts[part].restart == Restart::Temporary;
             let at_rest = matches!(
-                standing,
+                child_status,
                 None | Some((ChildState::Resting | ChildState::Finished | ChildState::Waiting, _))
             );
             if !why || (!at_rest && !evidence.at_rest()) || !matches!(answer, Answer::NotTaken(_)) {
@@ -492,8 +495,8 @@ fn rounds(evidence: &Evidence, out: &mut Vec<String>) {
     for (part, plan) in evidence.robot.parts.iter().enumerate() {
         let Some(hz) = plan.rate_hz.filter(|_| evidence.is_running(part)) else { continue };
         // One that hangs may be left alone in its isolation.
-        let place = format!("robot:{}", plan.name);
-        let row = evidence.table.iter().find(|row| row.place.to_string() == place);
+        let location = format!("robot:{}", plan.name);
+        let row = evidence.table.iter().find(|row| row.location.to_string() == location);
         if evidence.robot.clock != Clock::Virtual
             || row.is_some_and(|row| is_isolated(evidence, row))
         {

@@ -72,6 +72,6 @@ fn killed_by(evidence: &Evidence, serving: &Entry) -> Option<Instant> {
 
 /// Whether this incarnation has ended, as far as the pictures at the end tell.
 fn is_over(evidence: &Evidence, part: usize, incarnation: u64) -> bool {
-    let now = evidence.standing(part);
+    let now = evidence.child_status(part);
     !evidence.is_running(part) || now.is_some_and(|(_, now)| now > incarnation)
 }

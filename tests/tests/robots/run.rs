@@ -284,7 +284,8 @@ async fn is_quiet(node: &Node) -> bool {
     let table = node.table().await;
     leaves(&tree).iter().all(|(name, state, _)| match state {
         ChildState::Running => table.iter().any(|row| {
-            row.place.to_string() == format!("robot:{name}") && row.state == Some(Lifecycle::Active)
+            row.location.to_string() == format!("robot:{name}")
+                && row.state == Some(Lifecycle::Active)
         }),
         state => matches!(state, ChildState::Resting | ChildState::Finished),
     })

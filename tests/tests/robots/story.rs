@@ -15,7 +15,7 @@ pub(crate) fn line(evidence: &Evidence, entry: &FaultEntry) -> String {
         "{after} ms #{} {} of {}{} ×{}: {}; {decided:?} {given_up:?} {}{}",
         fault.id.0,
         fault.kind,
-        fault.place,
+        fault.location,
         fault.incarnation,
         fault.count,
         fault.detail,
@@ -45,9 +45,9 @@ pub(crate) fn story(evidence: &Evidence) -> String {
     for event in &evidence.events {
         let after = evidence.ms(event.at);
         let fault = &event.fault;
-        let (kind, place, incarnation) = (&fault.kind, &fault.place, fault.incarnation);
+        let (kind, location, incarnation) = (&fault.kind, &fault.location, fault.incarnation);
         let text = format!(
-            "{after:>8} ms   fault {} {kind} of {place}{incarnation}: {:?}: {}",
+            "{after:>8} ms   fault {} {kind} of {location}{incarnation}: {:?}: {}",
             fault.id.0, event.turn, fault.detail
         );
         lines.push((after, text));

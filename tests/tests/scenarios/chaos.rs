@@ -176,12 +176,12 @@ fn story(record: &FaultRecord) -> String {
     let Some(first) = record.entries.first() else { return String::new() };
     let start = first.fault.found_at;
     let line = |entry: &FaultEntry| {
-        let Fault { id, kind, place, incarnation, detail, found_at, count, .. } = &entry.fault;
+        let Fault { id, kind, location, incarnation, detail, found_at, count, .. } = &entry.fault;
         let after = (*found_at - start).as_secs_f64();
         let decided = entry.decided.as_ref().map(|(_, measure)| measure.as_str());
         let ended = entry.repaired_at.map(|at| ((at - start).as_secs_f64(), entry.status()));
         format!(
-            "{after:8.3} #{} {kind} of {place}{incarnation} ×{count}: {detail}; {decided:?} {ended:?} {:?}",
+            "{after:8.3} #{} {kind} of {location}{incarnation} ×{count}: {detail}; {decided:?} {ended:?} {:?}",
             id.0, entry.fault.symptom_of
         )
     };
@@ -190,7 +190,7 @@ fn story(record: &FaultRecord) -> String {
 
 fn was_given_up(record: &FaultRecord, name: &str) -> bool {
     record.entries.iter().any(|entry| {
-        let here = entry.fault.place.to_string() == format!("module1:{name}");
+        let here = entry.fault.location.to_string() == format!("module1:{name}");
         here && entry.given_up.is_some()
     })
 }

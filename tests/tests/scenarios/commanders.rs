@@ -97,13 +97,13 @@ async fn a_commander_holds_the_wheels_for_as_long_as_it_lives_and_gives_them_bac
     robot.here.advance(10_000 * MS).await;
     assert!(commander.holds());
     assert_eq!(robot.speeds(), [1.0]);
-    let shown = robot.there.actuators().remove(0).standing;
+    let shown = robot.there.actuators().remove(0).status;
     let LeaseStatus::Held { commander: who, left, .. } = shown else { panic!("{shown:?}") };
     assert_eq!((who.name.as_str(), left <= LEASE), ("module1:console", true));
 
     drop(commander);
     robot.here.advance(100 * MS).await;
-    assert_eq!(robot.there.actuators()[0].standing, LeaseStatus::Free);
+    assert_eq!(robot.there.actuators()[0].status, LeaseStatus::Free);
     assert_eq!(robot.speeds(), [1.0, 0.0]);
     robot.there.expect_no_faults().await;
 }

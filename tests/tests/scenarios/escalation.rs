@@ -103,9 +103,9 @@ async fn a_root_that_gives_up_brings_the_node_to_safe_rest() {
     assert!(reason.contains("drive"), "{reason}");
     let rested = rested.lock().unwrap().clone();
     assert_eq!(rested[0].kind, FaultKind::RestartStorm);
-    assert_eq!(rested[0].place, FaultLocation::Node(node.name().clone()));
+    assert_eq!(rested[0].location, FaultLocation::Node(node.name().clone()));
     assert!(strings.diary().contains(&"lamp#1 on_finalize".into()), "everything was stopped");
-    let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is at rest");
+    let refused = ask(&node, "lamp", Deed::Nothing).await.expect_err("it is in the safe state");
     assert_eq!(refused.kind, DeliveryError::Stopped);
 }
 
@@ -154,7 +154,7 @@ async fn a_temporary_child_is_not_missed_and_a_transient_one_only_when_it_failed
         record.entries.iter().all(|entry| entry.status() != blastema::FaultStatus::Open),
         "{record:?}"
     );
-    assert_eq!(node.row("job").await.opinion, Opinion::AtRest);
+    assert_eq!(node.row("job").await.opinion, Opinion::Stopped);
 }
 
 #[blastema_testkit::test]

@@ -161,7 +161,7 @@ fn a_node_that_has_given_up_four_threads_comes_to_safe_rest() {
         until("all four are given up", || node.abandoned_threads() == 4).await;
         assert_eq!(node.restart().await, Err(RestartError::ThreadsHang { count: 4 }));
 
-        // They return after all: what was at rest is brought back.
+        // They return after all: what was in the safe state is restarted.
         strings.release();
         until("the threads come back", || node.abandoned_threads() == 0).await;
         node.restart().await.unwrap();

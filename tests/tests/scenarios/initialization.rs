@@ -177,10 +177,10 @@ async fn one_broken_part_and_a_panic_elsewhere_leave_the_node_running() {
 }
 
 /// What stands against the camera.
-async fn standing(node: &TestNode) -> Vec<FaultKind> {
+async fn open_faults(node: &TestNode) -> Vec<FaultKind> {
     let record = node.faults().await;
-    let standing = record.entries.into_iter().filter(|entry| entry.stands());
-    standing.map(|entry| entry.fault.kind).collect()
+    let open_faults = record.entries.into_iter().filter(|entry| entry.stands());
+    open_faults.map(|entry| entry.fault.kind).collect()
 }
 
 #[blastema_testkit::test]
@@ -196,7 +196,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
         assert_eq!(node.state(), NodeState::Running, "{hook}");
         assert_eq!(incarnation(&node, "eye").await, 1, "no component waits for a camera");
         node.advance(Duration::from_secs(60)).await;
-        assert_eq!(standing(&node).await, [FaultKind::Unavailable], "{hook}");
+        assert_eq!(open_faults(&node).await, [FaultKind::Unavailable], "{hook}");
         let tree = node.tree().await.unwrap();
         assert_eq!(tree.children[0].state, ChildState::Unavailable, "{hook}");
         assert_eq!(node.row("camera").await.note.as_deref(), Some("no camera"), "{hook}");
@@ -204,7 +204,7 @@ async fn a_device_that_comes_late_is_waited_for_and_nobody_pays() {
         assert!((12..20).contains(&tries), "ever later, up to five seconds: {tries} for {hook}");
 
         node.advance(Duration::from_secs(200)).await;
-        assert_eq!(standing(&node).await, [], "{hook}: it is plugged in");
+        assert_eq!(open_faults(&node).await, [], "{hook}: it is plugged in");
         assert_eq!(incarnation(&node, "camera").await, 1, "{hook}");
         let tree = node.tree().await.unwrap();
         let leaf = &tree.children[0];
@@ -224,7 +224,7 @@ async fn a_device_that_goes_and_comes_is_one_error_and_one_wait() {
     node.await_fault(FaultKind::Unavailable, "camera").await;
     node.advance(Duration::from_secs(60)).await;
 
-    assert_eq!(standing(&node).await, []);
+    assert_eq!(open_faults(&node).await, []);
     assert_eq!(incarnation(&node, "camera").await, 1, "its incarnation went on");
     node.await_recovered(FaultKind::Unavailable, "camera").await;
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Running);
@@ -263,14 +263,14 @@ async fn one_that_waits_for_its_device_can_panic_be_restarted_and_stopped() {
     let camera = node.tree().await.unwrap().children[0].clone();
     assert_eq!((camera.incarnation, camera.state), (Incarnation(2), ChildState::Unavailable));
     let both = [FaultKind::Panic, FaultKind::Unavailable];
-    assert_eq!(standing(&node).await, both, "the next incarnation waits, and has not recovered");
+    assert_eq!(open_faults(&node).await, both, "the next incarnation waits, and has not recovered");
     let restarted = node.restart_child("camera").await.expect("it is stopped, and begins again");
     assert_eq!(restarted, RestartedChild::Unavailable(Incarnation(3)), "it says that it waits");
     strings.cut_all();
     let restarted = node.restart_child("camera").await.expect("it is stopped, and begins again");
     assert_eq!(restarted, RestartedChild::Running(Incarnation(4)));
     node.await_recovered(FaultKind::Panic, "camera").await;
-    assert_eq!(standing(&node).await, []);
+    assert_eq!(open_faults(&node).await, []);
     assert_eq!(incarnation(&node, "camera").await, 4);
     strings.pull("camera", "on_initialize", Pull::Unavailable("no camera"));
     node.shutdown().await;
@@ -314,5 +314,5 @@ async fn a_supervisor_that_cannot_start_escalates_and_is_recovered_when_it_works
     assert_eq!(node.state(), NodeState::Running);
     assert_eq!((incarnation(&node, "wheel").await, incarnation(&node, "odometry").await), (6, 1));
     node.advance(Duration::from_secs(1)).await;
-    assert_eq!(standing(&node).await, []);
+    assert_eq!(open_faults(&node).await, []);
 }

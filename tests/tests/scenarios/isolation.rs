@@ -174,7 +174,7 @@ async fn who_is_isolated_stands_in_the_fault_list_with_the_cause_until_it_is_adm
         let record = robot.nodes[own].faults().await;
         let faulty = |kind: &FaultKind| *kind == FaultKind::NodeFaulty;
         let entry = record.entries.iter().find(|entry| faulty(&entry.fault.kind)).unwrap();
-        assert_eq!(entry.fault.place.to_string(), "module3");
+        assert_eq!(entry.fault.location.to_string(), "module3");
         assert!(entry.fault.detail.contains("by module1"), "{}", entry.fault.detail);
         let contained =
             entry.given_up.as_ref().is_some_and(|(_, reason)| reason.contains("isolate"));
@@ -182,7 +182,7 @@ async fn who_is_isolated_stands_in_the_fault_list_with_the_cause_until_it_is_adm
         let kinds: Vec<_> = record.entries.iter().map(|entry| entry.fault.kind.clone()).collect();
         assert_eq!(kinds, [FaultKind::NodeFaulty], "that it cannot be reached is no second fault");
         let table = robot.nodes[own].table().await;
-        assert!(table.iter().any(|row| row.place == entry.fault.place && row.isolated));
+        assert!(table.iter().any(|row| row.location == entry.fault.location && row.isolated));
     }
     let puppet = robot.nodes[0].sender::<Do>("module2:puppet2").unwrap();
     let asking = puppet.ask_within(Do(Deed::Await(2000)), 10_000 * MS);

@@ -100,7 +100,7 @@ impl Robot {
         self.nodes[node].cable("ethernet").expect("a cable").cut(Direction::Both, false);
     }
 
-    fn mend(&self, node: usize) {
+    fn clear(&self, node: usize) {
         self.nodes[node].cable("ethernet").expect("a cable").restore();
     }
 }
@@ -162,7 +162,7 @@ async fn of_two_halves_that_meet_the_later_claim_stays_and_the_other_is_a_fault(
         robot.advance(2 * LEASE).await;
         assert!(first.epoch().is_some() && second.epoch().is_some(), "each half has one");
 
-        robot.mend(0);
+        robot.clear(0);
         let fault = robot.nodes[0].await_fault(FaultKind::NameTaken, "net/claims").await;
 
         assert!(fault.detail.contains("the name map is lost to module2"), "{}", fault.detail);
@@ -251,7 +251,7 @@ async fn after_joining_and_rejoining_names_are_known_within_the_stated_bound() {
     let _claim = robot.claim(1, ClaimPolicy::Refuse).await.expect("it is free");
     let Robot { medium, mut nodes } = robot;
 
-    // A cable that is mended after its sessions have ended.
+    // A cable that is restored after its sessions have ended.
     nodes[0].cable("ethernet").expect("a cable").cut(Direction::Both, false);
     nodes[0].advance(20 * LEASE).await;
     assert_eq!(nodes[0].holder("map"), None);
@@ -310,10 +310,10 @@ impl Handle<Boom> for Brief {
 /// Whether the fault that a node goes without a name stands here, and its text.
 async fn goes_without(node: &TestNode) -> Option<String> {
     let record = node.faults().await;
-    let mut standing = record.entries.into_iter().filter(|entry| {
+    let mut open_faults = record.entries.into_iter().filter(|entry| {
         entry.fault.kind == FaultKind::NameTaken && entry.status() == blastema::FaultStatus::Open
     });
-    standing.next().map(|entry| entry.fault.detail)
+    open_faults.next().map(|entry| entry.fault.detail)
 }
 
 /// module1's component holds the name, which is refused to those of module2.

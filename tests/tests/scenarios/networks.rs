@@ -89,7 +89,7 @@ impl Robot {
         cable.cut(Direction::Both, false);
     }
 
-    fn mend(&self, cable: &str) {
+    fn clear(&self, cable: &str) {
         self.module1.cable(cable).expect("a cable of this name").restore();
     }
 }
@@ -154,9 +154,9 @@ async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_dif
     let other = robot.module1.sender::<OtherDo>("module3:motors").unwrap();
     other.ask(OtherDo { text: "hello".into() }).await.expect_err("it is another contract");
     let before = session().await;
-    assert_eq!(before.standing.state, SessionState::Open);
-    assert_eq!(before.standing.incarnation, Some(robot.module3.incarnation()));
-    assert!(before.standing.round_trip.is_some() && before.standing.window > 0);
+    assert_eq!(before.status.state, SessionState::Open);
+    assert_eq!(before.status.incarnation, Some(robot.module3.incarnation()));
+    assert!(before.status.round_trip.is_some() && before.status.window > 0);
     assert!(
         before.differences.len() == 1 && before.differences[0].contains("test/do"),
         "{before:?}"
@@ -165,16 +165,16 @@ async fn the_rows_of_sessions_tell_how_each_stands_what_is_repeated_and_what_dif
     robot.cut("ieee1394");
     robot.module1.sender("module3:motors").unwrap().tell(Note(1)).unwrap();
     robot.module1.advance(50 * MS).await;
-    let cut = session().await.standing;
+    let cut = session().await.status;
     assert!(cut.unacknowledged > 0 && cut.in_flight > 0, "{cut:?}");
     robot.module1.advance(5000 * MS).await;
-    assert_eq!(session().await.standing.state, SessionState::Away);
+    assert_eq!(session().await.status.state, SessionState::Away);
 
-    robot.mend("ieee1394");
+    robot.clear("ieee1394");
     robot.module1.advance(5000 * MS).await;
     let after = session().await;
-    assert_eq!((after.standing.state, after.standing.unacknowledged), (SessionState::Open, 0));
-    assert!(after.standing.counters.retransmitted > before.standing.counters.retransmitted);
+    assert_eq!((after.status.state, after.status.unacknowledged), (SessionState::Open, 0));
+    assert!(after.status.counters.retransmitted > before.status.counters.retransmitted);
     assert_eq!(after.differences, before.differences, "it is the same incarnation");
 }
 
@@ -193,16 +193,16 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
     }
     robot.module1.advance(1000 * MS).await;
 
-    let place = "module1 -ethernet- module2";
-    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
-    assert!(matches!(fault.place, FaultLocation::Link { .. }));
-    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    let location = "module1 -ethernet- module2";
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, location).await;
+    assert!(matches!(fault.location, FaultLocation::Link { .. }));
+    robot.module1.await_recovered(FaultKind::LinkDown, location).await;
     let heard = strings.lines("note");
     let sent: Vec<String> = (0..200).map(|n| format!("laser#1 note {n}")).collect();
     assert_eq!(heard, sent);
     robot.module1.expect_no_faults().await;
 
-    robot.mend("ethernet");
+    robot.clear("ethernet");
     robot.module1.advance(2000 * MS).await;
     assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
 }
@@ -210,10 +210,10 @@ async fn a_cut_cable_is_found_and_the_second_takes_over_without_loss_or_doubles(
 #[blastema_testkit::test]
 async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traffic_is_re_routed() {
     let mut robot = Robot::start(&Strings::default()).await;
-    let place = "module1 -ethernet- module2";
+    let location = "module1 -ethernet- module2";
     robot.cut("ethernet");
-    let fault = robot.module1.await_fault(FaultKind::LinkDown, place).await;
-    robot.module1.await_recovered(FaultKind::LinkDown, place).await;
+    let fault = robot.module1.await_fault(FaultKind::LinkDown, location).await;
+    robot.module1.await_recovered(FaultKind::LinkDown, location).await;
     robot.module1.advance(60_000 * MS).await;
 
     let entry = async || {
@@ -223,19 +223,19 @@ async fn a_cable_that_is_out_stands_as_a_fault_until_it_is_in_again_though_traff
     let out = entry().await;
     assert_eq!(out.status(), FaultStatus::Recovered);
     let recovered = out.recovered_at.expect("the second cable takes over");
-    let last_sign = async |place: &str| {
-        let row = robot.module1.row(place).await;
+    let last_sign = async |location: &str| {
+        let row = robot.module1.row(location).await;
         row.last_sign.expect("it gave one").as_millis()
     };
-    assert!(last_sign(place).await >= 60_000, "no hello comes over it");
+    assert!(last_sign(location).await >= 60_000, "no hello comes over it");
     assert!(last_sign("module2").await < 1_000, "hellos come over the other one");
 
-    robot.mend("ethernet");
+    robot.clear("ethernet");
     robot.module1.advance(5000 * MS).await;
     let repaired = entry().await;
     assert_eq!((repaired.status(), repaired.recovered_at), (FaultStatus::Closed, Some(recovered)));
     assert!(repaired.repaired_after() > repaired.recovered_after(), "{repaired:?}");
-    assert!(last_sign(place).await < 1_000);
+    assert!(last_sign(location).await < 1_000);
 }
 
 #[blastema_testkit::test]
@@ -253,7 +253,7 @@ async fn when_all_cables_are_cut_the_node_is_lost_and_it_returns_when_one_is_men
         far.kind
     );
 
-    robot.mend("backup");
+    robot.clear("backup");
     robot.module1.advance(3000 * MS).await;
     assert_eq!(ask(&robot.module1, "module2:laser", Deed::Nothing).await.unwrap(), 1);
     assert_eq!(ask(&robot.module3, "module2:laser", Deed::Nothing).await.unwrap(), 1);
@@ -276,8 +276,8 @@ async fn a_node_that_goes_and_comes_again_is_lost_and_found_and_serves_the_same_
     robot.cut("backup");
     robot.module2.shutdown().await;
     robot.module1.await_fault(FaultKind::NodeLost, "module2").await;
-    robot.mend("ethernet");
-    robot.mend("backup");
+    robot.clear("ethernet");
+    robot.clear("backup");
     let gone = laser.ask(Do(Deed::Nothing)).await.expect_err("it is gone");
     assert!(gone.message.is_none() || gone.kind != DeliveryError::DeadlinePassed, "{}", gone.kind);
     robot.module2 = TestNode::start(robot.media.module2().child(strings.spec("laser"))).await;
@@ -321,7 +321,7 @@ impl RecoveryStrategy for TakeOver {
         order: &RecoveryOrder,
         _: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.place));
+        self.0.lock().unwrap().push(format!("{} of {}", order.fault.kind, order.fault.location));
         Ok(RecoveryDone::default())
     }
 }

@@ -176,7 +176,7 @@ async fn where_the_plan_forbids_it_nobody_restarts_on_the_spot() {
     node.advance(Duration::from_secs(60)).await;
 
     assert_eq!(node.tree().await.unwrap().children[0].state, ChildState::Resting);
-    let refused = ask(&node, "laser", Deed::Nothing).await.expect_err("it is at rest");
+    let refused = ask(&node, "laser", Deed::Nothing).await.expect_err("it is in the safe state");
     assert!(
         matches!(refused.kind, DeliveryError::Stopped | DeliveryError::Isolated { .. }),
         "{}",

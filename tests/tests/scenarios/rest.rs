@@ -13,8 +13,8 @@ use std::time::Duration;
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A node that comes to rest when a component needs more than one restart, and whom its outputs
-/// were called for.
+/// A node that enters the safe state when a component needs more than one restart, and whom its
+/// outputs were called for.
 fn robot(strings: &Strings) -> (NodeBuilder, Arc<Mutex<Vec<Fault>>>) {
     let applied: Arc<Mutex<Vec<Fault>>> = Arc::default();
     let outputs = applied.clone();
@@ -35,11 +35,11 @@ async fn bring_to_rest(node: &TestNode) {
     assert!(matches!(node.state(), NodeState::InSafeState { .. }), "{:?}", node.state());
 }
 
-async fn standing(node: &TestNode) -> Vec<(FaultKind, String)> {
+async fn open_faults(node: &TestNode) -> Vec<(FaultKind, String)> {
     let record = node.faults().await;
-    let standing =
+    let open_faults =
         record.entries.into_iter().filter(|entry| entry.status() == blastema::FaultStatus::Open);
-    standing.map(|entry| (entry.fault.kind, entry.fault.place.to_string())).collect()
+    open_faults.map(|entry| (entry.fault.kind, entry.fault.location.to_string())).collect()
 }
 
 fn networked(builder: NodeBuilder, own: &str, far: &str, medium: &MemoryMedium) -> NodeBuilder {
@@ -88,17 +88,17 @@ async fn whoever_asks_a_node_at_rest_from_another_one_is_told_that_it_is_stopped
 
     // And that is no mystery there.
     let record = peer.faults().await;
-    let told = record.entries.iter().find(|entry| entry.fault.kind == FaultKind::NodeAtRest);
+    let told = record.entries.iter().find(|entry| entry.fault.kind == FaultKind::NodeInSafeState);
     let told = told.expect("its peers are told");
-    assert_eq!(told.fault.place.to_string(), "module1");
+    assert_eq!(told.fault.location.to_string(), "module1");
     assert!(told.fault.detail.contains("motors needed more than 1 restarts"), "{told:?}");
     assert_eq!(told.status(), blastema::FaultStatus::Open);
 
     resting.restart().await.unwrap();
     peer.advance(500 * MS).await;
-    assert_eq!(standing(&peer).await, []);
+    assert_eq!(open_faults(&peer).await, []);
     assert_eq!(motors.ask(Do(Deed::Nothing)).await.map(drop).map_err(|error| error.kind), Ok(()));
-    peer.await_fault(FaultKind::NodeAtRest, "module1").await;
+    peer.await_fault(FaultKind::NodeInSafeState, "module1").await;
 }
 
 #[blastema_testkit::test]
@@ -112,13 +112,13 @@ async fn who_meets_a_node_at_rest_is_told_as_well_and_its_next_incarnation_is_at
     let peer = TestNode::start(networked(peer, "module2", "module1", &medium)).await;
     assert!(peer.connected("module1", 2000 * MS).await);
     peer.advance(500 * MS).await;
-    assert_eq!(standing(&peer).await, [(FaultKind::NodeAtRest, "module1".to_owned())]);
+    assert_eq!(open_faults(&peer).await, [(FaultKind::NodeInSafeState, "module1".to_owned())]);
 
     resting.shutdown().await;
     let (builder, _) = robot(&strings);
     let _next = TestNode::start(networked(builder, "module1", "module2", &medium)).await;
     peer.advance(3000 * MS).await;
-    assert_eq!(standing(&peer).await, []);
+    assert_eq!(open_faults(&peer).await, []);
 }
 
 #[blastema_testkit::test]
@@ -141,7 +141,7 @@ async fn a_node_is_brought_back_from_rest_with_the_next_incarnations_of_its_comp
     lamp.ask(Do(Deed::Nothing)).await.unwrap();
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
-    assert_eq!(standing(&node).await, [], "their next incarnations are at work");
+    assert_eq!(open_faults(&node).await, [], "their next incarnations are at work");
 
     // With a budget of its own, and with outputs that are applied again.
     strike(&node, "motors").await;
@@ -161,7 +161,7 @@ async fn only_a_node_at_rest_is_restarted() {
     let (builder, _) = robot(&strings);
     let node = TestNode::start(builder).await;
     let refused = node.restart().await;
-    assert_eq!(refused, Err(RestartError::NotAtRest { state: NodeState::Running }));
+    assert_eq!(refused, Err(RestartError::NotInSafeState { state: NodeState::Running }));
     assert_eq!(incarnation(&node, "lamp").await, 1);
 
     bring_to_rest(&node).await;
@@ -190,7 +190,7 @@ async fn a_component_that_was_brought_to_rest_comes_back_when_it_is_asked_for() 
     assert_eq!(restarted, RestartedChild::Running(blastema::Incarnation(2)));
     ask(&node, "motors", Deed::Nothing).await.unwrap();
     node.advance(MS).await;
-    assert_eq!(standing(&node).await, []);
+    assert_eq!(open_faults(&node).await, []);
     // No fault follows, also where it is at work.
     for next in 3..10 {
         let restarted = node.restart_child("motors").await.unwrap();

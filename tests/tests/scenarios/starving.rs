@@ -131,16 +131,16 @@ async fn until_at_rest(node: &Node, name: &str) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
-    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{name} at rest: never");
+    assert!(tokio::time::timeout(LONG, reached).await.is_ok(), "{name} in the safe state: never");
 }
 
 /// Waits until the hang of the component is given up, and says why.
 async fn until_given_up(node: &Node, name: &str) -> String {
-    let place = format!("module1:{name}");
+    let location = format!("module1:{name}");
     let reached = async {
         loop {
             let entries = node.faults().await.entries;
-            let here = |f: &blastema::Fault| f.place.to_string() == place;
+            let here = |f: &blastema::Fault| f.location.to_string() == location;
             let mut hangs = entries.into_iter().filter(|entry| here(&entry.fault));
             if let Some((_, reason)) = hangs.find_map(|entry| entry.given_up) {
                 return reason;
@@ -163,17 +163,17 @@ async fn until_none_stands(node: &Node) {
 
 /// In which incarnation the component is.
 async fn incarnation_of(node: &Node, name: &str) -> Incarnation {
-    let place = format!("module1:{name}");
-    let row = node.table().await.into_iter().find(|row| row.place.to_string() == place);
+    let location = format!("module1:{name}");
+    let row = node.table().await.into_iter().find(|row| row.location.to_string() == location);
     row.expect("it is watched").incarnation
 }
 
 /// No fault of the component is its own.
 async fn assert_no_root(node: &Node, name: &str) {
-    let place = format!("module1:{name}");
+    let location = format!("module1:{name}");
     for entry in node.faults().await.entries {
-        let at = entry.fault.place.to_string();
-        assert!(at != place || entry.fault.symptom_of.is_some(), "{:?}", entry.fault);
+        let at = entry.fault.location.to_string();
+        assert!(at != location || entry.fault.symptom_of.is_some(), "{:?}", entry.fault);
     }
 }
 

@@ -163,7 +163,7 @@ async fn an_isolated_object_neither_sends_nor_receives_but_lives() {
 async fn safe_stop_applies_the_safe_outputs_even_if_they_panic() {
     let strings = Strings::default();
     let builder = robot(&strings, Ladder::first(RecoveryAction::SafeStop))
-        .safe_outputs(|fault| panic!("no brake for {}", fault.place));
+        .safe_outputs(|fault| panic!("no brake for {}", fault.location));
     let mut node = TestNode::start(builder.child(strings.spec("ear"))).await;
 
     declare(&node).await;

@@ -72,7 +72,7 @@ async fn a_component_that_is_removed_ends_in_order_and_leaves_no_trace() {
     assert!(node.actor::<Puppet>("hand").is_err());
     assert_eq!(node.tree().await.unwrap().children.len(), 1);
     node.settle().await;
-    assert!(node.table().await.iter().all(|row| !row.place.to_string().ends_with("hand")));
+    assert!(node.table().await.iter().all(|row| !row.location.to_string().ends_with("hand")));
     node.expect_no_faults().await;
 
     // Its name is free again; the new one is another object.
@@ -126,5 +126,5 @@ async fn a_component_that_is_added_and_never_comes_up_is_put_to_rest() {
     let tree = node.tree().await.unwrap();
     assert_eq!(tree.children[1].state, ChildState::Resting);
     assert_eq!(ask(&node, "arm", Deed::Nothing).await.unwrap(), 1);
-    node.remove_child("hand").await.expect("at rest, it can be removed");
+    node.remove_child("hand").await.expect("a stopped child can be removed");
 }

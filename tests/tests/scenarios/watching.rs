@@ -49,7 +49,7 @@ impl Robot {
         cable.cut(Direction::Both, false);
     }
 
-    fn mend(&self) {
+    fn clear(&self) {
         self.module1.cable("ethernet").expect("it was described with faults").restore();
     }
 }
@@ -128,7 +128,7 @@ async fn who_watches_an_object_of_a_node_that_cannot_be_reached_is_told_once_and
     robot.cut();
     robot.module1.advance(20 * SECOND).await;
     let lost = robot.mourned().await;
-    robot.mend();
+    robot.clear();
     robot.module1.advance(10 * SECOND).await;
     let back = robot.mourned().await;
     strike(&robot.module2, "laser").await;

@@ -214,8 +214,8 @@ fn an_address_that_is_everybodys_is_none_of_our_own() {
         ("255.255.255.255:7400", "the address of all"),
     ] {
         for refused in [udp(wrong, |_| {}), tcp(wrong, |_| {})] {
-            let told = refused.expect_err(wrong);
-            assert!(told.contains(wrong) && told.contains(words), "{told}");
+            let text = refused.expect_err(wrong);
+            assert!(text.contains(wrong) && text.contains(words), "{text}");
         }
     }
     for right in ["0.0.0.0:0", "127.0.0.1:7400", "[::]:7400"] {

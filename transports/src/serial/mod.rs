@@ -184,7 +184,7 @@ impl FrameMedium for SerialLine {
         *address == MediumAddress::Line
     }
 
-    fn poll_room(&mut self, task: &mut Context<'_>) -> Poll<()> {
+    fn poll_capacity(&mut self, task: &mut Context<'_>) -> Poll<()> {
         self.poll_line(task)
     }
 

@@ -147,7 +147,7 @@ pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, Fram
 ///
 /// A large frame is read to its end, and with it the header of the next, so that each lies in
 /// memory of its own and nothing of it is moved.
-pub(super) fn room(buffer: &BytesMut, limit: usize) -> usize {
+pub(super) fn capacity(buffer: &BytesMut, limit: usize) -> usize {
     let length = buffer.first_chunk::<HEADER>().map_or(0, |header| u32::from_be_bytes(*header));
     match usize::try_from(length).unwrap_or(usize::MAX) {
         length @ LARGE.. if length <= limit => 2 * HEADER + length - buffer.len(),
@@ -194,7 +194,7 @@ mod tests {
             let (bytes, mut buffer, mut came) = (stream(&frames), BytesMut::new(), 0);
             let (mut rest, mut reads) = (&bytes[..], 0);
             while !rest.is_empty() {
-                let (read, later) = rest.split_at(room(&buffer, 65_535).min(rest.len()));
+                let (read, later) = rest.split_at(capacity(&buffer, 65_535).min(rest.len()));
                 buffer.extend_from_slice(read);
                 (rest, reads) = (later, reads + 1);
                 while let Some(frame) = decode(&mut buffer, 65_535).unwrap() {

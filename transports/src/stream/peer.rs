@@ -1,6 +1,6 @@
 //! One peer, and how the connection with it stands.
 
-use super::framing::{decode, room};
+use super::framing::{capacity, decode};
 use super::outgoing::StreamSendQueue;
 use super::{ByteStream, HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
@@ -143,7 +143,7 @@ impl<F: StreamFamily> StreamPeer<F> {
         };
         let mut budget = PollBudget::default();
         while budget.next() {
-            if outlet.poll_room(task).is_pending() {
+            if outlet.poll_capacity(task).is_pending() {
                 return Ok(true);
             }
             if let Some(frame) = decode(buffer, limit).map_err(|_| DisconnectReason::Refused)? {
@@ -151,9 +151,9 @@ impl<F: StreamFamily> StreamPeer<F> {
                 outlet.deliver(self.address.clone().into(), frame);
                 continue;
             }
-            let room = room(buffer, limit);
-            buffer.reserve(room);
-            match stream.try_read_buf(&mut buffer.limit(room)) {
+            let capacity = capacity(buffer, limit);
+            buffer.reserve(capacity);
+            match stream.try_read_buf(&mut buffer.limit(capacity)) {
                 Ok(0) => return Err(DisconnectReason::Lost),
                 Ok(_) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {

@@ -203,17 +203,17 @@ impl Udp {
     fn read_from(&mut self, socket: &UdpSocket, task: &mut task::Context<'_>) -> Turn {
         let mtu = self.config.mtu();
         // One byte more than the largest frame: a datagram that fills it is too large.
-        let room = mtu + 1;
-        let chunk = room.max(CHUNK);
+        let capacity = mtu + 1;
+        let chunk = capacity.max(CHUNK);
         let mut budget = PollBudget::default();
         while budget.next() {
-            if self.outlet.poll_room(task).is_pending() {
+            if self.outlet.poll_capacity(task).is_pending() {
                 return Turn::Empty;
             }
-            if self.buffer.capacity() < room {
+            if self.buffer.capacity() < capacity {
                 self.buffer.reserve(chunk);
             }
-            match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(room)) {
+            match socket.try_recv_buf_from(&mut (&mut self.buffer).limit(capacity)) {
                 // What we have said to the group ourselves comes back from it.
                 Ok((_, from)) if self.group_brings_back(from) => self.buffer.clear(),
                 Ok((length, _)) if length > mtu => {

@@ -61,14 +61,14 @@ impl RandomFaults {
     pub(crate) fn next(&mut self) -> FaultInjection {
         let injection = loop {
             let candidate = self.any();
-            if !self.spared.contains(&candidate.place()) {
+            if !self.spared.contains(&candidate.location()) {
                 break candidate;
             }
         };
         if self.spared.len() == SPARED {
             self.spared.pop_front();
         }
-        self.spared.push_back(injection.place());
+        self.spared.push_back(injection.location());
         injection
     }
 
@@ -118,20 +118,20 @@ impl RandomFaults {
 mod tests {
     use super::*;
 
-    fn places(seed: u64) -> Vec<String> {
+    fn locations(seed: u64) -> Vec<String> {
         let mut chaos = RandomFaults::new(seed);
         (0..300).map(|_| chaos.next().to_string()).collect()
     }
 
     #[test]
     fn one_seed_gives_one_run_and_another_seed_another() {
-        assert_eq!(places(1), places(1));
-        assert_ne!(places(1), places(2));
+        assert_eq!(locations(1), locations(1));
+        assert_ne!(locations(1), locations(2));
     }
 
     #[test]
     fn every_kind_of_fault_comes() {
-        let all = places(1).join("\n");
+        let all = locations(1).join("\n");
 
         for kind in [
             "panic in module",
@@ -152,15 +152,15 @@ mod tests {
     #[test]
     fn no_place_is_struck_again_at_once() {
         let mut chaos = RandomFaults::new(7);
-        let places: Vec<_> = (0..300).map(|_| chaos.next().place()).collect();
+        let locations: Vec<_> = (0..300).map(|_| chaos.next().location()).collect();
 
-        for window in places.windows(SPARED + 1) {
+        for window in locations.windows(SPARED + 1) {
             assert!(!window[..SPARED].contains(&window[SPARED]), "{window:?}");
         }
     }
 
     #[test]
     fn module1_is_never_killed() {
-        assert!(!places(3).iter().any(|text| text == "kill -9, rejoin in module1"));
+        assert!(!locations(3).iter().any(|text| text == "kill -9, rejoin in module1"));
     }
 }

@@ -96,7 +96,7 @@ pub(crate) struct Director {
     rewired: u32,
     listener: Option<ControlListener>,
     crew: BTreeMap<Module, Member>,
-    said: (Sender<Said>, Receiver<Said>),
+    messages: (Sender<Said>, Receiver<Said>),
     ended: (Sender<ModuleEnded>, Receiver<ModuleEnded>),
     signals: Signals,
 }
@@ -146,7 +146,7 @@ impl Director {
             rewired: 0,
             listener: None,
             crew: BTreeMap::new(),
-            said: channel(QUEUE),
+            messages: channel(QUEUE),
             ended: channel(QUEUE),
             signals,
         };
@@ -182,7 +182,7 @@ impl Director {
             let happening = tokio::select! {
                 biased;
                 name = self.signals.next() => Happening::Interrupted(name),
-                Some(said) = self.said.1.recv() => Happening::Said(said),
+                Some(messages) = self.messages.1.recv() => Happening::Said(messages),
                 Some(ended) = self.ended.1.recv() => Happening::Ended(ended),
                 entered = admit(self.listener.as_ref()) => match entered {
                     Ok((process, reader, writer)) => Happening::Entered(process, reader, writer),
@@ -198,7 +198,7 @@ impl Director {
     fn handle(&mut self, happening: Happening, display: &Display) -> Result<(), DemoError> {
         let now = MachineInstant::now();
         match happening {
-            Happening::Said(said) => self.handle_said(&said, now)?,
+            Happening::Said(messages) => self.handle_said(&messages, now)?,
             Happening::Ended(ended) => self.handle_ended(ended, now)?,
             Happening::Entered(process, reader, writer) => self.enter(process, reader, writer),
             Happening::EntryFailed(error) => return Err(ControlError::Socket(error).into()),
@@ -217,8 +217,8 @@ impl Director {
         Ok(())
     }
 
-    fn handle_said(&mut self, said: &Said, now: MachineInstant) -> Result<(), DemoError> {
-        let &Said { module, process, ref event } = said;
+    fn handle_said(&mut self, messages: &Said, now: MachineInstant) -> Result<(), DemoError> {
+        let &Said { module, process, ref event } = messages;
         let member = self.crew.get_mut(&module).filter(|member| member.process.id == process);
         let Some(member) = member else {
             // The event comes from a process that has ended.
@@ -309,7 +309,7 @@ impl Director {
         let delay = if member.failures == 0 { Duration::ZERO } else { BETWEEN_ATTEMPTS };
         let (commands, queue) = channel(QUEUE);
         tokio::spawn(speak(writer, queue, self.wiring.clone(), delay));
-        tokio::spawn(listen(module, process, reader, self.said.0.clone()));
+        tokio::spawn(listen(module, process, reader, self.messages.0.clone()));
         member.commands = Some(commands);
         if self.crew.values().all(|member| member.commands.is_some()) {
             // From here on the file system holds nothing of the run.
@@ -376,8 +376,8 @@ impl Director {
 
     /// Describes what is missing, with the last reason of each module that has sent one.
     fn not_together(&self, text: String) -> DemoError {
-        let said = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
-        let said = said.map(|(module, member)| format!("{module}: {}", member.reason));
+        let messages = self.crew.iter().filter(|(_, member)| !member.reason.is_empty());
+        let messages = messages.map(|(module, member)| format!("{module}: {}", member.reason));
         let is_mute = |module: &Module, member: &Member| {
             let ready = self.scenario.robot.module(*module).is_some_and(|module| module.ready);
             member.reason.is_empty() && !ready
@@ -386,8 +386,8 @@ impl Director {
         let mute = mute.map(|(module, _)| {
             format!("{module} has sent no reason: check whether `ulimit -u` permits its threads")
         });
-        let said = said.chain(mute);
-        DemoError::NotTogether(std::iter::once(text).chain(said).collect::<Vec<_>>().join("; "))
+        let messages = messages.chain(mute);
+        DemoError::NotTogether(std::iter::once(text).chain(messages).collect::<Vec<_>>().join("; "))
     }
 
     /// Shuts all modules down and kills those that do not end in time.
@@ -400,13 +400,13 @@ impl Director {
         }
         // A second signal ends the wait.
         tokio::select! {
-            () = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1) => {}
+            () = all_ended(&mut self.crew, &mut self.ended.1, &mut self.messages.1) => {}
             () = sleep(FAREWELL) => {}
             _ = self.signals.next() => {}
         }
         self.crew.values_mut().for_each(|member| member.process.kill());
         // A process cannot refuse signal 9; the limit protects against a kernel that does not kill.
-        let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.said.1);
+        let end = all_ended(&mut self.crew, &mut self.ended.1, &mut self.messages.1);
         let _ = timeout(FAREWELL, end).await;
         self.listener = None;
     }
@@ -415,7 +415,7 @@ impl Director {
 async fn all_ended(
     crew: &mut BTreeMap<Module, Member>,
     ended: &mut Receiver<ModuleEnded>,
-    said: &mut Receiver<Said>,
+    messages: &mut Receiver<Said>,
 ) {
     while !crew.is_empty() {
         tokio::select! {
@@ -425,7 +425,7 @@ async fn all_ended(
                 }
             }
             // Events are discarded, so that they do not block the module's writer.
-            Some(_) = said.recv() => {}
+            Some(_) = messages.recv() => {}
         }
     }
 }
@@ -449,10 +449,10 @@ async fn speak(
 }
 
 /// Receives the events of a module until it ends.
-async fn listen(module: Module, process: i32, mut reader: LineReader, said: Sender<Said>) {
+async fn listen(module: Module, process: i32, mut reader: LineReader, messages: Sender<Said>) {
     // A failed channel is closed; the module then ends, which is reported.
     while let Ok(Some(event)) = reader.next().await {
-        if said.send(Said { module, process, event }).await.is_err() {
+        if messages.send(Said { module, process, event }).await.is_err() {
             break;
         }
     }

@@ -93,8 +93,8 @@ impl FakeRobot {
         }
         self.plan(100, Happening::Snapshots);
         if self.flaw == Flaw::NeverTogether {
-            let place = FaultLocation::Node(NodeName::new("module3").expect("a name"));
-            let note = self.note(FaultKind::NodeLost, place, 60);
+            let location = FaultLocation::Node(NodeName::new("module3").expect("a name"));
+            let note = self.note(FaultKind::NodeLost, location, 60);
             self.says(Module::Module1, 60, ModuleEvent::Found(note));
         }
         if self.flaw == Flaw::FalseAlarm {
@@ -173,8 +173,8 @@ impl FakeRobot {
             TrialOutput::Kill(module) => {
                 scenario.handle_killed(self.now, self.now);
                 self.die(module, None);
-                let place = FaultLocation::Node(NodeName::new(module.name()).expect("a name"));
-                let note = self.note(FaultKind::NodeLost, place, 30);
+                let location = FaultLocation::Node(NodeName::new(module.name()).expect("a name"));
+                let note = self.note(FaultKind::NodeLost, location, 30);
                 self.says(Module::Module1, 30, ModuleEvent::Found(note));
             }
             TrialOutput::Send(module, command) if !self.dead.contains(&module) => {
@@ -200,9 +200,9 @@ impl FakeRobot {
                 for cable in CABLES.iter().filter(|cable| cables.iter().any(|n| n == cable.name)) {
                     self.cut.insert(cable.name);
                     let node = NodeName::new(module.name()).expect("a name");
-                    let place =
+                    let location =
                         FaultLocation::Link { node, link: cable.name.into(), neighbour: None };
-                    let note = self.note(FaultKind::LinkDown, place, 20);
+                    let note = self.note(FaultKind::LinkDown, location, 20);
                     self.says(module, 20, ModuleEvent::Found(note));
                 }
                 let is_first = module == Module::Module1 && self.cut.len() == 1;
@@ -358,11 +358,11 @@ impl FakeRobot {
         (self.now - self.began[&flow.from]).as_millis() as u64 / 10 + 1
     }
 
-    fn note(&mut self, kind: FaultKind, place: FaultLocation, after: u64) -> FaultNote {
+    fn note(&mut self, kind: FaultKind, location: FaultLocation, after: u64) -> FaultNote {
         let id = self.next_fault;
         self.next_fault += 1;
         let detail = "as ordered".into();
-        FaultNote { id, kind, place, found_at: self.after(after), detail, symptom_of: None }
+        FaultNote { id, kind, location, found_at: self.after(after), detail, symptom_of: None }
     }
 
     fn done(&mut self, module: Module, order: OrderId) {

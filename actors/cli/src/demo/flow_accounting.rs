@@ -234,7 +234,7 @@ mod tests {
         SinkState { flow: FLOW.into(), process, epoch, first, highest, ..SinkState::default() }
     }
 
-    fn told(
+    fn report(
         accounting: &mut FlowAccounting,
         at: u64,
         sources: &[SourceState],
@@ -259,17 +259,17 @@ mod tests {
     #[test]
     fn a_flow_has_settled_when_all_that_was_sent_before_has_arrived() {
         let mut accounting = accounting();
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 90)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 90)]);
         assert!(accounting.is_flowing() && accounting.is_settled());
 
         accounting.settle(MachineInstant::from_millis(15));
         assert!(!accounting.is_settled());
-        told(&mut accounting, 14, &[source(1, 105)], &[sink(1, 1, 1, 120)]);
+        report(&mut accounting, 14, &[source(1, 105)], &[sink(1, 1, 1, 120)]);
         assert!(!accounting.is_settled(), "the source spoke too early");
-        told(&mut accounting, 16, &[source(1, 121)], &[sink(1, 1, 1, 120)]);
+        report(&mut accounting, 16, &[source(1, 121)], &[sink(1, 1, 1, 120)]);
         assert_eq!(accounting.losses(), FlowLosses { lost: 1, ..FlowLosses::default() });
         assert_eq!(accounting.unsettled().count(), 1);
-        told(&mut accounting, 20, &[source(1, 130)], &[sink(1, 1, 1, 121)]);
+        report(&mut accounting, 20, &[source(1, 130)], &[sink(1, 1, 1, 121)]);
 
         assert!(accounting.is_settled());
         assert_eq!(accounting.losses(), FlowLosses::default());
@@ -280,7 +280,7 @@ mod tests {
     fn a_gap_is_lost_and_a_second_copy_is_doubled() {
         let mut accounting = accounting();
         let torn = SinkState { missing: 3, doubled: 2, missing_before: 1, ..sink(1, 1, 1, 50) };
-        told(&mut accounting, 10, &[source(1, 50)], &[torn]);
+        report(&mut accounting, 10, &[source(1, 50)], &[torn]);
 
         assert_eq!(
             accounting.losses(),
@@ -291,10 +291,10 @@ mod tests {
     #[test]
     fn what_was_on_its_way_to_a_killed_process_perished_and_was_not_lost() {
         let mut accounting = accounting();
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut accounting, 20, &[source(1, 110)], &[sink(2, 0, 0, 0)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        report(&mut accounting, 20, &[source(1, 110)], &[sink(2, 0, 0, 0)]);
         assert_eq!(accounting.losses(), FlowLosses::default());
-        told(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 111, 130)]);
+        report(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 111, 130)]);
 
         assert_eq!(accounting.losses(), FlowLosses { perished: 15, ..FlowLosses::default() });
     }
@@ -302,8 +302,8 @@ mod tests {
     #[test]
     fn what_an_earlier_incarnation_had_taken_is_doubled_when_it_comes_to_the_next() {
         let mut accounting = accounting();
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        report(&mut accounting, 30, &[source(1, 130)], &[sink(2, 1, 94, 130)]);
 
         assert_eq!(accounting.losses(), FlowLosses { doubled: 2, ..FlowLosses::default() });
     }
@@ -311,10 +311,10 @@ mod tests {
     #[test]
     fn a_killed_source_begins_anew_and_takes_its_unsent_messages_along() {
         let mut accounting = accounting();
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut accounting, 20, &[source(2, 0)], &[]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        report(&mut accounting, 20, &[source(2, 0)], &[]);
         assert!(!accounting.is_flowing());
-        told(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+        report(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
 
         assert!(accounting.is_flowing());
         assert_eq!(accounting.losses(), FlowLosses { perished: 5, ..FlowLosses::default() });
@@ -324,10 +324,10 @@ mod tests {
     fn what_a_killed_source_had_sent_is_not_awaited_any_more() {
         let mut accounting = accounting();
         accounting.settle(MachineInstant::from_millis(5));
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 100)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 100)]);
         assert!(accounting.is_settled());
-        told(&mut accounting, 20, &[source(2, 3)], &[]);
-        told(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
+        report(&mut accounting, 20, &[source(2, 3)], &[]);
+        report(&mut accounting, 30, &[source(2, 9)], &[sink(1, 2, 1, 9)]);
 
         assert!(accounting.is_settled());
         assert_eq!(accounting.losses(), FlowLosses::default());
@@ -340,12 +340,12 @@ mod tests {
         let returned = SourceState { returned: 20, ..source(1, 100) };
         let gap = |missing| SinkState { missing, ..sink(1, 1, 1, 100) };
 
-        told(&mut accounting, 10, &[source(1, 100)], &[gap(20)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[gap(20)]);
         assert!(!accounting.is_settled());
-        told(&mut accounting, 20, std::slice::from_ref(&returned), &[gap(20)]);
+        report(&mut accounting, 20, std::slice::from_ref(&returned), &[gap(20)]);
         assert!(accounting.is_settled());
         assert_eq!(accounting.losses(), FlowLosses { returned: 20, ..FlowLosses::default() });
-        told(&mut accounting, 30, &[returned], &[gap(23)]);
+        report(&mut accounting, 30, &[returned], &[gap(23)]);
 
         assert!(!accounting.is_settled());
         let losses = FlowLosses { lost: 3, returned: 20, ..FlowLosses::default() };
@@ -356,13 +356,13 @@ mod tests {
     fn dead_letters_for_a_killed_process_excuse_no_later_loss() {
         let mut accounting = accounting();
         let returned = SourceState { returned: 15, ..source(1, 130) };
-        told(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
-        told(&mut accounting, 30, &[returned], &[sink(2, 1, 111, 130)]);
+        report(&mut accounting, 10, &[source(1, 100)], &[sink(1, 1, 1, 95)]);
+        report(&mut accounting, 30, &[returned], &[sink(2, 1, 111, 130)]);
         let perished = FlowLosses { perished: 15, ..FlowLosses::default() };
         assert_eq!(accounting.losses(), perished);
 
         let torn = SinkState { missing: 2, ..sink(2, 1, 111, 140) };
-        told(&mut accounting, 40, &[], &[torn]);
+        report(&mut accounting, 40, &[], &[torn]);
 
         assert_eq!(accounting.losses(), FlowLosses { lost: 2, ..perished });
     }
@@ -372,9 +372,9 @@ mod tests {
         let mut accounting = accounting();
         let returned = SourceState { returned: 4, ..source(1, 100) };
         let gap = SinkState { missing: 4, ..sink(1, 1, 1, 100) };
-        told(&mut accounting, 10, &[returned], &[gap]);
+        report(&mut accounting, 10, &[returned], &[gap]);
         let gap = SinkState { missing_before: 4, ..sink(1, 2, 1, 9) };
-        told(&mut accounting, 30, &[source(2, 9)], &[gap]);
+        report(&mut accounting, 30, &[source(2, 9)], &[gap]);
 
         assert_eq!(accounting.losses(), FlowLosses { returned: 4, ..FlowLosses::default() });
     }

@@ -87,9 +87,9 @@ impl FlowReceiver {
     }
 
     fn skip(&mut self, numbers: Range<u64>) {
-        let room_from = numbers.end.saturating_sub(MISSING_LIMIT as u64).max(numbers.start);
-        self.given_up += room_from - numbers.start;
-        self.missing.extend(room_from..numbers.end);
+        let kept_from = numbers.end.saturating_sub(MISSING_LIMIT as u64).max(numbers.start);
+        self.given_up += kept_from - numbers.start;
+        self.missing.extend(kept_from..numbers.end);
         while self.missing.len() > MISSING_LIMIT {
             self.missing.pop_first();
             self.given_up += 1;

@@ -83,7 +83,7 @@ impl FaultInjection {
     }
 
     /// Returns the place, for the table.
-    pub(crate) fn place(&self) -> String {
+    pub(crate) fn location(&self) -> String {
         match self {
             FaultInjection::Object { module, object, .. } => format!("{module}:{object}"),
             FaultInjection::Cut { cable, .. } => {
@@ -153,28 +153,28 @@ impl FaultInjection {
     pub(crate) fn judge(&self, note: &FaultNote) -> FaultMatch {
         let (named, touched) = match self {
             FaultInjection::Object { module, object, fault } => {
-                let here = note.place == FaultLocation::Object(address(*module, object));
+                let here = note.location == FaultLocation::Object(address(*module, object));
                 let comes_along = companions_of(*fault).contains(&note.kind);
                 (here && note.kind == kind_of(*fault), here && comes_along)
             }
             FaultInjection::Cut { cable, .. } => {
-                let here = is_cable(&note.place, cable);
+                let here = is_cable(&note.location, cable);
                 (here && note.kind == FaultKind::LinkDown, here)
             }
             FaultInjection::Blackout { far } => {
-                let here = cables_to(*far).iter().any(|cable| is_cable(&note.place, cable));
+                let here = cables_to(*far).iter().any(|cable| is_cable(&note.location, cable));
                 let lost = note.kind == FaultKind::NodeLost;
                 (lost || here && note.kind == FaultKind::LinkDown, here || lost)
             }
             FaultInjection::Router { module } => {
-                let here = matches!(&note.place, FaultLocation::Object(address)
+                let here = matches!(&note.location, FaultLocation::Object(address)
                     if is_node(address.node.as_str(), *module)
                         && address.object.as_str().contains("router"));
                 (here && note.kind == FaultKind::Panic, here)
             }
             FaultInjection::Kill { module } => {
-                let here = note.place == FaultLocation::Node(address(*module, "node").node);
-                (here && note.kind == FaultKind::NodeLost, here || touches(&note.place, *module))
+                let here = note.location == FaultLocation::Node(address(*module, "node").node);
+                (here && note.kind == FaultKind::NodeLost, here || touches(&note.location, *module))
             }
         };
         match (named, touched || note.is_warning() || note.symptom_of.is_some()) {
@@ -198,7 +198,7 @@ impl FaultInjection {
 
 impl fmt::Display for FaultInjection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} in {}", self.title(), self.place())
+        write!(f, "{} in {}", self.title(), self.location())
     }
 }
 
@@ -258,12 +258,12 @@ fn is_node(name: &str, module: Module) -> bool {
     name == module.name()
 }
 
-fn is_cable(place: &FaultLocation, cable: &DemoCable) -> bool {
-    matches!(place, FaultLocation::Link { link, .. } if **link == *cable.name)
+fn is_cable(location: &FaultLocation, cable: &DemoCable) -> bool {
+    matches!(location, FaultLocation::Link { link, .. } if **link == *cable.name)
 }
 
-fn touches(place: &FaultLocation, module: Module) -> bool {
-    match place {
+fn touches(location: &FaultLocation, module: Module) -> bool {
+    match location {
         FaultLocation::Object(address) => is_node(address.node.as_str(), module),
         FaultLocation::Node(node) => is_node(node.as_str(), module),
         FaultLocation::Link { node, link, .. } => {
@@ -279,12 +279,12 @@ mod tests {
     use crate::demo::machine_instant::MachineInstant;
     use blastema::core::NodeName;
 
-    fn note(kind: FaultKind, place: FaultLocation) -> FaultNote {
+    fn note(kind: FaultKind, location: FaultLocation) -> FaultNote {
         let detail = String::new();
         FaultNote {
             id: 1,
             kind,
-            place,
+            location,
             found_at: MachineInstant::default(),
             detail,
             symptom_of: None,
@@ -307,8 +307,8 @@ mod tests {
     #[test]
     fn the_struck_object_is_named_and_its_innocent_neighbour_is_not() {
         let hang = strike(ObjectFault::Hang { millis: 1 });
-        let check = |kind, place, wanted| {
-            assert_eq!(hang.judge(&note(kind, place)), wanted);
+        let check = |kind, location, wanted| {
+            assert_eq!(hang.judge(&note(kind, location)), wanted);
         };
         check(FaultKind::Hang, object(Module::Module1, "planner"), FaultMatch::Named);
         check(FaultKind::Silence, object(Module::Module1, "planner"), FaultMatch::Companion);
@@ -324,8 +324,8 @@ mod tests {
     #[test]
     fn a_cut_is_named_by_its_cable_from_either_end() {
         let cut = FaultInjection::Cut { cable: CABLES[0], returns: false };
-        let check = |place, wanted| {
-            assert_eq!(cut.judge(&note(FaultKind::LinkDown, place)), wanted);
+        let check = |location, wanted| {
+            assert_eq!(cut.judge(&note(FaultKind::LinkDown, location)), wanted);
         };
         check(link("module1", "ethernet"), FaultMatch::Named);
         check(link("module2", "ethernet"), FaultMatch::Named);
@@ -336,8 +336,8 @@ mod tests {
     fn a_killed_node_takes_its_links_and_objects_along() {
         let kill = FaultInjection::Kill { module: Module::Module3 };
         let node = |name| FaultLocation::Node(NodeName::new(name).expect("a name"));
-        let check = |kind, place, wanted| {
-            assert_eq!(kill.judge(&note(kind, place)), wanted);
+        let check = |kind, location, wanted| {
+            assert_eq!(kill.judge(&note(kind, location)), wanted);
         };
         check(FaultKind::NodeLost, node("module3"), FaultMatch::Named);
         check(FaultKind::NodeLost, node("module2"), FaultMatch::Foreign);

@@ -207,7 +207,7 @@ pub(crate) struct FaultNote {
     /// Its kind.
     pub(crate) kind: FaultKind,
     /// Its place.
-    pub(crate) place: FaultLocation,
+    pub(crate) location: FaultLocation,
     /// When it was found.
     pub(crate) found_at: MachineInstant,
     /// The particulars.
@@ -390,7 +390,7 @@ mod tests {
         round_trip(ModuleEvent::Found(FaultNote {
             id: 1,
             kind: FaultKind::Custom("R01".into()),
-            place: FaultLocation::Object(address(Module::Module1, "skin/17")),
+            location: FaultLocation::Object(address(Module::Module1, "skin/17")),
             found_at: at,
             detail: "as asked".into(),
             symptom_of: Some(0),

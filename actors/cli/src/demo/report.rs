@@ -53,7 +53,7 @@ pub(crate) struct FaultRow {
     pub(crate) fault: &'static str,
     /// Where.
     #[serde(rename = "where")]
-    pub(crate) place: String,
+    pub(crate) location: String,
     /// The fault as reported by the middleware.
     pub(crate) named: Option<ReportedFault>,
     /// From the fault to its detection.
@@ -89,7 +89,7 @@ pub(crate) struct ReportedFault {
     pub(crate) text: String,
     /// Where.
     #[serde(rename = "where")]
-    pub(crate) place: String,
+    pub(crate) location: String,
     /// The particulars.
     pub(crate) detail: String,
 }
@@ -99,7 +99,7 @@ impl From<&FaultNote> for ReportedFault {
         ReportedFault {
             code: note.kind.code().to_owned(),
             text: note.kind.text().to_owned(),
-            place: note.place.to_string(),
+            location: note.location.to_string(),
             detail: note.detail.clone(),
         }
     }
@@ -220,7 +220,7 @@ pub(crate) fn counted(number: u64, thing: &str) -> String {
     format!("{number} {thing}{ending}")
 }
 
-/// Milliseconds with the precision of a microsecond's tenth, for people and JSON alike.
+/// Milliseconds with the precision of a microsecond's tenth, for display and JSON.
 pub(crate) fn millis(span: Duration) -> f64 {
     (span.as_secs_f64() * 10_000_000.0).round() / 10_000.0
 }

@@ -107,7 +107,7 @@ impl RobotState {
     }
 
     /// Returns when the last snapshot of a module was taken.
-    pub(crate) fn heard_at(&self, module: Module) -> Option<MachineInstant> {
+    pub(crate) fn received_at(&self, module: Module) -> Option<MachineInstant> {
         self.modules.get(&module).map(|module| module.snapshot.at)
     }
 }

@@ -105,7 +105,7 @@ enum Scene {
 
 #[derive(Debug)]
 enum InjectionSource {
-    Told(VecDeque<FaultInjection>),
+    Script(VecDeque<FaultInjection>),
     Random(RandomFaults),
 }
 
@@ -115,7 +115,7 @@ impl Scenario {
         let script = if plan.chaos {
             InjectionSource::Random(RandomFaults::new(plan.seed))
         } else {
-            InjectionSource::Told(script().into())
+            InjectionSource::Script(script().into())
         };
         Scenario {
             script,
@@ -165,7 +165,7 @@ impl Scenario {
             (Scene::Pausing { .. }, ModuleEvent::Found(note)) => self.judge_between(from, note),
             // During the assembly missing cables and nodes are expected; missing objects are not.
             (Scene::Assembling { .. }, ModuleEvent::Found(note))
-                if matches!(note.place, FaultLocation::Object(_)) =>
+                if matches!(note.location, FaultLocation::Object(_)) =>
             {
                 self.judge_between(from, note);
                 self.hinder(from, note);
@@ -251,7 +251,7 @@ impl Scenario {
     /// How many faults there will be, if that is robot.
     pub(crate) fn steps(&self) -> Option<usize> {
         match (&self.script, self.plan.length) {
-            (InjectionSource::Told(rest), None) => {
+            (InjectionSource::Script(rest), None) => {
                 Some(rest.len() + usize::try_from(self.number).unwrap_or_default())
             }
             _ => None,
@@ -340,9 +340,9 @@ impl Scenario {
 
     fn hinder(&mut self, from: Module, note: &FaultNote) {
         if self.hindrances.len() < HINDRANCE_LIMIT {
-            let FaultNote { kind, place, detail, .. } = note;
-            let text = format!("{from} found {kind} in {place}: {detail}");
-            self.hindrances.insert(place.clone(), text);
+            let FaultNote { kind, location, detail, .. } = note;
+            let text = format!("{from} found {kind} in {location}: {detail}");
+            self.hindrances.insert(location.clone(), text);
         }
     }
 
@@ -351,7 +351,7 @@ impl Scenario {
         if self.broken
             && is_late
             && self.plan.length.is_none()
-            && let InjectionSource::Told(rest) = &mut self.script
+            && let InjectionSource::Script(rest) = &mut self.script
             && !rest.is_empty()
         {
             let left = counted(rest.len() as u64, "fault");
@@ -374,13 +374,13 @@ impl Scenario {
         let is_time_up = self.plan.length.is_some_and(|length| self.now - self.began_at >= length);
         match &mut self.script {
             // A cut that a later step repairs must be repaired.
-            InjectionSource::Told(rest)
+            InjectionSource::Script(rest)
                 if is_time_up && !matches!(self.last, Some(FaultInjection::Cut { .. })) =>
             {
                 rest.clear();
                 None
             }
-            InjectionSource::Told(rest) => {
+            InjectionSource::Script(rest) => {
                 if rest.is_empty() && self.plan.length.is_some() {
                     *rest = script().into();
                 }
@@ -430,9 +430,9 @@ impl Scenario {
         let belongs = |last: &FaultInjection| last.judge(note) != FaultMatch::Foreign;
         let excused = note.is_warning() || note.symptom_of.is_some();
         if !excused && !self.last.as_ref().is_some_and(belongs) {
-            let FaultNote { kind, place, detail, .. } = note;
+            let FaultNote { kind, location, detail, .. } = note;
             let text =
-                format!("{from} named {kind} in {place}, where no fault was injected: {detail}");
+                format!("{from} named {kind} in {location}, where no fault was injected: {detail}");
             if self.stray.len() < PROBLEM_LIMIT {
                 self.stray.insert((from, note.id), text);
             }
@@ -451,8 +451,8 @@ impl Scenario {
             .any(|injection| injection.judge(note) == FaultMatch::Named);
         if note.kind == FaultKind::Overload && note.symptom_of.is_none() && !is_injected {
             self.overloads += 1;
-            let FaultNote { kind, place, detail, .. } = note;
-            self.say(LineTone::Remark, format!("{from} warns of {kind} in {place}: {detail}"));
+            let FaultNote { kind, location, detail, .. } = note;
+            self.say(LineTone::Remark, format!("{from} warns of {kind} in {location}: {detail}"));
         }
     }
 

@@ -57,7 +57,7 @@ fn faults(report: &Report, columns: u16) -> Table {
         [
             row.number.to_string(),
             row.fault.to_owned(),
-            row.place.clone(),
+            row.location.clone(),
             row.named.as_ref().map_or("-".into(), |named| format!("{} {}", named.code, named.text)),
             figure(row.detected_after),
             if row.from_repair { format!("{recovered} r") } else { recovered },
@@ -72,8 +72,8 @@ fn faults(report: &Report, columns: u16) -> Table {
 /// Everything that broke a promise, each with its fault.
 fn problems(report: &Report) -> Vec<String> {
     let in_rows = report.rows.iter().flat_map(|row| {
-        let FaultRow { number, fault, place, .. } = row;
-        row.problems.iter().map(move |problem| format!("{number} {fault} in {place}: {problem}"))
+        let FaultRow { number, fault, location, .. } = row;
+        row.problems.iter().map(move |problem| format!("{number} {fault} in {location}: {problem}"))
     });
     in_rows.chain(report.problems.iter().cloned()).collect()
 }
@@ -181,16 +181,16 @@ mod tests {
     use crate::demo::timings::Timings;
     use crate::golden;
 
-    fn row(number: u32, fault: &'static str, place: &str, named: (&str, &str)) -> FaultRow {
+    fn row(number: u32, fault: &'static str, location: &str, named: (&str, &str)) -> FaultRow {
         let (code, text) = named;
         FaultRow {
             number,
             fault,
-            place: place.into(),
+            location: location.into(),
             named: Some(ReportedFault {
                 code: code.into(),
                 text: text.into(),
-                place: place.into(),
+                location: location.into(),
                 detail: String::new(),
             }),
             detected_after: Some(Duration::from_nanos(21_400)),

@@ -208,8 +208,8 @@ impl FaultTrial {
             ModuleEvent::Found(note)
                 if self.named.is_empty() && self.injection.judge(note) == FaultMatch::Named =>
             {
-                let FaultNote { kind, place, .. } = note;
-                let text = format!("{from} found {} {kind} in {place}", kind.code());
+                let FaultNote { kind, location, .. } = note;
+                let text = format!("{from} found {} {kind} in {location}", kind.code());
                 Some((LineTone::Finding, text))
             }
             ModuleEvent::Decided { id, measure } if self.root() == Some((from, *id)) => {
@@ -334,8 +334,8 @@ impl FaultTrial {
         let losses = robot.accounting.losses() - self.before;
         let FlowLosses { lost, doubled, perished, returned } = losses;
         let mut problems = self.problems.clone();
-        for ((finder, _), FaultNote { kind, place, detail, .. }) in &self.foreign {
-            problems.push(format!("{finder} named {kind} in {place}: {detail}"));
+        for ((finder, _), FaultNote { kind, location, detail, .. }) in &self.foreign {
+            problems.push(format!("{finder} named {kind} in {location}: {detail}"));
         }
         if lost > 0 {
             problems.push(format!("{} lost", counted(lost, "reliable message")));
@@ -355,7 +355,7 @@ impl FaultTrial {
         FaultRow {
             number: self.number,
             fault: self.injection.title(),
-            place: self.injection.place(),
+            location: self.injection.location(),
             named: first_named.map(ReportedFault::from),
             detected_after: since(struck, first_named.map(|note| note.found_at)),
             recovered_after: since(self.recovery_starts(), self.back_at(robot)),

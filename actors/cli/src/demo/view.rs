@@ -161,7 +161,7 @@ impl Widget for &DemoView {
 impl ModuleView {
     fn new(robot: &RobotState, module: Module, now: MachineInstant) -> ModuleView {
         let state = robot.module(module);
-        let age = robot.heard_at(module).map(|at| now - at);
+        let age = robot.received_at(module).map(|at| now - at);
         let is_fresh = age.is_some_and(|age| age < STALE);
         let health = match state {
             None => ModuleHealth::Unknown,
@@ -254,7 +254,7 @@ impl ModuleHealth {
 }
 
 fn cable_health(robot: &RobotState, cable: &DemoCable, now: MachineInstant) -> ModuleHealth {
-    let is_fresh = |end: &Module| robot.heard_at(*end).is_some_and(|at| now - at < STALE);
+    let is_fresh = |end: &Module| robot.received_at(*end).is_some_and(|at| now - at < STALE);
     match (cable.ends().iter().any(is_fresh), robot.is_up(cable)) {
         (false, _) => ModuleHealth::Unknown,
         (true, true) => ModuleHealth::Well,
@@ -372,14 +372,14 @@ mod tests {
     #[test]
     fn a_module_without_a_recent_snapshot_does_not_look_current() {
         let robot = crate::demo::fake::robot_state();
-        let heard = robot.heard_at(Module::Module1).expect("its snapshot has arrived");
+        let received_at = robot.received_at(Module::Module1).expect("its snapshot has arrived");
 
-        let fresh = ModuleView::new(&robot, Module::Module1, heard);
-        let stale = ModuleView::new(&robot, Module::Module1, heard + STALE);
+        let fresh = ModuleView::new(&robot, Module::Module1, received_at);
+        let stale = ModuleView::new(&robot, Module::Module1, received_at + STALE);
 
         assert_eq!((fresh.health, stale.health), (ModuleHealth::Well, ModuleHealth::Suspect));
-        assert_eq!(cable_health(&robot, &CABLES[0], heard), ModuleHealth::Well);
-        assert_eq!(cable_health(&robot, &CABLES[0], heard + STALE), ModuleHealth::Unknown);
+        assert_eq!(cable_health(&robot, &CABLES[0], received_at), ModuleHealth::Well);
+        assert_eq!(cable_health(&robot, &CABLES[0], received_at + STALE), ModuleHealth::Unknown);
     }
 
     #[test]

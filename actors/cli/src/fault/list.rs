@@ -94,7 +94,7 @@ fn row(entry: &JournalEntry) -> Value {
         "code": entry.code,
         "kind": entry.kind,
         "severity": entry.severity,
-        "location": entry.place,
+        "location": entry.location,
         "incarnation": entry.incarnation,
         "detail": entry.detail,
         "count": entry.count,

@@ -114,7 +114,7 @@ impl Measurements {
     }
 
     /// An event reached a listener.
-    pub(super) fn heard(&self, filtered: bool, after: Duration) {
+    pub(super) fn record_tick(&self, filtered: bool, after: Duration) {
         let mut readings = self.read();
         let timings = if filtered { &mut readings.filtered } else { &mut readings.unfiltered };
         timings.record(after);
@@ -157,8 +157,8 @@ mod tests {
     const FLOW: &Flow = &FLOWS[0];
 
     fn measurements(module: Module) -> (Measurements, Receiver<ModuleEvent>) {
-        let (events, told) = channel(16);
-        (Measurements::new(module, events), told)
+        let (events, events_out) = channel(16);
+        (Measurements::new(module, events), events_out)
     }
 
     fn source(measurements: &Measurements) -> SourceState {
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn what_is_given_back_is_offered_again_in_order() {
-        let (measurements, _told) = measurements(FLOW.from);
+        let (measurements, _events_out) = measurements(FLOW.from);
         let mut taken = Vec::new();
 
         measurements.offer(FLOW, |_| false);
@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_flow_that_nobody_takes_makes_no_more_than_its_backlog_holds() {
-        let (measurements, _told) = measurements(FLOW.from);
+        let (measurements, _events_out) = measurements(FLOW.from);
 
         for _ in 0..2 * BACKLOG {
             measurements.offer(FLOW, |_| false);
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn a_watched_flow_tells_once_when_it_passes() {
-        let (measurements, mut told) = measurements(FLOW.to);
+        let (measurements, mut events_out) = measurements(FLOW.to);
         let sample =
             |number, sent| Sample { epoch: 1, number, sent: MachineInstant::from_millis(sent) };
 
@@ -206,11 +206,11 @@ mod tests {
         measurements.arrived(FLOW, sample(2, 10));
         measurements.arrived(FLOW, sample(3, 11));
 
-        let Ok(ModuleEvent::Passed { flow, since, .. }) = told.try_recv() else {
+        let Ok(ModuleEvent::Passed { flow, since, .. }) = events_out.try_recv() else {
             panic!("not told")
         };
         assert_eq!((flow.as_str(), since), (FLOW.name, MachineInstant::from_millis(10)));
-        assert!(told.try_recv().is_err());
+        assert!(events_out.try_recv().is_err());
         assert_eq!(
             measurements.snapshot().sinks.iter().filter(|sink| sink.highest == 3).count(),
             1

@@ -81,11 +81,11 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    let (heard, commands) = channel::<DirectorCommand>(QUEUE);
+    let (commands_in, commands) = channel::<DirectorCommand>(QUEUE);
     tokio::spawn(async move {
         // An end of the channel is an end of the module; so is a line that cannot be understood.
         while let Ok(Some(command)) = reader.next().await {
-            if heard.send(command).await.is_err() {
+            if commands_in.send(command).await.is_err() {
                 break;
             }
         }

@@ -15,7 +15,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
         FaultTransition::Found => ModuleEvent::Found(FaultNote {
             id,
             kind: fault.kind,
-            place: fault.place,
+            location: fault.location,
             found_at: fault.found_at.into(),
             detail: fault.detail,
             symptom_of: fault.symptom_of.map(|root| root.0),
@@ -34,7 +34,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
 
 /// Returns the components of the table.
 pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
-    let object = |row: &MonitorRow| match (&row.place, row.kind) {
+    let object = |row: &MonitorRow| match (&row.location, row.kind) {
         (FaultLocation::Object(address), ObjectKind::Component) => Some(ObjectState {
             name: address.object.to_string(),
             state: row.state.unwrap_or(Lifecycle::Created),
@@ -48,7 +48,7 @@ pub(super) fn objects_of(table: &[MonitorRow]) -> Vec<ObjectState> {
 
 /// Returns the cables of the table.
 pub(super) fn links_of(table: &[MonitorRow]) -> Vec<CableState> {
-    let link = |row: &MonitorRow| match &row.place {
+    let link = |row: &MonitorRow| match &row.location {
         FaultLocation::Link { link, .. } => Some(CableState {
             cable: link.to_string(),
             // A degraded link is suspected, and still carries messages.

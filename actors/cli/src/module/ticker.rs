@@ -34,7 +34,7 @@ impl Component for PlainListener {
 impl Handle<Tick> for PlainListener {
     async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
         self.measurements
-            .heard(false, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
+            .record_tick(false, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
     }
 }
 
@@ -53,6 +53,6 @@ impl Component for ChoosyListener {
 impl Handle<Tick> for ChoosyListener {
     async fn handle(&mut self, tick: Tick, _: &mut Context<Self>) {
         self.measurements
-            .heard(true, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
+            .record_tick(true, MachineInstant::now() - MachineInstant::from_nanos(tick.made_ns));
     }
 }

@@ -215,8 +215,8 @@ mod tests {
         assert!(read(whole.into()).is_ok(), "a part that has not answered is null");
 
         let check = |shown: &str, words: &str| {
-            let told = read(shown.into()).err().expect(shown);
-            assert!(told.contains(words), "{shown}: {told}");
+            let error = read(shown.into()).err().expect(shown);
+            assert!(error.contains(words), "{shown}: {error}");
         };
         check("", "nothing");
         check("hello", "no JSON document");
@@ -228,7 +228,7 @@ mod tests {
         check(r#"{"node":"a","state":"running"}"#, "without \"incarnation\"");
         check(&whole.replace("\"links\":null,", ""), "without \"links\"");
         check(&whole.replace("\"faults\":[]", "\"faults\":{}"), "without \"faults\"");
-        let told = read(vec![0xff, 0xfe]).err();
-        assert_eq!(told.as_deref(), Some("what is no text"));
+        let error = read(vec![0xff, 0xfe]).err();
+        assert_eq!(error.as_deref(), Some("what is no text"));
     }
 }

@@ -28,7 +28,7 @@ impl Chain {
         let bench = Bench::new();
         let root = bench.serving(SupervisorRules::default(), &["laser", "arm"]).await;
         let (outcomes, node) = (Probe::start(), Probe::start());
-        let router = Probe::replying(|Reroute { place }| match place {
+        let router = Probe::replying(|Reroute { location }| match location {
             FaultLocation::Node(_) => Err("no other way leads there".into()),
             _ => Ok(RecoveryDone::default()),
         });
@@ -74,7 +74,7 @@ impl Chain {
     }
 
     async fn recover(&self, fault: Fault) {
-        if let (FaultKind::Panic, FaultLocation::Object(address)) = (&fault.kind, &fault.place) {
+        if let (FaultKind::Panic, FaultLocation::Object(address)) = (&fault.kind, &fault.location) {
             self.bench.script.dies(address.object.as_str());
         }
         let confirmed = self.recoverer.send(Recover { fault }).await;
@@ -82,11 +82,11 @@ impl Chain {
     }
 
     /// What becomes of the faults, as `1 restart` and `1 recovered`, until `last` has come.
-    async fn told_until(&self, last: &str) -> Vec<String> {
-        let mut told = Vec::new();
-        while told.last().is_none_or(|line| line != last) {
+    async fn reported_until(&self, last: &str) -> Vec<String> {
+        let mut reported = Vec::new();
+        while reported.last().is_none_or(|line| line != last) {
             let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
-            told.push(match what {
+            reported.push(match what {
                 RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
                 RecoveryOutcome::Failed { measure, reason } => {
                     format!("{id} {measure} failed: {reason}")
@@ -96,7 +96,7 @@ impl Chain {
                 RecoveryOutcome::GaveUp { reason } => format!("{id} given up: {reason}"),
             });
         }
-        told
+        reported
     }
 }
 
@@ -123,7 +123,7 @@ impl RecoveryStrategy for Homing {
             1 => panic!("the gripper is open"),
             2 => std::future::pending().await,
             3 => Err("still not there".into()),
-            _ => tools.reset(&order.fault.place).await,
+            _ => tools.reset(&order.fault.location).await,
         }
     }
 }
@@ -135,7 +135,7 @@ fn a_panic_is_recovered_by_the_next_incarnation() {
 
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
 
-        assert_eq!(chain.told_until("1 recovered").await, ["1 restart", "1 recovered"]);
+        assert_eq!(chain.reported_until("1 recovered").await, ["1 restart", "1 recovered"]);
         assert_eq!(chain.bench.script.done(), ["start laser"]);
     });
 }
@@ -149,8 +149,8 @@ fn an_error_that_cannot_be_reset_is_restarted() {
         chain.recover(fault(1, FaultKind::ErrorState, "arm", 1)).await;
 
         let jammed = "1 reset failed: arm: it could not reset itself: jammed";
-        let told = chain.told_until("1 recovered").await;
-        assert_eq!(told, ["1 reset", jammed, "1 restart", "1 recovered"]);
+        let reported = chain.reported_until("1 recovered").await;
+        assert_eq!(reported, ["1 reset", jammed, "1 restart", "1 recovered"]);
         assert_eq!(chain.bench.script.done(), ["reset arm", "stop arm", "start arm"]);
     });
 }
@@ -164,10 +164,10 @@ fn what_does_not_start_again_ends_in_safe_rest_and_the_rest_works_on() {
         chain.recover(fault(1, FaultKind::Panic, "laser", 1)).await;
 
         let last = "1 given up: contained by safe stop; service is not restored";
-        let told = chain.told_until(last).await;
+        let reported = chain.reported_until(last).await;
         let failed = "1 restart failed: laser: its next incarnation did not start: no device";
-        assert_eq!(told.iter().filter(|line| *line == failed).count(), 3, "{told:?}");
-        let others: Vec<&String> = told.iter().filter(|line| *line != failed).collect();
+        assert_eq!(reported.iter().filter(|line| *line == failed).count(), 3, "{reported:?}");
+        let others: Vec<&String> = reported.iter().filter(|line| *line != failed).collect();
         assert_eq!(
             others,
             ["1 restart", "1 restart, attempt 2", "1 restart, attempt 3", "1 safe stop", last]
@@ -202,14 +202,14 @@ fn a_lost_link_is_rerouted_and_a_lost_node_observed() {
         let there = FaultLocation::Node(NodeName::new("there").expect("a good name"));
 
         let down = fault(1, FaultKind::LinkDown, "laser", 1);
-        chain.recover(Fault { place: link.clone(), ..down.clone() }).await;
-        assert_eq!(chain.told_until("1 recovered").await, ["1 reroute", "1 recovered"]);
-        assert_eq!(chain.router.expect().await.place, link);
+        chain.recover(Fault { location: link.clone(), ..down.clone() }).await;
+        assert_eq!(chain.reported_until("1 recovered").await, ["1 reroute", "1 recovered"]);
+        assert_eq!(chain.router.expect().await.location, link);
 
         let lost = Fault { kind: FaultKind::NodeLost, id: FaultId(2), ..down };
-        chain.recover(Fault { place: there, ..lost }).await;
+        chain.recover(Fault { location: there, ..lost }).await;
         assert_eq!(
-            chain.told_until("2 observe").await,
+            chain.reported_until("2 observe").await,
             ["2 reroute", "2 reroute failed: no other way leads there", "2 observe"]
         );
     });
@@ -221,11 +221,11 @@ fn a_faulty_node_is_isolated_and_where_that_cannot_be_it_is_observed() {
         let chain = Chain::built_in().await;
         let contained = "given up: contained by isolate; service is not restored";
         for (id, node, last) in [(1, "there", contained), (2, "nowhere", "observe")] {
-            let place = FaultLocation::Node(NodeName::new(node).expect("a good name"));
-            let fault = Fault { place, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
+            let location = FaultLocation::Node(NodeName::new(node).expect("a good name"));
+            let fault = Fault { location, ..fault(id, FaultKind::NodeFaulty, "laser", 1) };
             chain.recover(fault).await;
-            let told = chain.told_until(&format!("{id} {last}")).await;
-            assert_eq!(told[0], format!("{id} isolate"), "{told:?}");
+            let reported = chain.reported_until(&format!("{id} {last}")).await;
+            assert_eq!(reported[0], format!("{id} isolate"), "{reported:?}");
         }
     });
 }
@@ -250,13 +250,13 @@ fn a_strategy_of_the_application_is_made_when_needed_and_released_when_idle() {
 
         chain.recover(fault(1, FaultKind::CheckFailed, "arm", 1)).await;
 
-        let told = chain.told_until("1 recovered").await;
-        assert_eq!(told.len(), 8, "{told:?}");
+        let reported = chain.reported_until("1 recovered").await;
+        assert_eq!(reported.len(), 8, "{reported:?}");
         assert!(
-            told[1].contains("panicked") && told[1].contains("the gripper is open"),
-            "{told:?}"
+            reported[1].contains("panicked") && reported[1].contains("the gripper is open"),
+            "{reported:?}"
         );
-        assert!(told[5].ends_with("failed: still not there"), "{told:?}");
+        assert!(reported[5].ends_with("failed: still not there"), "{reported:?}");
         assert_eq!(chain.bench.script.done(), ["reset arm"]);
         assert_eq!((made.load(SeqCst), released.load(SeqCst)), (1, 0));
         advance(Duration::from_secs(6)).await;
@@ -324,9 +324,9 @@ fn a_recoverer_that_panics_takes_up_again_what_was_open() {
 
         let overdue =
             "1 restart failed: laser: its next incarnation did not start: not at work within 5s";
-        let told = chain.told_until("1 recovered").await;
+        let reported = chain.reported_until("1 recovered").await;
         assert_eq!(
-            told,
+            reported,
             ["1 restart", "1 restart", overdue, "1 restart, attempt 2", "1 recovered"]
         );
         assert!(chain.bench.deaths.expect().await.restarted_as.is_some());

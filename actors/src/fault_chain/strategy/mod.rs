@@ -26,10 +26,10 @@ pub(crate) use tools::StrategyTargets;
 
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 
-/// A way to recover that the application brings along.
+/// A recovery strategy of the application.
 ///
-/// It is handed to the node by name, and called for the faults that the plan answers by that name.
-/// It is made when it is first needed, and dropped when it has had nothing to do for a while.
+/// The node gets it by name, and calls it for the faults that the plan answers with this name. The
+/// node creates it at its first order, and drops it after a while without orders.
 ///
 /// Orders for different places are carried out at the same time: whatever must be remembered
 /// between them is kept in a cell. A strategy that panics, or takes longer than
@@ -53,7 +53,7 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 ///         order: &RecoveryOrder,
 ///         tools: &StrategyContext,
 ///     ) -> Result<RecoveryDone, RecoveryFailed> {
-///         tools.isolate(&order.fault.place).await?;
+///         tools.isolate(&order.fault.location).await?;
 ///         tools.restart(&order.fault).await
 ///     }
 /// }

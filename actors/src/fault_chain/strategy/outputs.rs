@@ -43,7 +43,7 @@ impl SafeOutputs {
         self.apply.is_some()
     }
 
-    /// Something comes to rest. In a node that is at rest, nothing acts any more.
+    /// An object enters the safe state. In a node in the safe state, no component acts.
     pub(crate) async fn apply(&self, fault: &Fault) {
         if !self.resting.load(Relaxed) {
             // It ends in every case: with an outcome, or with the thread that no system has any
@@ -52,8 +52,8 @@ impl SafeOutputs {
         }
     }
 
-    /// The whole node comes to rest. What is returned completes when the outputs are applied, or
-    /// have taken longer than they may.
+    /// The node enters the safe state. The returned future completes when the outputs are applied,
+    /// or have taken longer than they may.
     pub(crate) fn rest(&self, fault: &Fault) -> oneshot::Receiver<Applied> {
         self.resting.store(true, Relaxed);
         self.call(fault)
@@ -98,7 +98,7 @@ impl SafeOutputs {
                         Err("the safe outputs were not called")
                     }
                     CallOutcome::ReturnedLate => {
-                        reports.mend(SAFE_OUTPUTS);
+                        reports.clear(SAFE_OUTPUTS);
                         Ok(())
                     }
                 };

@@ -11,6 +11,6 @@ impl RecoveryStrategy for RerouteStrategy {
         order: &RecoveryOrder,
         tools: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        tools.reroute(&order.fault.place).await
+        tools.reroute(&order.fault.location).await
     }
 }

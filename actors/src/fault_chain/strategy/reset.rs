@@ -11,6 +11,6 @@ impl RecoveryStrategy for ResetStrategy {
         order: &RecoveryOrder,
         tools: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        tools.reset(&order.fault.place).await
+        tools.reset(&order.fault.location).await
     }
 }

@@ -27,8 +27,8 @@ pub(crate) struct StrategyTargets {
     pub(crate) rest_node: Recipient<EnterSafeState>,
 }
 
-/// What a [`RecoveryStrategy`](super::RecoveryStrategy) can do: ask the supervisors, the router and
-/// the components of its own node.
+/// The actions available to a [`RecoveryStrategy`](super::RecoveryStrategy): orders to the
+/// supervisors, the router and the components of its node.
 #[derive(Clone)]
 pub struct StrategyContext(Arc<StrategyTargets>);
 
@@ -46,25 +46,23 @@ impl StrategyContext {
         self.0.registry.sender(name)
     }
 
-    /// Replaces the incarnation that the fault struck by the next one; its siblings fare as their
-    /// supervisor's strategy says. Resolves when all of them are at work.
+    /// Replaces the faulty incarnation by the next one, and its siblings as their supervisor's
+    /// strategy requires. Resolves when all of them are active.
     ///
-    /// # Errors
-    /// The new incarnation did not come to be, or the supervisor has given up.
+    /// # Errors The new incarnation did not start, or the supervisor escalated.
     pub async fn restart(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(&fault.place)?;
+        let (object, controller) = self.controller(&fault.location)?;
         let fault = Some(fault.clone());
         judge(controller.restart.send(RestartChild { object, fault }).await).map(begun)
     }
 
-    /// Lets a component go on in its next incarnation on a thread of its own; its queue comes
-    /// along. Resolves when it is at work there.
+    /// Moves a component to a thread of its own: its next incarnation runs there, with the same
+    /// queue. Resolves when this incarnation is active.
     ///
-    /// # Errors
-    /// It has a thread of its own already, or the whole node lives on one; or as
-    /// [`restart`](StrategyContext::restart).
+    /// # Errors The component already has a thread of its own, or the whole node runs on one
+    /// thread; or as [`restart`](StrategyContext::restart).
     pub async fn move_to_own_thread(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(&fault.place)?;
+        let (object, controller) = self.controller(&fault.location)?;
         let fault = Some(fault.clone());
         judge(controller.move_away.send(MoveChild { object, fault }).await).map(begun)
     }
@@ -73,8 +71,8 @@ impl StrategyContext {
     ///
     /// # Errors
     /// It could not, or has no incarnation.
-    pub async fn reset(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        let (object, controller) = self.controller(place)?;
+    pub async fn reset(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
+        let (object, controller) = self.controller(location)?;
         // It is the same incarnation as before.
         let done = judge(controller.reset.send(ResetChild { object }).await)?;
         Ok(RecoveryDone { incarnation: None, ..done })
@@ -83,19 +81,18 @@ impl StrategyContext {
     /// Forbids an object, or another node, to send and receive. A node is refused here at once, and
     /// everywhere as the robot's [rule](crate::manual::networks#isolation) says.
     ///
-    /// # Errors
-    /// The place is a link, or no object that a supervisor keeps, or this node, or there is no
-    /// network.
-    pub async fn isolate(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        self.set_isolated(place, None, true, "a recovery strategy says so").await
+    /// # Errors The location is a link, an object without a supervisor, or this node; or the node
+    /// has no network.
+    pub async fn isolate(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
+        self.set_isolated(location, None, true, "a recovery strategy says so").await
     }
 
     /// Allows an object, or another node, to send and receive again.
     ///
     /// # Errors
     /// As [`isolate`](StrategyContext::isolate).
-    pub async fn admit(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
-        self.set_isolated(place, None, false, "a recovery strategy says so").await
+    pub async fn admit(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
+        self.set_isolated(location, None, false, "a recovery strategy says so").await
     }
 
     /// Isolates where the fault is, and tells the other nodes of it.
@@ -104,16 +101,16 @@ impl StrategyContext {
         fault: &Fault,
     ) -> Result<RecoveryDone, RecoveryFailed> {
         let cause = format!("{}: {}", fault.kind, fault.detail);
-        self.set_isolated(&fault.place, Some(fault.incarnation), true, &cause).await
+        self.set_isolated(&fault.location, Some(fault.incarnation), true, &cause).await
     }
 
     /// Finds another way over the network than this link, or to this node.
     ///
     /// # Errors
     /// There is no other way, or no network.
-    pub async fn reroute(&self, place: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
+    pub async fn reroute(&self, location: &FaultLocation) -> Result<RecoveryDone, RecoveryFailed> {
         let (router, _) = self.0.router.get().ok_or("this node has no network")?;
-        match router.send(Reroute { place: place.clone() }).await {
+        match router.send(Reroute { location: location.clone() }).await {
             Ok(outcome) => outcome,
             Err(_) => Err("the router did not answer".into()),
         }
@@ -125,20 +122,20 @@ impl StrategyContext {
     /// # Errors
     /// The object is not kept by any supervisor.
     pub async fn safe_stop(&self, fault: &Fault) -> Result<RecoveryDone, RecoveryFailed> {
-        if !matches!(fault.place, FaultLocation::Object(_)) {
+        if !matches!(fault.location, FaultLocation::Object(_)) {
             self.rest_node(fault, "the plan says so");
             return Ok(RecoveryDone::default());
         }
         self.0.safe_outputs.apply(fault).await;
-        let (object, controller) = self.controller(&fault.place)?;
+        let (object, controller) = self.controller(&fault.location)?;
         let fault = Some(fault.clone());
         judge(controller.safe_stop.send(SafeStop { object, fault }).await)
     }
 
-    /// Puts an object to rest whose node is at rest, or ends. No sender waits for that.
+    /// Puts an object into the safe state whose node is in it, or ends. No sender waits for that.
     pub(crate) fn give_up_incarnation(&self, fault: &Fault) {
         // One that was removed meanwhile has no supervisor.
-        if let Ok((object, controller)) = self.controller(&fault.place) {
+        if let Ok((object, controller)) = self.controller(&fault.location) {
             controller.safe_stop.do_send(SafeStop { object, fault: Some(fault.clone()) });
         }
     }
@@ -151,12 +148,12 @@ impl StrategyContext {
 
     async fn set_isolated(
         &self,
-        place: &FaultLocation,
-        struck: Option<Incarnation>,
+        location: &FaultLocation,
+        faulty: Option<Incarnation>,
         isolated: bool,
         cause: &str,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        if let FaultLocation::Node(node) = place {
+        if let FaultLocation::Node(node) = location {
             if *node == self.0.node {
                 return Err("a node cannot isolate itself: let it enter the safe state".into());
             }
@@ -165,21 +162,21 @@ impl StrategyContext {
             let decided = network.send(IsolateNode { node, isolated, cause }).await;
             return decided.unwrap_or_else(|_| Err("the network did not answer".into()));
         }
-        let (object, controller) = self.controller(place)?;
-        judge(controller.isolate.send(IsolateChild { object, struck, isolated }).await)
+        let (object, controller) = self.controller(location)?;
+        judge(controller.isolate.send(IsolateChild { object, faulty, isolated }).await)
     }
 
     fn controller(
         &self,
-        place: &FaultLocation,
+        location: &FaultLocation,
     ) -> Result<(ObjectName, Arc<SupervisorRecipients>), RecoveryFailed> {
-        let FaultLocation::Object(address) = place else {
-            return Err(format!("{place} is no object").into());
+        let FaultLocation::Object(address) = location else {
+            return Err(format!("{location} is no object").into());
         };
         if address.node != self.0.node {
             return Err(format!("{address} is an object of another node").into());
         }
-        let controller = self.0.directory.keeper_of(&address.object);
+        let controller = self.0.directory.supervisor_of(&address.object);
         let controller = controller.ok_or_else(|| format!("no supervisor keeps {address}"))?;
         Ok((address.object.clone(), controller))
     }

@@ -12,7 +12,7 @@ impl Handler<MoveChild> for SupervisorActor {
     /// failed.
     fn handle(&mut self, message: MoveChild, context: &mut Context<Self>) -> Self::Result {
         let MoveChild { object, fault } = message;
-        let struck = fault.map(|fault| fault.incarnation);
+        let faulty = fault.map(|fault| fault.incarnation);
         if let Some(child) = self.child(&object)
             && let Err(reason) = child.move_to_own_thread()
         {
@@ -20,7 +20,7 @@ impl Handler<MoveChild> for SupervisorActor {
             return Box::pin(async move { Err(GaveUp { object, why }) });
         }
         self.ask(context, object, |machine, object, call, now| {
-            machine.handle_restart(object, call, ReplacementCause::Asked, struck, now);
+            machine.handle_restart(object, call, ReplacementCause::Asked, faulty, now);
         })
     }
 }

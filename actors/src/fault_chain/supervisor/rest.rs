@@ -1,4 +1,4 @@
-//! A child is put in safe state.
+//! A child is put in the safe state.
 
 use super::{RecoveryResult, SupervisorActor};
 use actix::prelude::*;

@@ -38,7 +38,10 @@ fn it_starts_its_children_in_order_and_tells_whom_it_reports_to() {
         assert_eq!((report.object, report.incarnation), (object("root"), Incarnation(4)));
         assert_eq!(bench.script.done(), ["start a", "start b"]);
         let states = [Lifecycle::Initialized, Lifecycle::Active];
-        assert_eq!(bench.states.drain().iter().map(|told| told.state).collect::<Vec<_>>(), states);
+        assert_eq!(
+            bench.states.drain().iter().map(|reported| reported.state).collect::<Vec<_>>(),
+            states
+        );
 
         root.stop();
         assert_eq!(bench.above.expect().await.event, ChildEvent::Stopped);
@@ -190,12 +193,12 @@ fn children_come_and_go_and_are_found_by_name() {
         let twice = AddChild { child: bench.script.child("b"), rules: ChildRules::default() };
         let refused = root.additions().send(twice).await.expect("it lives");
         assert_eq!(refused.expect_err("the name is taken").why, GiveUpReason::NameTaken);
-        assert!(bench.directory.keeper_of(&object("b")).is_some());
+        assert!(bench.directory.supervisor_of(&object("b")).is_some());
 
         let removed = root.removals().send(RemoveChild { object: object("b") }).await;
         let gone = Recovered { object: object("b"), incarnation: None, waits: false };
         assert_eq!(removed.expect("it lives"), Ok(gone));
-        assert!(bench.directory.keeper_of(&object("b")).is_none());
+        assert!(bench.directory.supervisor_of(&object("b")).is_none());
         assert_eq!(bench.script.done(), ["start b", "stop b"]);
     });
 }
@@ -214,7 +217,7 @@ fn resets_isolation_and_rest_reach_the_child() {
             failed.expect_err("it is jammed").why,
             GiveUpReason::ResetFailed { reason: "jammed".into() }
         );
-        let isolated = IsolateChild { object: object("a"), struck: None, isolated: true };
+        let isolated = IsolateChild { object: object("a"), faulty: None, isolated: true };
         assert!(root.address.send(isolated).await.expect("it lives").is_ok());
         let rest = SafeStop { object: object("b"), fault: None };
         assert!(root.address.send(rest).await.expect("it lives").is_ok());

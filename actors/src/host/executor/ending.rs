@@ -19,8 +19,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 impl<C: Component> ComponentExecutor<C> {
-    /// A condition that the component gave has panicked. Gives the panic back where the incarnation
-    /// is over already: it has one end.
+    /// What the component's own runs outside of the executor's polls has panicked: a handler or a
+    /// condition at a hub. Gives the panic back where the incarnation is over already: it has one
+    /// end.
     pub(crate) fn die_of(
         &mut self,
         payload: Box<dyn Any + Send>,
@@ -30,16 +31,17 @@ impl<C: Component> ComponentExecutor<C> {
             return Some(payload);
         }
         self.died(payload, during);
+        // The hub's turn may be long: what follows in it is another's.
         self.flush();
         if let Some(waker) = &self.waker {
-            waker.wake_by_ref();
+            waker.wake_by_ref(); // The replacement begins in the executor's own poll.
         }
         None
     }
 
-    pub(super) fn died_in_service(&mut self, payload: Box<dyn Any + Send>) {
-        let during = label::name(self.slot.stamp.read().during);
-        self.died(payload, during);
+    /// The name of what is in service, or was last.
+    pub(crate) fn in_service(&self) -> &'static str {
+        label::name(self.slot.activity.read().during)
     }
 
     /// This incarnation has ended by a panic. Begins the next one where a standing order says so.
@@ -47,8 +49,8 @@ impl<C: Component> ComponentExecutor<C> {
     pub(super) fn died(&mut self, payload: Box<dyn Any + Send>, during: &'static str) {
         let panics::PanicRecord { text, at } = panics::read(payload);
         let exit = Arc::new(ExitReason::Panicked { text, at, during });
-        if self.slot.stamp.is_busy() {
-            self.slot.stamp.step();
+        if self.slot.activity.is_busy() {
+            self.slot.activity.step();
         }
         let incarnation = self.state.incarnation;
         self.state.token.end();
@@ -68,7 +70,7 @@ impl<C: Component> ComponentExecutor<C> {
         match restarted_as {
             Some(next) => {
                 self.cell.record.exits.set_restarted(incarnation, next);
-                self.state = Rc::new(IncarnationState::new(next, self.slot.stamp));
+                self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
                 self.start_failed = false;
                 self.begin_incarnation();
@@ -85,11 +87,11 @@ impl<C: Component> ComponentExecutor<C> {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
         let (record, incarnation) = (&self.cell.record, self.state.incarnation);
-        let contract = label::name(self.slot.stamp.read().during);
+        let contract = self.in_service();
         record.record_fatal_message(incarnation);
         let why = DeliveryError::PeerDied { incarnation };
         record.record_dead_letter(contract, &why);
-        if let Some((id, ..)) = logged {
+        if let Some((id, ..)) = logged.map(|logged| *logged) {
             message_log::lost(id, contract, &record.name, &why);
         }
     }
@@ -104,12 +106,13 @@ impl<C: Component> ComponentExecutor<C> {
             return false;
         }
         let now = platform::now();
-        while self.deaths.front().is_some_and(|&death| now - death > period) {
-            self.deaths.pop_front();
+        let deaths = self.deaths.get_or_insert_default();
+        while deaths.front().is_some_and(|&death| now - death > period) {
+            deaths.pop_front();
         }
-        let allowed = self.deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
+        let allowed = deaths.len() < usize::try_from(times).unwrap_or(usize::MAX);
         if allowed {
-            self.deaths.push_back(now);
+            deaths.push_back(now);
         }
         allowed
     }
@@ -145,15 +148,15 @@ impl<C: Component> ComponentExecutor<C> {
         };
         let exited = DeferredReport::Exited(incarnation);
         // A replacement's own reports come after the end of the incarnation that it replaces.
-        let place = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
-        let place = place.unwrap_or(self.outbox.len());
+        let position = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
+        let position = position.unwrap_or(self.outbox.len());
         // It is told when the turn is over: the replacement's first reply does not wait for that.
         // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
         // to be told before it, such as why the component could not go on.
-        record.exits.settle(incarnation, supervisor, place == 0);
-        self.pulse.owe_exits(true);
+        record.exits.settle(incarnation, supervisor, position == 0);
+        self.arbiter.heartbeat.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
-        self.outbox.splice(place..place, [exited].into_iter().chain(child));
+        self.outbox.splice(position..position, [exited].into_iter().chain(child));
     }
 
     /// The incarnation ends without a panic, its hooks done.
@@ -204,11 +207,13 @@ impl<C: Component> ComponentExecutor<C> {
     /// Drops what was in service, and what it was kept in.
     pub(super) fn dispose_service(&mut self, blame: Blame) {
         let service = std::mem::replace(&mut self.service, Service::Idle);
-        let nests = std::mem::take(&mut self.nests);
+        let slots_in_use = std::mem::take(&mut self.slots_in_use);
         let record = &self.cell.record;
         record.dispose("what it was serving", service, blame);
         // One by one: a second panic while unwinding from the first would end the process.
-        nests.into_iter().for_each(|nested| record.dispose("what it was serving", nested, blame));
+        slots_in_use
+            .into_iter()
+            .for_each(|in_use| record.dispose("what it was serving", in_use, blame));
     }
 
     /// This incarnation was abandoned, and the next one begins or has begun.
@@ -224,11 +229,11 @@ impl<C: Component> ComponentExecutor<C> {
         let present = self.state.incarnation;
         self.outbox.retain(|notice| notice.is_death_before(present));
         self.flush();
-        self.pulse.owe_exits(false);
-        if self.pulse.is_lost() {
+        self.arbiter.heartbeat.owe_exits(false);
+        if self.arbiter.heartbeat.is_lost() {
             self.arbiter.return_late();
         } else {
-            self.pulse.lift();
+            self.arbiter.heartbeat.lift();
         }
     }
 
@@ -241,7 +246,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
         // Those that stand on a lost thread have been found, and their supervisors are about to
         // give them up: that the thread returns meanwhile is no second fault.
-        if self.is_abandoned() || self.pulse.is_lost() {
+        if self.is_abandoned() || self.arbiter.heartbeat.is_lost() {
             return self.leave();
         }
         let incarnation = self.state.incarnation;

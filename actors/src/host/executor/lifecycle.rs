@@ -1,4 +1,4 @@
-//! What follows when a hook has ended: the next state of the life cycle, and who is told.
+//! The end of a hook: the next state of the life cycle, and its reports.
 
 use super::ComponentExecutor;
 use super::outbox::DeferredReport;
@@ -12,10 +12,10 @@ use blastema_core::{FaultKind, Lifecycle};
 impl<C: Component> ComponentExecutor<C> {
     pub(super) fn hook_done(&mut self, hook: Hook, result: Result<(), Failure>) {
         if hook == Hook::Execute && result.is_ok() {
-            self.slot.stamp.end_round();
+            self.slot.activity.end_round();
             // It is a sign of life too, unless a test keeps that back.
             if !self.cell.record.injected.is_silent() {
-                self.slot.stamp.give_sign();
+                self.slot.activity.give_sign();
             }
         }
         self.lifecycle.handle_done(hook, result);
@@ -53,7 +53,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.cell.record.set_state(state);
-        self.slot.stamp.expect_signs(state == Lifecycle::Active);
+        self.slot.activity.expect_signs(state == Lifecycle::Active);
         self.schedule.set_active(state == Lifecycle::Active);
         if state == Lifecycle::Active {
             self.cell.record.announce(|listener| listener.activated());

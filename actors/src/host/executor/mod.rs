@@ -18,7 +18,6 @@ use outbox::DeferredReport;
 
 use super::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleStep};
 use super::schedule::{DueWork, ScheduledWork};
-use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::cell::{Blame, ComponentCell, CurrentPlacement};
@@ -29,7 +28,7 @@ use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{self, FACTORY, TASK, TIMER, label};
+use crate::liveness::label::{FACTORY, TASK, TIMER, label};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
@@ -50,7 +49,7 @@ use std::task::{self, Poll, Waker};
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
 /// Nests kept at most; a component that takes more contracts than this pays a box for the others.
-const NESTS: usize = 4;
+const SLOTS_MAX: usize = 4;
 
 /// What is in service.
 enum Service {
@@ -60,7 +59,13 @@ enum Service {
     Hook(Hook, Pin<Box<dyn Future<Output = Result<(), Failure>>>>),
 }
 
-struct Nested<C: Component> {
+/// The id and contract of a message in the log, and whether a reply is wanted.
+type LoggedMessage = (LogId, &'static str, bool);
+
+/// The latest restarts by a guard, as far back as they count.
+type RestartTimes = VecDeque<Instant>;
+
+struct SlotInUse<C: Component> {
     contract: TypeId,
     label: u32,
     future_slot: Pin<Box<dyn FutureSlot<C>>>,
@@ -82,7 +87,7 @@ pub(crate) struct ComponentExecutor<C: Component> {
     lifecycle: IncarnationLifecycle,
     component: Option<Rc<ComponentSlot<C>>>,
     service: Service,
-    nests: Vec<Nested<C>>,
+    slots_in_use: Vec<SlotInUse<C>>,
     schedule: ScheduledWork<C>,
     /// Shared with the component's tasks.
     budget: Rc<TurnBudget>,
@@ -92,19 +97,19 @@ pub(crate) struct ComponentExecutor<C: Component> {
     message_next: bool,
     slot: ActivitySlot,
     arbiter: ArbiterSlot,
-    pulse: Arc<ArbiterHeartbeat>,
     waker: Option<Waker>,
     /// The message in service is to be blamed by its identity if it brings death.
     followed: bool,
-    /// The message in service in the log: its id and contract, and whether a reply is wanted.
-    logged: Option<(LogId, &'static str, bool)>,
+    /// The message in service in the log. Boxed, since few programs keep one.
+    logged: Option<Box<LoggedMessage>>,
     /// When the incarnation began, until it first awaits something.
     began: Option<Instant>,
     /// The supervisor knows that the incarnation did not come to work.
     start_failed: bool,
     /// This incarnation is over, and none comes after it here.
     over: bool,
-    deaths: VecDeque<Instant>,
+    /// When its guard restarted the component. There only where it has.
+    deaths: Option<Box<RestartTimes>>,
     outbox: Vec<DeferredReport>,
     supervisor: Arc<Recipient<ChildReport>>,
     commands: Arc<CommandQueue>,
@@ -120,20 +125,19 @@ impl<C: Component> ComponentExecutor<C> {
         commands: Arc<CommandQueue>,
     ) -> Self {
         let slot = ActivitySlot::claim();
-        let state = Rc::new(IncarnationState::new(incarnation, slot.stamp));
+        let state = Rc::new(IncarnationState::new(incarnation, slot.activity));
         let mut executor = ComponentExecutor {
             cell,
             state,
             lifecycle: IncarnationLifecycle::new(true),
             component: None,
             service: Service::Idle,
-            nests: Vec::new(),
+            slots_in_use: Vec::new(),
             schedule: ScheduledWork::default(),
             budget: Rc::default(),
             step_first: false,
             message_next: false,
             slot,
-            pulse: arbiter.pulse.clone(),
             arbiter,
             waker: None,
             followed: false,
@@ -141,7 +145,7 @@ impl<C: Component> ComponentExecutor<C> {
             began: None,
             start_failed: false,
             over: false,
-            deaths: VecDeque::new(),
+            deaths: None,
             outbox: Vec::new(),
             supervisor,
             commands,
@@ -152,8 +156,8 @@ impl<C: Component> ComponentExecutor<C> {
         let watched = SampledComponent {
             object: record.name.clone(),
             inside: cell,
-            pulse: executor.pulse.clone(),
-            stamp: executor.slot.stamp,
+            heartbeat: executor.arbiter.heartbeat.clone(),
+            activity: executor.slot.activity,
             limits: record.limits.hang.clone(),
         };
         record.environment.watch_list.enter(executor.slot.index, watched);
@@ -162,13 +166,13 @@ impl<C: Component> ComponentExecutor<C> {
 
     fn begin_incarnation(&mut self) {
         let record = &self.cell.record;
-        self.slot.stamp.begin_incarnation(self.state.incarnation.0);
+        self.slot.activity.begin_incarnation(self.state.incarnation.0);
         self.state.token.mute(record.is_isolated());
         let (arbiter, token) = (self.arbiter.clone(), self.state.token.clone());
-        let placement = CurrentPlacement { arbiter, slot: self.place(), token };
+        let placement = CurrentPlacement { arbiter, slot: self.activity_slot(), token };
         let is_newest = record.enter(self.state.incarnation, placement);
-        self.schedule.begin(record.limits.interval, self.state.timers.clone());
-        self.slot.stamp.run_every(record.limits.interval);
+        self.schedule.begin(record.limits.interval);
+        self.slot.activity.run_every(record.limits.interval);
         self.began = self.lifecycle.is_starting().then(platform::now);
         // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
@@ -177,8 +181,8 @@ impl<C: Component> ComponentExecutor<C> {
     }
 
     #[inline]
-    pub(crate) fn place(&self) -> ActivitySlotRef {
-        ActivitySlotRef { index: self.slot.index, stamp: self.slot.stamp }
+    pub(crate) fn activity_slot(&self) -> ActivitySlotRef {
+        ActivitySlotRef { index: self.slot.index, activity: self.slot.activity }
     }
 
     /// Does what it was told to.
@@ -208,7 +212,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.leave();
             return Poll::Ready(());
         }
-        if self.pulse.is_lost() {
+        if self.arbiter.heartbeat.is_lost() {
             return Poll::Pending; // The arbiter came back too late; the successor is on its way.
         }
         if self.budget.is_resting() {
@@ -216,17 +220,17 @@ impl<C: Component> ComponentExecutor<C> {
         }
         let muted = self.state.token.is_muted();
         if muted {
-            self.pulse.mute(true);
+            self.arbiter.heartbeat.mute(true);
         }
-        self.pulse.run(Some(self.slot.index));
+        self.arbiter.heartbeat.run(Some(self.slot.index));
         let guarded = PanicGuard::enter();
         self.budget.begin();
         let over = self.turn(cx);
         self.budget.end(cx.waker());
         drop(guarded);
-        self.pulse.run(None);
+        self.arbiter.heartbeat.run(None);
         if muted {
-            self.pulse.mute(false);
+            self.arbiter.heartbeat.mute(false);
         }
         if self.is_abandoned() {
             self.leave();
@@ -267,7 +271,7 @@ impl<C: Component> ComponentExecutor<C> {
                     }
                 }
                 Ok(Progress::Over) => return true,
-                Err(payload) => self.died_in_service(payload),
+                Err(payload) => self.died(payload, self.in_service()),
             }
             if !self.budget.lasts() {
                 return self.over;
@@ -279,9 +283,9 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Says whether that has used the turn up.
     fn poll_chores(&mut self, cx: &mut task::Context<'_>) -> bool {
-        self.slot.stamp.poll_tasks(true);
+        self.slot.activity.poll_tasks(true);
         let polled = catch_unwind(AssertUnwindSafe(|| self.schedule.poll(cx)));
-        self.slot.stamp.poll_tasks(false);
+        self.slot.activity.poll_tasks(false);
         if let Err(payload) = polled {
             self.died(payload, TASK);
         }
@@ -324,7 +328,7 @@ impl<C: Component> ComponentExecutor<C> {
             return self.do_work(work, cx);
         }
         match self.cell.queue.take(self.state.incarnation, cx.waker()) {
-            Popped::Got(mail) => self.open(mail, cx),
+            Popped::Got(envelope) => self.open(envelope, cx),
             Popped::Empty => match self.schedule.next_due() {
                 Some(work) => self.do_work(work, cx),
                 None => Progress::Wait,
@@ -338,72 +342,87 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Takes a message into service.
     #[inline]
-    fn open(&mut self, mut mail: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
-        let brief = mail.brief();
-        if brief.max_age.is_some_and(|limit| platform::now() - brief.captured_at > limit) {
-            self.slot.stamp.expire();
-            self.cell.return_mail(mail, DeliveryError::Expired);
+    fn open(&mut self, mut envelope: BoxedEnvelope<C>, cx: &mut task::Context<'_>) -> Progress {
+        let header = envelope.header();
+        if header.max_age.is_some_and(|limit| platform::now() - header.captured_at > limit) {
+            self.slot.activity.expire();
+            self.cell.return_envelope(envelope, DeliveryError::Expired);
             return Progress::More;
         }
-        if brief.is_followed
-            && let Some(why) = self.follow(&*mail)
+        if header.is_followed
+            && let Some(why) = self.follow(&*envelope)
         {
-            self.cell.return_mail(mail, why);
+            self.cell.return_envelope(envelope, why);
             return Progress::More;
         }
-        self.begin_message(&brief, &mut *mail);
-        drop(mail);
+        self.begin_message(&header, &mut *envelope);
+        drop(envelope);
         self.advance(cx)
     }
 
     /// Notes who is to be told if this message brings death; says why it is not to be served.
-    fn follow(&mut self, mail: &dyn Envelope<C>) -> Option<DeliveryError> {
-        if mail.is_void() {
-            self.slot.stamp.expire();
+    fn follow(&mut self, envelope: &dyn Envelope<C>) -> Option<DeliveryError> {
+        if envelope.is_void() {
+            self.slot.activity.expire();
             return Some(DeliveryError::DeadlinePassed);
         }
-        let id = mail.id();
+        let id = envelope.id();
         if id.is_some()
             && let Some(why) = self.cell.record.refusal(id)
         {
             return Some(why);
         }
-        self.cell.record.begin_service(mail.revocable(), id);
+        self.cell.record.begin_service(envelope.revocable(), id);
         self.followed = id.is_some();
         None
     }
 
-    /// Fills the contract's slot, or builds it.
+    /// Fills the contract's slot.
     #[inline]
-    fn begin_message<E: Envelope<C> + ?Sized>(&mut self, brief: &EnvelopeHeader, mail: &mut E) {
+    fn begin_message(&mut self, header: &EnvelopeHeader, envelope: &mut dyn Envelope<C>) {
+        let at = self.note_message(header, envelope);
         let Some(component) = &self.component else { return };
-        self.state.captured_at.set(Some(brief.captured_at));
-        if let Some(id) = brief.logged {
-            self.logged = Some((id, brief.name, mail.revocable().is_some()));
+        if self.slots_in_use[at].future_slot.as_mut().refill(envelope.contents(), component) {
+            self.service = Service::Message(at);
+        } else {
+            self.slot.activity.step();
+        }
+    }
+
+    /// Names what is taken into service, and says which slot its future has.
+    #[inline]
+    fn note_message<E>(&mut self, header: &EnvelopeHeader, envelope: &E) -> usize
+    where
+        E: Envelope<C> + ?Sized,
+    {
+        self.state.captured_at.set(Some(header.captured_at));
+        if let Some(id) = header.logged {
+            self.logged = Some(Box::new((id, header.name, envelope.revocable().is_some())));
             let record = &self.cell.record;
-            message_log::begun(id, brief.name, &record.name, self.state.incarnation);
+            message_log::begun(id, header.name, &record.name, self.state.incarnation);
         }
-        if let Some(at) = self.nests.iter().position(|nested| nested.contract == brief.contract) {
-            let nested = &mut self.nests[at];
-            self.slot.stamp.begin(nested.label);
-            if nested.future_slot.as_mut().refill(mail.contents(), component) {
-                self.service = Service::Message(at);
-            } else {
-                self.slot.stamp.step();
-            }
-            return;
-        }
-        let label = label(brief.name);
-        self.slot.stamp.begin(label);
-        let Some(future_slot) = mail.future_slot(component) else { return self.slot.stamp.step() };
-        self.nests.truncate(NESTS - 1);
-        self.nests.push(Nested { contract: brief.contract, label, future_slot });
-        self.service = Service::Message(self.nests.len() - 1);
+        let known = self.slots_in_use.iter().position(|in_use| in_use.contract == header.contract);
+        let at = known.unwrap_or_else(|| self.add_slot(header, envelope.future_slot()));
+        self.slot.activity.begin(self.slots_in_use[at].label);
+        at
+    }
+
+    /// One more contract is served.
+    #[cold]
+    fn add_slot(
+        &mut self,
+        header: &EnvelopeHeader,
+        future_slot: Pin<Box<dyn FutureSlot<C>>>,
+    ) -> usize {
+        self.slots_in_use.truncate(SLOTS_MAX - 1);
+        let (contract, label) = (header.contract, label(header.name));
+        self.slots_in_use.push(SlotInUse { contract, label, future_slot });
+        self.slots_in_use.len() - 1
     }
 
     fn begin_hook(&mut self, hook: Hook) {
         let Some(component) = &self.component else { return };
-        self.slot.stamp.begin(label(hook.name()));
+        self.slot.activity.begin(label(hook.name()));
         self.service = Service::Hook(hook, Box::pin(run_hook(component.clone(), hook)));
     }
 
@@ -413,27 +432,35 @@ impl<C: Component> ComponentExecutor<C> {
         match &mut self.service {
             Service::Idle => return Progress::More,
             Service::Message(at) => {
-                if self.nests[*at].future_slot.as_mut().poll(cx).is_pending() {
+                if self.slots_in_use[*at].future_slot.as_mut().poll(cx).is_pending() {
                     return self.wait();
                 }
-                self.service = Service::Idle;
-                if self.followed {
-                    self.followed = false;
-                    self.cell.record.end_service();
-                }
-                if let Some((id, contract, replies)) = self.logged.take() {
-                    message_log::served(id, contract, &self.cell.record.name, replies);
-                }
+                self.end_message();
             }
             Service::Hook(hook, future) => {
                 let Poll::Ready(result) = future.as_mut().poll(cx) else { return self.wait() };
                 let hook = *hook;
                 self.service = Service::Idle;
                 self.hook_done(hook, result);
+                self.slot.activity.step();
             }
         }
-        self.slot.stamp.step();
         Progress::More
+    }
+
+    /// The message in service has been served.
+    #[inline]
+    fn end_message(&mut self) {
+        self.service = Service::Idle;
+        if self.followed {
+            self.followed = false;
+            self.cell.record.end_service();
+        }
+        if let Some(logged) = self.logged.take() {
+            let (id, contract, replies) = *logged;
+            message_log::served(id, contract, &self.cell.record.name, replies);
+        }
+        self.slot.activity.step();
     }
 
     /// What is in service awaits something, perhaps what it has just started.
@@ -454,11 +481,11 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
-        self.slot.stamp.begin(label(FACTORY));
+        self.slot.activity.begin(label(FACTORY));
         let cx = Context::new(self.cell.clone(), self.state.clone());
         let component = (self.cell.factory)();
         self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
-        self.slot.stamp.step();
+        self.slot.activity.step();
         self.pass_reports();
     }
 
@@ -468,7 +495,7 @@ impl<C: Component> ComponentExecutor<C> {
         if let Some(interval) = wishes.interval
             && self.schedule.set_interval(interval)
         {
-            self.slot.stamp.run_every(interval);
+            self.slot.activity.run_every(interval);
             self.lifecycle.handle_rate_changed();
         }
         if let Some(failure) = wishes.failure {
@@ -477,7 +504,8 @@ impl<C: Component> ComponentExecutor<C> {
         if wishes.stop {
             self.lifecycle.handle_stop(EndReason::Returned);
         }
-        self.schedule.take_on(wishes.tasks, &wishes.cancelled, &self.budget);
+        let timers = self.state.timers.get();
+        self.schedule.take_on(wishes.tasks, &wishes.cancelled, timers, &self.budget);
         self.pass_reports();
     }
 
@@ -491,14 +519,14 @@ impl<C: Component> ComponentExecutor<C> {
                 if let (Some(component), Some((mut action, missed))) =
                     (&self.component, self.schedule.lift(id))
                 {
-                    self.slot.stamp.tick(missed);
-                    self.slot.stamp.begin(label(TIMER));
+                    self.slot.activity.tick(missed);
+                    self.slot.activity.begin(label(TIMER));
                     {
                         let mut contents = component.contents.borrow_mut();
                         let (component, cx) = contents.both();
                         action(component, cx);
                     }
-                    self.slot.stamp.step();
+                    self.slot.activity.step();
                     self.schedule.put_back(id, action);
                 }
                 Progress::More
@@ -523,7 +551,7 @@ impl<C: Component> ComponentExecutor<C> {
             let within = self.cell.record.limits.shutdown_within;
             // Who gives it no time at all wants it cut off.
             if !within.is_zero() {
-                self.lifecycle.handle_cut_off(label::name(self.slot.stamp.read().during), within);
+                self.lifecycle.handle_cut_off(self.in_service(), within);
                 self.pass_reports();
             }
             self.drop_service();
@@ -539,7 +567,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.lose_message();
         self.followed = false;
         self.dispose_service(Blame::Log);
-        self.slot.stamp.step();
+        self.slot.activity.step();
     }
 }
 

@@ -20,7 +20,7 @@ impl<C: Component> ComponentExecutor<C> {
         if self.outbox.is_empty() {
             return;
         }
-        self.pulse.owe_exits(false);
+        self.arbiter.heartbeat.owe_exits(false);
         let record = &self.cell.record;
         let reports = &record.environment.reports;
         // Taken, not drained: one that has nothing to tell keeps no room for it.

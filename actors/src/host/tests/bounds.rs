@@ -22,8 +22,8 @@ fn a_full_queue_does_what_its_policy_says() {
             }
             settle().await;
             assert_eq!(logged(&log), expected, "{name}");
-            let office = &stage.environment.dead_letters;
-            assert_eq!(office.count(acc.name(), DeadReason::Full), dead, "{name}");
+            let dead_letters = &stage.environment.dead_letters;
+            assert_eq!(dead_letters.count(acc.name(), DeadReason::Full), dead, "{name}");
         };
         check("refuse", WhenFull::Refuse, &[1, 2], 0).await;
         check("wait", WhenFull::Wait, &[1, 2], 0).await;

@@ -124,7 +124,7 @@ async fn kit() -> Kit {
     let (l, d) = (log.clone(), detached.clone());
     let spec = ChildSpec::new("worker", move || Worker { log: l.clone(), detached: d.clone() });
     let (mut child, worker) = stage.start(spec).await;
-    child.standing_order(order(5));
+    child.set_restart_grant(order(5));
     Kit { stage, _child: child, worker, log, detached }
 }
 
@@ -206,8 +206,8 @@ impl Handle<Said> for Ear {
 fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
     paused(async {
         let kit = kit().await;
-        let heard = Log::default();
-        let kept = heard.clone();
+        let received = Log::default();
+        let kept = received.clone();
         let (_ear, _) = kit.stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
         kit.worker.tell(Job::Detach).unwrap();
         settle().await;
@@ -220,7 +220,7 @@ fn a_detached_sender_ends_with_the_incarnation_that_made_it() {
         let refused = sender.tell(Said(2)).unwrap_err();
         assert_eq!((refused.kind, refused.message), (DeliveryError::Fenced, Said(2)));
         assert_eq!(sender.ask(Said(3)).await.unwrap_err().kind, DeliveryError::Fenced);
-        assert_eq!(logged(&heard), [1]);
+        assert_eq!(logged(&received), [1]);
     });
 }
 
@@ -244,16 +244,16 @@ impl Handle<Said> for Crier {
 fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
     paused(async {
         let stage = Stage::new();
-        let heard = Log::default();
-        let kept = heard.clone();
+        let received = Log::default();
+        let kept = received.clone();
         let (_ear, _) = stage.start(ChildSpec::new("ear", move || Ear(kept.clone()))).await;
         let (mut child, crier) = stage.start(ChildSpec::new("crier", || Crier)).await;
         advance(Duration::from_millis(25)).await;
-        assert_eq!(logged(&heard), [1, 2]);
+        assert_eq!(logged(&received), [1, 2]);
 
         child.isolate(true);
         advance(Duration::from_millis(30)).await;
-        assert_eq!(logged(&heard), [0; 0]);
+        assert_eq!(logged(&received), [0; 0]);
         let refused = crier.tell(Said(0)).unwrap_err();
         assert_eq!(
             (refused.kind, refused.message),
@@ -262,7 +262,7 @@ fn an_isolated_component_neither_sends_nor_receives_until_it_may_again() {
 
         child.isolate(false);
         advance(Duration::from_millis(20)).await;
-        assert_eq!(logged(&heard), [6, 7]);
+        assert_eq!(logged(&received), [6, 7]);
         crier.tell(Said(0)).unwrap();
     });
 }

@@ -68,10 +68,10 @@ fn source(bench: &Bench) -> ChildSpec<Source> {
 
 /// A thread that publishes what it is told, and answers what came of it.
 fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<DeliveryError>>) {
-    let (orders, told) = channel();
+    let (orders, reported) = channel();
     let (answer, answers) = channel();
     std::thread::spawn(move || {
-        while let Ok(n) = told.recv() {
+        while let Ok(n) = reported.recv() {
             let refused = publisher.publish(Reading(n)).err();
             assert!(refused.as_ref().is_none_or(|error| error.message == Reading(n)));
             let _ = answer.send(refused.map(|error| error.kind));
@@ -88,7 +88,7 @@ fn a_publisher_in_a_thread_publishes_until_its_incarnation_ends_and_then_says_fe
         let (spec, log) = ear();
         let (_ear, _) = stage.start(spec).await;
         let (mut child, source) = stage.start(source(&bench)).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         let first = bench.publishers.lock().unwrap()[0].clone();
         let (tell, answers) = thread(first);
 

@@ -33,7 +33,7 @@ type Said0 = Arc<Mutex<Vec<Option<DeliveryError>>>>;
 struct Blocker {
     gate: Gate,
     ear: Sender<Said>,
-    said: Said0,
+    refusals: Said0,
 }
 
 impl Component for Blocker {
@@ -46,8 +46,8 @@ impl Handle<Block> for Blocker {
     async fn handle(&mut self, Block(n): Block, cx: &mut Context<Self>) -> u64 {
         self.gate.lock().unwrap().recv().unwrap();
         cx.publish(Said(666));
-        let said = self.ear.tell(Said(n)).map_err(|refused| refused.kind).err();
-        self.said.lock().unwrap().push(said);
+        let refusals = self.ear.tell(Said(n)).map_err(|refused| refused.kind).err();
+        self.refusals.lock().unwrap().push(refusals);
         n
     }
 }
@@ -77,8 +77,8 @@ struct Site {
     sighted: Probe<LivenessReported>,
     open: mpsc::Sender<()>,
     gate: Gate,
-    said: Said0,
-    heard: Log,
+    refusals: Said0,
+    received: Log,
     ear: Sender<Said>,
     _ear: Box<dyn blastema_contract::child::Child>,
     _watch: SamplerGuard,
@@ -94,8 +94,8 @@ impl Site {
         let (list, arbiters) = (environment.watch_list.clone(), environment.arbiters.clone());
         let watch = sampler::start_thread(list, arbiters, config, sighted.recipient()).unwrap();
         let (open, gate) = mpsc::channel();
-        let heard = Log::default();
-        let kept = heard.clone();
+        let received = Log::default();
+        let kept = received.clone();
         let spec = ChildSpec::new("ear", move || Ear(kept.clone())).on_own_thread();
         let (ear_child, ear) = stage.start(spec).await;
         Site {
@@ -104,16 +104,17 @@ impl Site {
             sighted,
             open,
             gate: Arc::new(Mutex::new(gate)),
-            said: Said0::default(),
-            heard,
+            refusals: Said0::default(),
+            received,
             _ear: ear_child,
             _watch: watch,
         }
     }
 
     fn blocker(&self, name: &str) -> ChildSpec<Blocker> {
-        let (gate, ear, said) = (self.gate.clone(), self.ear.clone(), self.said.clone());
-        let make = move || Blocker { gate: gate.clone(), ear: ear.clone(), said: said.clone() };
+        let (gate, ear, refusals) = (self.gate.clone(), self.ear.clone(), self.refusals.clone());
+        let make =
+            move || Blocker { gate: gate.clone(), ear: ear.clone(), refusals: refusals.clone() };
         ChildSpec::new(name, make).max_block(Duration::from_millis(100))
     }
 
@@ -160,8 +161,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
         assert_eq!(victims, [name("neighbour")]);
         blocker.tell(Said(5)).unwrap();
         let here = NodeName::new("here").unwrap();
-        let place = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
-        let mut row = MonitorRow::blank(place, ObjectKind::Component);
+        let location = FaultLocation::Object(ObjectAddress::new(here.clone(), name("blocker")));
+        let mut row = MonitorRow::blank(location, ObjectKind::Component);
         row.incarnation = Incarnation(1);
         site.stage.environment.watch_list.show_in(&here, std::slice::from_mut(&mut row));
         let CurrentHandler { during, .. } = row.current.unwrap();
@@ -176,15 +177,15 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
             "while it still blocks"
         );
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("its queue came along", || logged(&site.heard) == [5]).await;
+        site.until("its queue came along", || logged(&site.received) == [5]).await;
 
         let early = site.sighted.drain();
         assert!(!early.iter().any(|s| matches!(s, LivenessReported::Resumed { .. })), "{early:?}");
         site.open.send(()).unwrap();
         assert_eq!(neighbour.ask_within(super::Add(3), LONG).await, Ok(3));
         assert_eq!(neighbour.incarnation(), Incarnation(1), "it never moved");
-        assert_eq!(*site.said.lock().unwrap(), [Some(DeliveryError::Fenced)]);
-        assert_eq!(logged(&site.heard), [0; 0], "what the zombie said went nowhere");
+        assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
+        assert_eq!(logged(&site.received), [0; 0], "what the zombie said went nowhere");
         assert_eq!(site.stage.environment.arbiters.abandoned(), 0);
         let resumed = site.sighted.wait(|s| matches!(s, LivenessReported::Resumed { .. })).await;
         assert_eq!(resumed, LivenessReported::Resumed { objects: [name("neighbour")].into() });
@@ -196,8 +197,8 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
 fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their_queues() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, Duration::from_millis(100)).await;
-        let told = Arc::new(Mutex::new(vec![]));
-        let kept = told.clone();
+        let reported = Arc::new(Mutex::new(vec![]));
+        let kept = reported.clone();
         let arbiters = &site.stage.environment.arbiters;
         arbiters.on_abandoned(Box::new(move |lost| kept.lock().unwrap().push(lost.clone())));
         let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
@@ -214,17 +215,18 @@ fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their
         let (culprit, victims) = (name("blocker"), [name("neighbour")].into());
         assert_eq!(lost, LivenessReported::Lost { culprit, victims });
         assert_eq!(arbiters.abandoned(), 1);
-        assert_eq!(*told.lock().unwrap(), [[(name("blocker"), 1)].into()]);
+        assert_eq!(*reported.lock().unwrap(), [[(name("blocker"), 1)].into()]);
         moving.abandon();
         assert_eq!(site.stage.begin(&mut *moving, 2).await, ChildEvent::Started);
-        site.until("queue and events came along", || site.heard.lock().unwrap().len() == 2).await;
-        assert_eq!(logged(&site.heard), [7, 8]);
+        site.until("queue and events came along", || site.received.lock().unwrap().len() == 2)
+            .await;
+        assert_eq!(logged(&site.received), [7, 8]);
         assert_eq!(site.stage.begin(&mut *child, 2).await, ChildEvent::Started);
-        site.until("the event, too", || logged(&site.heard) == [8]).await;
+        site.until("the event, too", || logged(&site.received) == [8]).await;
 
         site.open.send(()).unwrap();
         site.until("the thread ends", || arbiters.abandoned() == 0).await;
-        assert_eq!(*site.said.lock().unwrap(), [Some(DeliveryError::Fenced)]);
+        assert_eq!(*site.refusals.lock().unwrap(), [Some(DeliveryError::Fenced)]);
         assert_eq!(neighbour.incarnation(), Incarnation(2));
         arbiters.stop();
     });
@@ -336,7 +338,7 @@ fn a_listener_that_hangs_in_an_event_is_the_culprit_and_the_next_listener_may_sp
         child.abandon();
         site.open.send(()).unwrap();
 
-        site.until("it speaks", || logged(&site.heard) == [9]).await;
+        site.until("it speaks", || logged(&site.received) == [9]).await;
         assert_eq!(witness.incarnation(), Incarnation(1));
         assert_eq!(site.stage.exits.drain(), []);
         site.stage.environment.arbiters.stop();
@@ -365,11 +367,11 @@ fn events_that_a_lost_arbiter_was_handing_out_come_along() {
         victim.abandon();
         assert_eq!(site.stage.begin(&mut *victim, 2).await, ChildEvent::Started);
 
-        site.until("both events came along", || site.heard.lock().unwrap().len() == 2).await;
+        site.until("both events came along", || site.received.lock().unwrap().len() == 2).await;
         assert_eq!(witness.incarnation(), Incarnation(2));
         site.open.send(()).unwrap();
         site.until("the thread ends", || site.stage.environment.arbiters.abandoned() == 0).await;
-        assert_eq!(logged(&site.heard), [9, 9], "the old incarnation is fenced");
+        assert_eq!(logged(&site.received), [9, 9], "the old incarnation is fenced");
         site.stage.environment.arbiters.stop();
     });
 }
@@ -504,7 +506,7 @@ fn a_death_is_told_while_the_replacement_keeps_its_thread() {
         let spec = ChildSpec::new("relapsing", move || Relapsing(gate.clone()));
         let (mut child, relapsing) =
             site.stage.start(spec.max_block(Duration::from_secs(60))).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         relapsing.tell(Said(0)).unwrap();
         relapsing.tell(Said(1)).unwrap();
 

@@ -14,7 +14,7 @@ fn an_incarnation_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its
         let stage = Stage::new();
         let (spec, _) = acc("acc");
         let (mut child, acc) = stage.start(spec).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         acc.tell(boom("one")).unwrap();
         assert_eq!(
             acc.ask(Slow(0)).await,
@@ -72,7 +72,7 @@ fn a_panic_and_an_order_at_the_same_time_never_make_two_incarnations_of_one_numb
             .queue(64, crate::WhenFull::Refuse);
         let (mut child, census) = stage.start(spec).await;
         for round in 0..200_u64 {
-            child.standing_order(order(u32::MAX));
+            child.set_restart_grant(order(u32::MAX));
             let _ = census.tell(boom("struck"));
             // Sooner or later than the panic, from round to round.
             (0..20 * (round % 50)).for_each(|_| std::hint::spin_loop());

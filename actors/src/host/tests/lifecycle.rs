@@ -1,4 +1,4 @@
-//! The hooks, their order, and what is told of them.
+//! The hooks, their order, and the reports about them.
 
 use super::{Stage, order};
 use crate::messaging::death_watch::Watchable;
@@ -97,7 +97,7 @@ fn diary() -> (ChildSpec<Diary>, Diary) {
 }
 
 fn states(stage: &Stage) -> Vec<(Lifecycle, Option<String>)> {
-    stage.states.drain().into_iter().map(|told| (told.state, told.reason)).collect()
+    stage.states.drain().into_iter().map(|reported| (reported.state, reported.reason)).collect()
 }
 
 const BEGINNING: [&str; 3] = ["on_initialize", "on_startup", "on_activated"];
@@ -110,8 +110,8 @@ fn an_incarnation_runs_from_initialisation_to_its_end_in_order() {
         let (mut child, reference) = stage.start(spec).await;
         settle().await;
         assert_eq!(diary.ran(), BEGINNING);
-        let told = states(&stage);
-        assert_eq!(told.last().unwrap(), &(Lifecycle::Active, None));
+        let reported = states(&stage);
+        assert_eq!(reported.last().unwrap(), &(Lifecycle::Active, None));
         assert_eq!(reference.state(), Lifecycle::Active);
 
         child.stop();
@@ -323,8 +323,8 @@ fn each_hook_that_fails_while_an_incarnation_ends_says_so() {
             settle().await;
 
             assert_eq!(diary.ran(), hooks, "the others run all the same");
-            let told = states(&stage);
-            let reasons: Vec<_> = told.into_iter().filter_map(|(_, reason)| reason).collect();
+            let reported = states(&stage);
+            let reasons: Vec<_> = reported.into_iter().filter_map(|(_, reason)| reason).collect();
             let failed = hooks.map(|hook| format!("{hook} failed: {hook} failed"));
             assert_eq!(reasons, failed);
             assert_eq!(stage.exits.drain().pop().unwrap().exit, ExitReason::Stopped);
@@ -376,15 +376,18 @@ fn states_that_a_replacement_passes_through_in_one_poll_are_told_as_one() {
     paused(async {
         let stage = Stage::new();
         let (mut child, fragile) = stage.start(ChildSpec::new("fragile", || Fragile)).await;
-        child.standing_order(order(3));
+        child.set_restart_grant(order(3));
         stage.states.drain();
 
         fragile.tell(Die).unwrap();
         settle().await;
 
-        let told = stage.states.drain();
-        assert_eq!(told.len(), 1, "{told:?}");
-        assert_eq!((told[0].incarnation, told[0].state), (Incarnation(2), Lifecycle::Active));
+        let reported = stage.states.drain();
+        assert_eq!(reported.len(), 1, "{reported:?}");
+        assert_eq!(
+            (reported[0].incarnation, reported[0].state),
+            (Incarnation(2), Lifecycle::Active)
+        );
     });
 }
 

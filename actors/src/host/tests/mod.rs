@@ -50,7 +50,7 @@ impl Stage {
             exits: Some(exits.recipient()),
             states: Some(states.recipient()),
             faults: Some(faults.recipient()),
-            mended: None,
+            cleared: None,
         };
         let environment =
             with_features(ComponentEnvironment::new(arbiters, reports), ActuatorTable::default());

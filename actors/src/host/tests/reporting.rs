@@ -78,7 +78,7 @@ fn each_incarnation_that_a_condition_ends_within_a_batch_is_reported() {
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(picky("picky").0).await;
-        child.standing_order(order(2));
+        child.set_restart_grant(order(2));
 
         (101..=104).for_each(|n| publish(&stage, "other", n));
         settle().await;
@@ -101,7 +101,7 @@ fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_before_i
     paused(async {
         let stage = Stage::new();
         let (mut child, picky) = stage.start(picky("picky").0).await;
-        child.standing_order(order(5));
+        child.set_restart_grant(order(5));
         let executor = crate::host::executor::executor_here(&picky.0).unwrap().upgrade().unwrap();
 
         // On the spot, before the executor has its turn.
@@ -279,7 +279,7 @@ fn a_panic_is_reported_though_the_factory_of_the_next_incarnation_blocks() {
             Clingy { held: None }
         });
         let (mut child, clingy) = stage.start(spec).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
 
         clingy.tell(Sample(7)).unwrap();
         held.until_a_thread_waits().await;

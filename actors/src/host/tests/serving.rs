@@ -144,7 +144,7 @@ fn a_message_that_killed_three_incarnations_is_quarantined_and_no_other() {
     paused(async {
         let stage = Stage::new();
         let (mut child, acc) = stage.start(acc("acc").0).await;
-        child.standing_order(order(10));
+        child.set_restart_grant(order(10));
         let sender = acc.sender();
         let (poison, other) = (sender.repeatable(boom("x")), sender.repeatable(boom("y")));
 

@@ -35,7 +35,7 @@ fn reply() -> (ReplyPlace, ReplyTo) {
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
 }
 
-fn postmark(id: Option<MessageId>) -> MessageMetadata {
+fn metadata(id: Option<MessageId>) -> MessageMetadata {
     MessageMetadata { id, ..MessageMetadata::default() }
 }
 
@@ -47,32 +47,32 @@ fn bytes_from_outside_are_served_and_the_reply_goes_back_as_bytes() {
         let stage = Stage::new();
         let (spec, log) = acc("acc");
         let (mut child, _) = stage.start(spec).await;
-        child.standing_order(order(9));
+        child.set_restart_grant(order(9));
         let registry = &stage.environment.registry;
         let (identity, add) = registry.skeleton(&name("acc"), Add::NAME).unwrap();
         assert_eq!(identity.fingerprint, ContractIdentity::of::<Add>().fingerprint);
 
         let (place, reply_to) = reply();
-        add.deliver(&encoded(&Add(4)), postmark(ID), Some(reply_to)).unwrap();
+        add.deliver(&encoded(&Add(4)), metadata(ID), Some(reply_to)).unwrap();
         settle().await;
         let bytes = place.lock().unwrap().take().unwrap().unwrap();
         assert_eq!(codec::decode_reply::<Add>(&bytes.into_bytes()).unwrap(), 4);
 
         let (_, note) = registry.skeleton(&name("acc"), Note::NAME).unwrap();
-        note.deliver(&encoded(&Note(7)), postmark(None), None).unwrap();
+        note.deliver(&encoded(&Note(7)), metadata(None), None).unwrap();
         settle().await;
         assert_eq!(logged(&log), [7]);
 
         let (_, kill) = registry.skeleton(&name("acc"), Boom::NAME).unwrap();
         for incarnation in 1..=3 {
             let (place, reply_to) = reply();
-            kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap();
+            kill.deliver(&encoded(&boom("x")), metadata(ID), Some(reply_to)).unwrap();
             settle().await;
             let why = place.lock().unwrap().take().unwrap().unwrap_err();
             assert_eq!(why, DeliveryError::PeerDied { incarnation: Incarnation(incarnation) });
         }
         let (place, reply_to) = reply();
-        let refused = kill.deliver(&encoded(&boom("x")), postmark(ID), Some(reply_to)).unwrap_err();
+        let refused = kill.deliver(&encoded(&boom("x")), metadata(ID), Some(reply_to)).unwrap_err();
         assert_eq!(refused, DeliveryError::Quarantined { kills: 3 });
         assert_eq!(place.lock().unwrap().take(), Some(Err(refused)));
     });
@@ -88,7 +88,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
 
         let (place, reply_to) = reply();
         let why = add
-            .deliver(&Bytes::from_static(b"no number"), postmark(ID), Some(reply_to))
+            .deliver(&Bytes::from_static(b"no number"), metadata(ID), Some(reply_to))
             .unwrap_err();
 
         assert!(matches!(why, DeliveryError::Undecodable { .. }), "{why}");
@@ -107,12 +107,12 @@ fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_whe
         let (_child, acc) = stage.start(spec.queue(1, WhenFull::Refuse)).await;
         let (_, note) = stage.environment.registry.skeleton(&name("acc"), Note::NAME).unwrap();
 
-        note.deliver(&encoded(&Note(1)), postmark(None), None).unwrap();
-        let why = note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap_err();
+        note.deliver(&encoded(&Note(1)), metadata(None), None).unwrap();
+        let why = note.deliver(&encoded(&Note(2)), metadata(None), None).unwrap_err();
         assert_eq!(why, DeliveryError::Full);
-        note.room().unwrap().await;
-        note.deliver(&encoded(&Note(2)), postmark(None), None).unwrap();
-        let why = note.deliver(&encoded(&Note(3)), postmark(None), None).unwrap_err();
+        note.space().unwrap().await;
+        note.deliver(&encoded(&Note(2)), metadata(None), None).unwrap();
+        let why = note.deliver(&encoded(&Note(3)), metadata(None), None).unwrap_err();
         assert_eq!(stage.environment.dead_letters.total(), 0);
         note.record_dead_letter(&why);
         settle().await;
@@ -191,7 +191,7 @@ struct Mirror(crate::registry::Registry);
 struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
 
 impl StubFactory for Mirror {
-    fn door(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
     }
 }
@@ -202,9 +202,9 @@ impl RemoteStub for MirrorDoor {
         asked: Option<OutgoingRequest>,
     ) -> Result<(), DeliveryError> {
         let id = asked.as_ref().and_then(|asked| asked.id);
-        self.0.deliver(&message.into_bytes(), postmark(id), asked.map(|asked| asked.reply_to))
+        self.0.deliver(&message.into_bytes(), metadata(id), asked.map(|asked| asked.reply_to))
     }
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -244,7 +244,7 @@ struct Narrow {
 }
 
 impl StubFactory for Narrow {
-    fn door(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
+    fn stub(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
         Arc::new(self.clone())
     }
 }
@@ -256,7 +256,7 @@ impl RemoteStub for Narrow {
         *self.taken.lock().unwrap() = Some(message);
         Ok(())
     }
-    fn room<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
+    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
         Box::pin(std::future::ready(()))
     }
 }
@@ -311,7 +311,7 @@ fn a_large_blob_is_not_copied_into_the_reply_that_goes_to_another_node() {
         let (_, look) = stage.environment.registry.skeleton(&name("camera"), Look::NAME).unwrap();
 
         let (place, reply_to) = reply();
-        look.deliver(&encoded(&Look), postmark(None), Some(reply_to)).unwrap();
+        look.deliver(&encoded(&Look), metadata(None), Some(reply_to)).unwrap();
         settle().await;
 
         let parcel = place.lock().unwrap().take().unwrap().unwrap();

@@ -99,9 +99,9 @@ fn a_component_publishes_on_its_contracts_topic_and_on_others() {
 
         advance(Duration::from_millis(105)).await;
 
-        let mut heard = logged(&log);
-        heard.sort_unstable();
-        assert_eq!(heard, [2, 2, 3, 3]);
+        let mut received = logged(&log);
+        received.sort_unstable();
+        assert_eq!(received, [2, 2, 3, 3]);
     });
 }
 
@@ -111,7 +111,7 @@ fn a_subscription_ends_with_a_stop_and_returns_with_the_next_incarnation() {
         let stage = Stage::new();
         let (spec, log) = listener("ear");
         let (mut child, ear) = stage.start(spec).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         ear.tell(boom("x")).unwrap();
         settle().await;
         publish(&stage, "other", 1);
@@ -148,8 +148,8 @@ fn a_panic_in_a_condition_or_on_an_event_is_the_listeners_alone() {
         let ((one, one_log), (two, two_log)) = (listener("one"), listener("two"));
         let (mut one, _) = stage.start(one).await;
         let (mut two, _) = stage.start(two).await;
-        one.standing_order(order(5));
-        two.standing_order(order(5));
+        one.set_restart_grant(order(5));
+        two.set_restart_grant(order(5));
 
         publish(&stage, Sample::NAME, 666);
         publish(&stage, "other", 13);
@@ -190,14 +190,14 @@ fn the_replacement_of_a_listener_that_dies_of_an_event_begins_without_another() 
     paused(async {
         let stage = Stage::new();
         let (mut child, _) = stage.start(listener("ear").0).await;
-        child.standing_order(order(1));
+        child.set_restart_grant(order(1));
         settle().await;
 
         publish(&stage, "other", 13);
 
         settle().await;
-        let told = stage.states.drain();
-        let last = told.last().map(|told| (told.incarnation, told.state));
+        let reported = stage.states.drain();
+        let last = reported.last().map(|reported| (reported.incarnation, reported.state));
         assert_eq!(last, Some((Incarnation(2), Lifecycle::Active)));
     });
 }
@@ -270,14 +270,14 @@ fn events_are_shipped_out_once_and_come_in_from_outside() {
 
         child.stop();
         settle().await;
-        let mut told = interest.lock().unwrap().clone();
-        told.sort();
+        let mut reported = interest.lock().unwrap().clone();
+        reported.sort();
         let other = |more| ("other".to_owned(), more);
         let sample = |more| (Sample::NAME.to_owned(), more);
         // The first report is that its contract is known, to which another node listens.
         let mut expected = [other(false), other(true), other(false), sample(false), sample(true)];
         expected.sort();
-        assert_eq!(told, expected);
+        assert_eq!(reported, expected);
     });
 }
 

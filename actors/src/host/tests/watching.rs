@@ -1,4 +1,4 @@
-//! Death watch: no notice is lost to a full queue, and no watch outlives who asked for it.
+//! Death watch: no notice is lost to a full queue, and no watch outlives its watcher.
 
 use super::{Acc, Boom, Stage, acc, boom, order};
 use crate::messaging::queue::WhenFull;
@@ -24,7 +24,7 @@ struct Born(u64);
 struct Mood(u64);
 
 #[derive(Clone, Debug, PartialEq)]
-enum Told {
+enum Received {
     Down(String, u64, DownReason),
     Chatter(u64),
 }
@@ -32,7 +32,7 @@ enum Told {
 /// Watches these from its first hook on, and takes a second for every message.
 struct Widow {
     watched: Vec<String>,
-    told: Arc<Mutex<Vec<Told>>>,
+    reported: Arc<Mutex<Vec<Received>>>,
 }
 
 impl Component for Widow {
@@ -57,7 +57,7 @@ impl Component for Widow {
 impl Handle<Chatter> for Widow {
     async fn handle(&mut self, Chatter(n): Chatter, _: &mut Context<Self>) {
         tokio::time::sleep(Duration::from_secs(1)).await;
-        self.told.lock().unwrap().push(Told::Chatter(n));
+        self.reported.lock().unwrap().push(Received::Chatter(n));
     }
 }
 
@@ -67,8 +67,8 @@ impl Handle<Born> for Widow {
 
 impl Handle<Down> for Widow {
     async fn handle(&mut self, down: Down, _: &mut Context<Self>) {
-        let told = Told::Down(down.object.to_string(), down.incarnation.0, down.ending);
-        self.told.lock().unwrap().push(told);
+        let reported = Received::Down(down.object.to_string(), down.incarnation.0, down.ending);
+        self.reported.lock().unwrap().push(reported);
     }
 }
 
@@ -78,16 +78,16 @@ impl Handle<Boom> for Widow {
     }
 }
 
-fn widow(name: &str, watched: &[&str]) -> (ChildSpec<Widow>, Arc<Mutex<Vec<Told>>>) {
-    let told = Arc::<Mutex<Vec<_>>>::default();
-    let (kept, watched) = (told.clone(), watched.iter().map(|name| (*name).to_owned()));
+fn widow(name: &str, watched: &[&str]) -> (ChildSpec<Widow>, Arc<Mutex<Vec<Received>>>) {
+    let reported = Arc::<Mutex<Vec<_>>>::default();
+    let (kept, watched) = (reported.clone(), watched.iter().map(|name| (*name).to_owned()));
     let watched: Vec<_> = watched.collect();
-    let make = move || Widow { watched: watched.clone(), told: kept.clone() };
-    (ChildSpec::new(name, make), told)
+    let make = move || Widow { watched: watched.clone(), reported: kept.clone() };
+    (ChildSpec::new(name, make), reported)
 }
 
-fn taken(told: &Mutex<Vec<Told>>) -> Vec<Told> {
-    std::mem::take(&mut *told.lock().unwrap())
+fn taken(reported: &Mutex<Vec<Received>>) -> Vec<Received> {
+    std::mem::take(&mut *reported.lock().unwrap())
 }
 
 #[test]
@@ -97,9 +97,9 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             let stage = Stage::new();
             let (mut one, acc_one) = stage.start::<Acc>(acc("one").0).await;
             let (mut two, acc_two) = stage.start::<Acc>(acc("two").0).await;
-            one.standing_order(order(5));
-            two.standing_order(order(5));
-            let (spec, told) = widow("widow", &["one", "two"]);
+            one.set_restart_grant(order(5));
+            two.set_restart_grant(order(5));
+            let (spec, reported) = widow("widow", &["one", "two"]);
             let (_widow, widow) = stage.start(spec.queue(1, policy)).await;
             widow.tell(Chatter(1)).unwrap();
             settle().await;
@@ -110,13 +110,14 @@ fn a_full_queue_loses_no_notice_whatever_its_policy() {
             settle().await;
             acc_one.tell(boom("second")).unwrap();
             settle().await;
-            assert_eq!(taken(&told), [], "it is busy");
+            assert_eq!(taken(&reported), [], "it is busy");
             advance(Duration::from_millis(1500)).await;
 
-            let told = taken(&told);
-            let [Told::Chatter(1), Told::Down(first, 2, end), Told::Down(other, 1, _)] = &told[..]
+            let reported = taken(&reported);
+            let [Received::Chatter(1), Received::Down(first, 2, end), Received::Down(other, 1, _)] =
+                &reported[..]
             else {
-                panic!("{policy:?}: {told:?}")
+                panic!("{policy:?}: {reported:?}")
             };
             assert_eq!((first.as_str(), other.as_str()), ("one", "two"), "before what waits");
             assert!(
@@ -133,18 +134,18 @@ fn an_isolated_watcher_is_told_when_it_is_let_in_again() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.standing_order(order(5));
-        let (spec, told) = widow("widow", &["arm"]);
+        child.set_restart_grant(order(5));
+        let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, _) = stage.start(spec).await;
 
         watcher.isolate(true);
         arm.tell(boom("x")).unwrap();
         settle().await;
-        assert_eq!(taken(&told), []);
+        assert_eq!(taken(&reported), []);
         watcher.isolate(false);
         settle().await;
 
-        assert!(matches!(&taken(&told)[..], [Told::Down(of, 1, _)] if of == "arm"));
+        assert!(matches!(&taken(&reported)[..], [Received::Down(of, 1, _)] if of == "arm"));
     });
 }
 
@@ -153,10 +154,10 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
     paused(async {
         let stage = Stage::new();
         let (mut child, arm) = stage.start::<Acc>(acc("arm").0).await;
-        child.standing_order(order(5));
-        let (spec, told) = widow("widow", &["arm"]);
+        child.set_restart_grant(order(5));
+        let (spec, reported) = widow("widow", &["arm"]);
         let (mut watcher, widow) = stage.start(spec).await;
-        watcher.standing_order(order(5));
+        watcher.set_restart_grant(order(5));
         widow.tell(Chatter(1)).unwrap();
         settle().await;
 
@@ -166,10 +167,10 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
         assert_eq!(stage.begin(&mut *watcher, 2).await, ChildEvent::Started);
         settle().await;
 
-        assert_eq!(taken(&told), [], "the second incarnation saw it alive");
+        assert_eq!(taken(&reported), [], "the second incarnation saw it alive");
         arm.tell(boom("y")).unwrap();
         settle().await;
-        assert!(matches!(&taken(&told)[..], [Told::Down(_, 2, _)]));
+        assert!(matches!(&taken(&reported)[..], [Received::Down(_, 2, _)]));
     });
 }
 
@@ -190,7 +191,7 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         }));
         let (spec, _) = widow("widow", &["arm", "widow", "absent"]);
         let (mut child, widow) = stage.start(spec).await;
-        child.standing_order(order(1000));
+        child.set_restart_grant(order(1000));
         settle().await;
         let before = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         // Its variables' store watches the widow too.
@@ -206,8 +207,8 @@ fn three_hundred_incarnations_that_watch_listen_and_publish_leave_nothing_behind
         let after = (watchers(&arm), watchers(&widow), Arc::strong_count(&widow.0));
         assert_eq!(after, before, "watches, and what holds the component");
         assert_eq!(stage.environment.variables().watchers(), 1);
-        let told = interest.lock().unwrap().clone();
-        assert_eq!(told, ["Born"], "one interest for all incarnations");
+        let reported = interest.lock().unwrap().clone();
+        assert_eq!(reported, ["Born"], "one interest for all incarnations");
         assert_eq!(stage.environment.topics().listened().len(), 1);
     });
 }

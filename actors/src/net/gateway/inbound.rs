@@ -1,4 +1,4 @@
-//! What other nodes send to the objects of this one: who takes it, and what waits for room.
+//! Messages of other nodes to objects of this node: their delivery, and the backlog of full queues.
 
 use super::GatewayActor;
 use crate::platform;
@@ -33,7 +33,7 @@ pub(super) struct PeerBinding {
 /// What waits for room with objects of this node.
 #[derive(Default)]
 pub(super) struct InboundBacklog {
-    room: ReceiveBacklog<Held>,
+    backlog: ReceiveBacklog<Held>,
     /// Who waits for room, for each line.
     watches: SortedMap<(NodeId, ObjectName), Watch>,
     complaints: RefusalAlarms<NodeId>,
@@ -43,7 +43,7 @@ pub(super) struct InboundBacklog {
 struct Held {
     binding: u32,
     payload: Bytes,
-    postmark: MessageMetadata,
+    metadata: MessageMetadata,
     arrived: Instant,
 }
 
@@ -109,7 +109,7 @@ impl GatewayActor {
         &mut self,
         (peer, binding): (NodeId, u32),
         payload: &Bytes,
-        postmark: MessageMetadata,
+        metadata: MessageMetadata,
         reply_to: Option<ReplyTo>,
         context: &mut Context<Self>,
     ) {
@@ -121,19 +121,19 @@ impl GatewayActor {
             return;
         };
         // A message does not overtake those that wait.
-        let behind = self.queues.room.is_waiting(peer, &bound.object)
+        let behind = self.queues.backlog.is_waiting(peer, &bound.object)
             && !bound.newest
-            && bound.skeleton.room().is_some();
+            && bound.skeleton.space().is_some();
         match reply_to {
             Some(reply_to) if behind => reply_to(Err(DeliveryError::Full)),
             None if behind => {
-                self.hold((peer, binding), (payload, postmark), &DeliveryError::Full, context)
+                self.hold((peer, binding), (payload, metadata), &DeliveryError::Full, context)
             }
             reply_to => {
-                let told = reply_to.is_none();
-                match bound.skeleton.deliver(payload, postmark, reply_to) {
-                    Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if told => {
-                        self.hold((peer, binding), (payload, postmark), &why, context);
+                let is_tell = reply_to.is_none();
+                match bound.skeleton.deliver(payload, metadata, reply_to) {
+                    Err(why @ (DeliveryError::Full | DeliveryError::Restarting)) if is_tell => {
+                        self.hold((peer, binding), (payload, metadata), &why, context);
                     }
                     // The object's own dead letters tell of what it did not take.
                     Err(DeliveryError::Undecodable { .. }) => self.breaks_its_word(peer),
@@ -147,24 +147,24 @@ impl GatewayActor {
     fn hold(
         &mut self,
         (peer, binding): (NodeId, u32),
-        (payload, postmark): (&Bytes, MessageMetadata),
+        (payload, metadata): (&Bytes, MessageMetadata),
         why: &DeliveryError,
         context: &mut Context<Self>,
     ) {
         let Some(bound) = self.skeletons.get(&(peer, binding)).cloned() else { return };
         let PeerBinding { object, skeleton, newest } = bound;
-        let Some(room) = skeleton.room().filter(|_| !newest) else {
+        let Some(space) = skeleton.space().filter(|_| !newest) else {
             return skeleton.record_dead_letter(why);
         };
         // A copy: what waits must not keep the whole frame that it came in.
         let payload = Bytes::copy_from_slice(payload);
         let bytes = payload.len();
-        let held = Held { binding, payload, postmark, arrived: platform::now() };
-        match self.queues.room.handle_full(peer, &object, binding, (held, bytes)) {
+        let held = Held { binding, payload, metadata, arrived: platform::now() };
+        match self.queues.backlog.handle_full(peer, &object, binding, (held, bytes)) {
             BacklogVerdict::First => {
                 debug!(%peer, %object, "full: the peer is told to stop");
                 self.exchange.handle_full(peer, binding);
-                self.watch(peer, object, room, context);
+                self.watch(peer, object, space, context);
             }
             BacklogVerdict::Behind => {}
             BacklogVerdict::Refused(_) => skeleton.record_dead_letter(why),
@@ -175,13 +175,13 @@ impl GatewayActor {
         &mut self,
         peer: NodeId,
         object: ObjectName,
-        room: CapacityFuture,
+        space: CapacityFuture,
         context: &mut Context<Self>,
     ) {
         let (gateway, found) =
             (context.address(), CapacityAvailable { peer, object: object.clone() });
         let waits = actix_rt::spawn(async move {
-            room.await;
+            space.await;
             gateway.do_send(found);
         });
         self.queues.watches.insert((peer, object), Watch(waits));
@@ -190,24 +190,24 @@ impl GatewayActor {
     /// Hands over what has waited, in order, as far as there is room.
     fn hand_over(&mut self, peer: NodeId, object: ObjectName, context: &mut Context<Self>) {
         for _ in 0..AT_ONCE {
-            let Some(Held { binding, payload, postmark, arrived }) =
-                self.queues.room.first(peer, &object)
+            let Some(Held { binding, payload, metadata, arrived }) =
+                self.queues.backlog.first(peer, &object)
             else {
                 return;
             };
             if let Some(PeerBinding { skeleton, .. }) = self.skeletons.get(&(peer, *binding))
-                && let Some(mut room) = skeleton.room()
+                && let Some(mut space) = skeleton.space()
             {
                 // Asked first, so that nothing is decoded in vain.
-                if room.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
-                    return self.watch(peer, object, room, context);
+                if space.as_mut().poll(&mut Waiting::from_waker(Waker::noop())).is_pending() {
+                    return self.watch(peer, object, space, context);
                 }
-                let age = postmark.age + (platform::now() - *arrived);
-                match skeleton.deliver(payload, MessageMetadata { age, ..*postmark }, None) {
+                let age = metadata.age + (platform::now() - *arrived);
+                match skeleton.deliver(payload, MessageMetadata { age, ..*metadata }, None) {
                     // Another sender has taken the capacity.
                     Err(DeliveryError::Full | DeliveryError::Restarting) => {
-                        if let Some(room) = skeleton.room() {
-                            self.watch(peer, object, room, context);
+                        if let Some(space) = skeleton.space() {
+                            self.watch(peer, object, space, context);
                         }
                         return;
                     }
@@ -215,9 +215,9 @@ impl GatewayActor {
                     _ => {}
                 }
             }
-            if let Some(binding) = self.queues.room.handle_taken(peer, &object) {
+            if let Some(binding) = self.queues.backlog.handle_taken(peer, &object) {
                 self.queues.watches.remove(&(peer, object));
-                self.exchange.handle_room(peer, binding);
+                self.exchange.handle_capacity(peer, binding);
                 return;
             }
         }
@@ -226,7 +226,7 @@ impl GatewayActor {
 
     /// The session with this peer is over: what waits is not served any more.
     pub(super) fn end_lines(&mut self, peer: NodeId, why: &DeliveryError) {
-        for (object, held) in self.queues.room.handle_ended(peer) {
+        for (object, held) in self.queues.backlog.handle_ended(peer) {
             self.queues.watches.remove(&(peer, object));
             if let Some(bound) = self.skeletons.get(&(peer, held.binding)) {
                 bound.skeleton.record_dead_letter(why);
@@ -242,10 +242,10 @@ impl GatewayActor {
     /// clears it when none did for a while.
     pub(super) fn look_at_refusals(&mut self) {
         let now = platform::now();
-        let looks: Vec<_> = self.queues.room.refusals().collect();
+        let looks: Vec<_> = self.queues.backlog.refusals().collect();
         for (peer, refusals) in looks {
-            let told = self.queues.complaints.handle_look(peer, refusals, now);
-            let Some(since) = told else { continue };
+            let alarm = self.queues.complaints.handle_look(peer, refusals, now);
+            let Some(since) = alarm else { continue };
             let node = self.peers.get(&peer).map_or(peer.to_string(), |peer| peer.node.to_string());
             let lost = since.too_large;
             let detail = format!(
@@ -257,7 +257,7 @@ impl GatewayActor {
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
         if self.queues.complaints.take_over(now) {
-            self.wiring.faults.mend(FaultKind::CheckFailed);
+            self.wiring.faults.clear(FaultKind::CheckFailed);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the gateway is told and asked.
+//! The messages that the gateway handles.
 
 use super::peer::GatewayPeer;
 use super::{GatewayActor, LEAVE_TIMEOUT, topic};
@@ -50,8 +50,8 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Message { peer, message } => {
                 let send_state = self.peers.get(&peer).map(|peer| &peer.send_state);
                 if send_state.is_some_and(|send_state| send_state.is_isolated()) {
-                    self.kept_out += 1;
-                    debug!(%peer, kept_out = self.kept_out, "an isolated node speaks");
+                    self.of_isolated += 1;
+                    debug!(%peer, of_isolated = self.of_isolated, "an isolated node speaks");
                 } else {
                     self.exchange.handle_message(peer, message, platform::now());
                 }
@@ -65,9 +65,8 @@ impl Handler<SessionReported> for GatewayActor {
             SessionReported::Full { peer, stream, load } => {
                 self.with_send_state(peer, |send_state| send_state.stream_is_full(stream, load))
             }
-            SessionReported::Room { peer, stream, load } => {
-                self.with_send_state(peer, |send_state| send_state.stream_has_room(stream, load))
-            }
+            SessionReported::Ready { peer, stream, load } => self
+                .with_send_state(peer, |send_state| send_state.handle_stream_ready(stream, load)),
         }
         self.drive(context);
     }

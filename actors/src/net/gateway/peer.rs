@@ -1,4 +1,4 @@
-//! Another node, as the gateway knows it.
+//! The gateway's record of another node.
 
 use crate::net::stub::PeerSendState;
 use blastema_core::{Incarnation, NodeName};

@@ -28,7 +28,7 @@ const PAST_MAX: usize = 16 * 1024;
 
 /// Counts the events of one topic that do not go to one peer.
 pub(super) struct UndeliveredEvents {
-    office: DeadLetterLog,
+    dead_letters: DeadLetterLog,
     node: NodeName,
     contract: String,
     topic: ObjectName,
@@ -46,7 +46,7 @@ impl UndeliveredEvents {
         }
     }
 
-    /// Brings to the office what was counted.
+    /// Records the counted losses in the dead-letter log.
     fn collect(&self) {
         for (reason, count) in REASONS.into_iter().zip(&self.counts) {
             match count.swap(0, Relaxed) {
@@ -58,7 +58,7 @@ impl UndeliveredEvents {
 
     fn write_down(&self, reason: DeadReason, many: u64) {
         let (node, contract) = (Some(self.node.clone()), self.contract.clone());
-        self.office.take_many(node, &self.topic, contract, (reason, many));
+        self.dead_letters.take_many(node, &self.topic, contract, (reason, many));
     }
 }
 
@@ -82,7 +82,7 @@ impl GatewayActor {
     /// What this peer does not get of the topic.
     pub(super) fn losses(&self, peer: &GatewayPeer, key: &TopicKey) -> Arc<UndeliveredEvents> {
         Arc::new(UndeliveredEvents {
-            office: self.wiring.dead_letters.clone(),
+            dead_letters: self.wiring.dead_letters.clone(),
             node: peer.node.clone(),
             contract: key.contract.to_string(),
             topic: key.topic.clone(),
@@ -90,7 +90,7 @@ impl GatewayActor {
         })
     }
 
-    /// Brings to the office what was counted since the last look.
+    /// Records in the dead-letter log the losses counted since the last call.
     pub(super) fn collect_losses(&self) {
         self.forwards.values().for_each(|forwarded| forwarded.losses.collect());
         self.past.values().for_each(|past| past.losses.collect());

@@ -56,8 +56,8 @@ impl LinksActor {
             LinkState::Down => false,
             LinkState::Connecting | LinkState::Suspect => return,
         };
-        let heard = self.bundle.get(number).and_then(|link| link.neighbour());
-        let node = heard.map(|heard| heard.node.clone()).or(spec.neighbour.clone());
+        let peer = self.bundle.get(number).and_then(|link| link.neighbour());
+        let node = peer.map(|peer| peer.node.clone()).or(spec.neighbour.clone());
         if let Some(node) = node {
             let (domain, remote) = (*domain, spec.remote.clone());
             discovery.do_send(NeighbourChange::Neighbour { domain, node, remote, up });
@@ -102,7 +102,7 @@ impl Handler<RemoveDiscoveredLink> for LinksActor {
         RemoveDiscoveredLink { number }: RemoveDiscoveredLink,
         context: &mut Context<Self>,
     ) {
-        if let Some(status) = self.told.remove(&number) {
+        if let Some(status) = self.reported.remove(&number) {
             let status = LinkStatus { health: LinkHealth::Down, ..status };
             self.wiring.router_changes.do_send(LinkChanged { link: number, status });
         }

@@ -20,9 +20,9 @@ fn a_neighbour_that_never_comes_is_told_five_seconds_after_the_start_and_until_i
 
         advance(500 * MS).await;
 
-        let told = left.links.expect().await;
-        assert_eq!(told.neighbour, Some(right()));
-        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        let reported = left.links.expect().await;
+        assert_eq!(reported.neighbour, Some(right()));
+        let LinkCondition::Down { reason } = reported.condition else { panic!("{reported:?}") };
         assert!(reason.starts_with("never heard since the start"), "{reason}");
         assert!(reason.contains("ethernet/right"), "{reason}");
         let _right = robot.module("right", 1, &[("ethernet", &["left"])]).await;
@@ -41,9 +41,9 @@ fn why_a_medium_does_not_open_stays_the_cause_for_as_long_as_it_does_not() {
             advance(100 * MS).await;
         }
 
-        let told = left.links.drain();
-        let [LinkReported { condition: LinkCondition::Down { reason }, .. }] = &told[..] else {
-            panic!("{told:?}");
+        let reported = left.links.drain();
+        let [LinkReported { condition: LinkCondition::Down { reason }, .. }] = &reported[..] else {
+            panic!("{reported:?}");
         };
         assert!(reason.starts_with("the cable is cut"), "{reason}");
 
@@ -59,7 +59,7 @@ fn why_a_medium_does_not_open_stays_the_cause_for_as_long_as_it_does_not() {
 fn another_way_is_promised_where_one_is_left_and_is_connected_no_longer_than_one_is() {
     paused(async {
         let (robot, left, _right) = pair().await;
-        let ask = || left.net.reroute().send(Reroute { place: FaultLocation::Node(right()) });
+        let ask = || left.net.reroute().send(Reroute { location: FaultLocation::Node(right()) });
         let peer = right();
         let connected = || tokio::time::timeout(MS, left.net.connected(&peer));
         robot.cut("ethernet/left");

@@ -53,8 +53,8 @@ fn a_network_whose_interface_lost_its_carrier_is_given_up_at_once_and_proves_its
         advance(5 * MS).await;
 
         assert_eq!(right.log.take(), [1], "a hello is not even late");
-        let told = left.links.expect().await;
-        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        let reported = left.links.expect().await;
+        let LinkCondition::Down { reason } = reported.condition else { panic!("{reported:?}") };
         assert!(reason.contains("carrier"), "{reason}");
         robot.restore("ethernet/left");
         left.net.networks[0].1.do_send(CarrierChanged { present: true });
@@ -110,8 +110,8 @@ fn a_medium_that_cannot_be_opened_is_told_as_its_links_being_down() {
         let usurper = robot.module("left", 2, &[("ethernet", &["right"])]).await;
         advance(10 * MS).await;
 
-        let told = usurper.links.expect().await;
-        let LinkCondition::Down { reason } = told.condition else { panic!("{told:?}") };
+        let reported = usurper.links.expect().await;
+        let LinkCondition::Down { reason } = reported.condition else { panic!("{reported:?}") };
         assert!(reason.contains("ethernet/left"), "{reason}");
         assert_eq!(left.links.drain(), []);
     });
@@ -148,7 +148,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             stalls: None,
             nodes: None,
             faults: None,
-            mended: None,
+            cleared: None,
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),

@@ -132,7 +132,7 @@ fn what_goes_every_way_is_not_late_when_a_cable_fails() {
         let (robot, left, right) = pair().await;
         let (_ear, log) = ear(&right).await;
         let publisher = publisher::<Stop>(&left);
-        let mut heard = Vec::new();
+        let mut received = Vec::new();
 
         for n in 0..300_u64 {
             let network = if n < 150 { "ethernet/left" } else { "ieee1394/left" };
@@ -145,13 +145,13 @@ fn what_goes_every_way_is_not_late_when_a_cable_fails() {
             advance(10 * MS).await;
             let came = log.take();
             assert_eq!(came, [n], "each within its interval");
-            heard.extend(came);
+            received.extend(came);
         }
 
-        assert_eq!(heard.len(), 300);
+        assert_eq!(received.len(), 300);
         let session = right.net.read_sessions().await.remove(0);
-        assert!(session.standing.counters.replicas > 100, "{:?}", session.standing.counters);
-        assert_eq!(session.standing.counters.missed, 0);
+        assert!(session.status.counters.replicas > 100, "{:?}", session.status.counters);
+        assert_eq!(session.status.counters.missed, 0);
     });
 }
 
@@ -231,10 +231,10 @@ fn what_is_small_is_never_refused_beside_bulk_and_the_order_of_one_sender_is_kep
             }
         };
         let orders = async {
-            let mut told = 0;
+            let mut reported = 0;
             loop {
-                assert_eq!(notes.tell(Note(told)), Ok(()));
-                told += 1;
+                assert_eq!(notes.tell(Note(reported)), Ok(()));
+                reported += 1;
                 tokio::time::sleep(MS).await;
             }
         };
@@ -244,8 +244,8 @@ fn what_is_small_is_never_refused_beside_bulk_and_the_order_of_one_sender_is_kep
         }
 
         assert_eq!(log.take(), (0..80).collect::<Vec<_>>());
-        let told = right.log.take();
-        assert!(told.len() > 1000 && told.is_sorted(), "{}", told.len());
+        let reported = right.log.take();
+        assert!(reported.len() > 1000 && reported.is_sorted(), "{}", reported.len());
         assert_eq!(left.host.dead_letters.total() + right.host.dead_letters.total(), 0);
     });
 }

@@ -91,16 +91,16 @@ const QUIET: Duration = Duration::from_secs(62);
 async fn ends_and_is_told_again(victim: &Module, object: &str, again: impl AsyncFn()) {
     advance(QUIET - 10_000 * MS).await;
     victim.declared.drain();
-    assert_eq!(victim.mended.drain(), [], "it may not be over yet");
+    assert_eq!(victim.cleared.drain(), [], "it may not be over yet");
     advance(10_000 * MS).await;
-    let mended = victim.mended.drain();
+    let cleared = victim.cleared.drain();
     let over = |fault: &DeclaredFaultCleared| (fault.object.to_string(), fault.kind.clone());
     assert_eq!(
-        mended.iter().map(over).collect::<Vec<_>>(),
+        cleared.iter().map(over).collect::<Vec<_>>(),
         [(object.into(), FaultKind::CheckFailed)]
     );
     advance(QUIET).await;
-    assert_eq!((victim.declared.drain(), victim.mended.drain()), (vec![], vec![]));
+    assert_eq!((victim.declared.drain(), victim.cleared.drain()), (vec![], vec![]));
 
     again().await;
 }
@@ -156,12 +156,12 @@ fn what_is_of_the_past_is_told_and_held_against_absent_for_others_may_repeat_it(
 fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
     paused(async {
         let (_robot, [left, right, middle]) = three().await;
-        let tell = |place: FaultLocation| {
+        let tell = |location: FaultLocation| {
             let name = NodeName::new("left").unwrap();
             let kind = FaultKind::NodeFaulty;
             let fault = Fault::of_node(name, kind, "it floods".into(), platform::now());
             let port = right.net.recoverer_of(&NodeName::new("left").unwrap());
-            async move { port.send(Recover { fault: Fault { place, ..fault } }).await }
+            async move { port.send(Recover { fault: Fault { location, ..fault } }).await }
         };
         let object = |text: &str| FaultLocation::Object(text.parse().unwrap());
         let others = [
@@ -170,15 +170,15 @@ fn a_node_is_not_believed_about_others_and_about_its_own_objects_it_is() {
             object("left:acc"),
             object("middle:acc"),
         ];
-        for place in others {
-            let told = tell(place);
-            let (told, ()) = tokio::join!(told, advance(100 * MS));
-            told.expect("it is not repeated");
+        for location in others {
+            let reported = tell(location);
+            let (reported, ()) = tokio::join!(reported, advance(100 * MS));
+            reported.expect("it is not repeated");
         }
         assert!(left.faults.drain().is_empty());
 
-        let (told, ()) = tokio::join!(tell(object("right:acc")), advance(100 * MS));
-        told.expect("it is taken");
+        let (reported, ()) = tokio::join!(tell(object("right:acc")), advance(100 * MS));
+        reported.expect("it is taken");
         assert_eq!(left.faults.drain().len(), 1);
         drop(middle);
     });

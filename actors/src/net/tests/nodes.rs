@@ -62,7 +62,7 @@ fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
             id: FaultId(1),
             kind: FaultKind::Panic,
             severity: Severity::Error,
-            place: FaultLocation::Object("left:acc".parse().unwrap()),
+            location: FaultLocation::Object("left:acc".parse().unwrap()),
             incarnation: Incarnation(1),
             detail: "boom".into(),
             found_at: platform::now(),
@@ -71,7 +71,7 @@ fn a_fault_is_told_to_another_nodes_recoverer_and_confirmed() {
         };
 
         port.send(Recover { fault: fault.clone() }).await.unwrap();
-        assert_eq!(right.faults.expect().await.fault.place, fault.place);
+        assert_eq!(right.faults.expect().await.fault.location, fault.location);
 
         robot.cut("ethernet/left");
         robot.cut("ieee1394/left");
@@ -110,8 +110,8 @@ fn a_node_that_leaves_in_order_delivers_first() {
         assert_eq!(right.log.take(), (0..10).collect::<Vec<_>>());
         let why = right.sender::<Add>("left:acc").ask(Add(1)).await.unwrap_err().kind;
         assert_eq!(why, DeliveryError::Left { node: "left".into() });
-        let told = right.nodes.drain().into_iter().map(|report| report.condition);
-        let told: Vec<_> = told.collect();
-        assert_eq!(told, [NodeCondition::Reachable, NodeCondition::Left]);
+        let reported = right.nodes.drain().into_iter().map(|report| report.condition);
+        let reported: Vec<_> = reported.collect();
+        assert_eq!(reported, [NodeCondition::Reachable, NodeCondition::Left]);
     });
 }

@@ -43,12 +43,12 @@ fn a_panic_in_any_actor_of_the_network_is_survived_and_every_promise_resolved() 
                     })
                     .collect();
                 module.net.victims()[victim].do_send(InjectPanic);
-                let told = platform::now();
+                let reported = platform::now();
                 for asked in asked {
                     // The reply, or why there is none: never nothing.
                     let _ = asked.await.unwrap();
                 }
-                assert!(platform::now() - told < 3000 * MS, "{victim}");
+                assert!(platform::now() - reported < 3000 * MS, "{victim}");
                 advance(2000 * MS).await;
 
                 let reply = left.sender::<Add>("right:acc").ask(Add(0)).await;

@@ -21,7 +21,7 @@ struct Memo(u64);
 /// A reading of which only the newest counts.
 #[derive(Clone, Debug, PartialEq, Event)]
 #[contract(delivery = "newest")]
-struct Glance(u64);
+struct Sampling(u64);
 
 /// Is this one busy?
 #[derive(Clone, Debug, PartialEq, Request)]
@@ -40,7 +40,7 @@ struct Slow {
 
 impl Component for Slow {
     fn ports(ports: &mut Ports<Self>) {
-        ports.accept::<Job>().accept::<Memo>().accept::<Glance>().serve::<Busy>();
+        ports.accept::<Job>().accept::<Memo>().accept::<Sampling>().serve::<Busy>();
     }
 }
 
@@ -64,8 +64,8 @@ impl Handle<Memo> for Slow {
     }
 }
 
-impl Handle<Glance> for Slow {
-    async fn handle(&mut self, Glance(n): Glance, _: &mut Context<Self>) {
+impl Handle<Sampling> for Slow {
+    async fn handle(&mut self, Sampling(n): Sampling, _: &mut Context<Self>) {
         self.work(n).await;
     }
 }
@@ -287,9 +287,9 @@ fn policies_that_drop_and_readings_keep_their_meaning() {
 
         let (_robot, left, right) = pair().await;
         let (_slow, _log) = slow(&right, NEVER, WhenFull::Refuse).await;
-        let glances = left.sender::<Glance>("right:slow");
+        let glances = left.sender::<Sampling>("right:slow");
         for n in 0..200 {
-            glances.tell(Glance(n)).unwrap();
+            glances.tell(Sampling(n)).unwrap();
             advance(MS).await;
         }
         assert_eq!(dead_at(&right), 200 - 1 - QUEUE as u64);
@@ -302,7 +302,8 @@ fn blurt(left: &Module, count: usize) {
     codec::encode(&Job(7), &mut payload).unwrap();
     let payload = Bytes::from(payload);
     let message =
-        PeerMessage::Tell { binding: 1, stamp_us: 0, id: None, payload: payload.into() }.encode();
+        PeerMessage::Tell { binding: 1, timestamp_us: 0, id: None, payload: payload.into() }
+            .encode();
     let peer = NodeId::of(&NodeName::new("right").unwrap());
     for _ in 0..count {
         let (stream, strand, message) = (Stream::Data, OrderingKey::default(), message.clone());
@@ -347,9 +348,9 @@ fn a_reading_that_finds_its_receiver_between_two_incarnations_is_counted_as_that
         let (_slow, _log) = slow(&right, MS, WhenFull::Refuse).await;
         left.sender::<Job>("right:slow").tell(Job(DEADLY)).unwrap();
         advance(100 * MS).await;
-        let glances = left.sender::<Glance>("right:slow");
+        let glances = left.sender::<Sampling>("right:slow");
         for n in 0..100 {
-            glances.tell(Glance(n)).unwrap();
+            glances.tell(Sampling(n)).unwrap();
             advance(MS).await;
         }
 

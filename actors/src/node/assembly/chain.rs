@@ -170,22 +170,25 @@ pub(super) fn make_chain(
         ActorPlacement::Here => None,
         ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
     };
-    let place = arbiter.as_ref();
+    let on_arbiter = arbiter.as_ref();
     let guardian = Guardian::default();
 
     let notifier =
-        guardian.start(named("chain/notifier"), place, |_: &mut Context<NotifierActor>| {
+        guardian.start(named("chain/notifier"), on_arbiter, |_: &mut Context<NotifierActor>| {
             NotifierActor::new(NotifierLimits::default())
         });
     let (of, found, cleared) =
         (node.clone(), notifier.clone().recipient(), notifier.clone().recipient());
-    let detector =
-        guardian.start(named("chain/detector"), place, move |_: &mut Context<DetectorActor>| {
+    let detector = guardian.start(
+        named("chain/detector"),
+        on_arbiter,
+        move |_: &mut Context<DetectorActor>| {
             DetectorActor::new(of, DetectorLimits::default(), found, cleared)
-        });
+        },
+    );
     let (of, observed) = (node.clone(), detector.clone().recipient());
     let monitor =
-        guardian.start(named("chain/monitor"), place, move |_: &mut Context<MonitorActor>| {
+        guardian.start(named("chain/monitor"), on_arbiter, move |_: &mut Context<MonitorActor>| {
             MonitorActor::new(of, MonitorLimits::default(), observed)
         });
     guardian.report_to(monitor.clone().recipient());
@@ -209,7 +212,7 @@ pub(super) fn make_chain(
         nodes: monitor.clone().recipient(),
     };
     let controller =
-        guardian.start(named("keeper"), place, move |_: &mut Context<NodeController>| {
+        guardian.start(named("controller"), on_arbiter, move |_: &mut Context<NodeController>| {
             NodeController::new(setup)
         });
 
@@ -234,10 +237,11 @@ pub(super) fn make_chain(
         guardian: guardian.clone(),
         callbacks: callbacks.clone(),
     };
-    let recoverer =
-        guardian.start(named("chain/recoverer"), place, move |_: &mut Context<RecovererActor>| {
-            RecovererActor::new(setup)
-        });
+    let recoverer = guardian.start(
+        named("chain/recoverer"),
+        on_arbiter,
+        move |_: &mut Context<RecovererActor>| RecovererActor::new(setup),
+    );
     controller.do_send(SubscribeSafeState(detector.clone().recipient()));
     controller.do_send(SubscribeSafeState(recoverer.clone().recipient()));
     notifier.do_send(AddPort {
@@ -251,7 +255,7 @@ pub(super) fn make_chain(
         (named("chain/detector"), detector.clone().recipient()),
         (named("chain/monitor"), monitor.clone().recipient()),
         (named("chain/recoverer"), recoverer.clone().recipient()),
-        (named("keeper"), controller.clone().recipient()),
+        (named("controller"), controller.clone().recipient()),
     ];
     let (stands, seen) = watch::channel(false);
     let chain = FaultChain {
@@ -293,7 +297,7 @@ pub(super) fn reports(monitor: &Addr<MonitorActor>) -> FaultReports {
         exits: Some(monitor.clone().recipient()),
         states: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
-        mended: Some(monitor.clone().recipient()),
+        cleared: Some(monitor.clone().recipient()),
     }
 }
 
@@ -323,7 +327,7 @@ impl FaultChainParts {
             // Nothing here waits for them.
             drop(safe_outputs.rest(&fault));
             actuators.rest();
-            // Should the chain answer again, the node comes to rest in order.
+            // Should the chain answer again, the node enters the safe state in order.
             rest.do_send(EnterSafeState { fault, reason });
         };
         let outside = ChainWatch::start(OutsideSetup {

@@ -35,9 +35,10 @@ impl NodeAssembly {
         let record = self.parts.chain.record.clone();
         let setup = JournalSetup { lock, node, incarnation, record, reports };
         let (journal, guard) = JournalActor::new(setup);
-        let place = self.parts.chain.arbiter.as_ref();
+        let arbiter = self.parts.chain.arbiter.as_ref();
         let guardian = &self.parts.guardian;
-        let journal = guardian.start(name.clone(), place, |_: &mut Context<JournalActor>| journal);
+        let journal =
+            guardian.start(name.clone(), arbiter, |_: &mut Context<JournalActor>| journal);
         self.parts.chain.subscribe.do_send(Subscribe(journal.clone().recipient()));
         self.parts.chain.keep_journal(guard);
         self.enrolments.push(middleware(name, Some(journal.recipient())));

@@ -58,7 +58,7 @@ impl Networks {
                 .read_sessions()
                 .await
                 .iter()
-                .any(|row| row.standing.incarnation.is_some())
+                .any(|row| row.status.incarnation.is_some())
             {
                 tokio::time::sleep(LEAVE_POLL_INTERVAL).await;
             }
@@ -122,7 +122,7 @@ pub(super) fn make_networks(
         stalls: Some(monitor.clone().recipient()),
         nodes: Some(monitor.clone().recipient()),
         faults: Some(monitor.clone().recipient()),
-        mended: Some(monitor.clone().recipient()),
+        cleared: Some(monitor.clone().recipient()),
         judges,
         session_timeout,
         observers: Vec::new(),
@@ -180,7 +180,7 @@ pub(super) fn claims_setup(
         registry: environment.registry.clone(),
         names: environment.names().clone(),
         faults: Some(parts.monitor.clone().recipient()),
-        mended: Some(parts.monitor.clone().recipient()),
+        cleared: Some(parts.monitor.clone().recipient()),
     }
 }
 

@@ -36,7 +36,7 @@ pub(super) struct InspectionServer {
     /// `None` while the socket cannot be made.
     listener: Option<PathListener>,
     /// Whether the last report was that it cannot; unknown at first, and after a restart.
-    told: Option<bool>,
+    reported: Option<bool>,
     machine: SnapshotServer,
     /// Those who are not given their snapshot yet.
     waiting: SortedMap<ClientId, UnixStream>,
@@ -66,7 +66,7 @@ impl InspectionServer {
             node,
             reports,
             listener,
-            told: None,
+            reported: None,
             machine: SnapshotServer::default(),
             waiting: SortedMap::new(),
             looking: SortedMap::new(),
@@ -150,11 +150,11 @@ impl InspectionServer {
             Ok(listener) => {
                 info!(path = %self.path.display(), "the inspection socket was removed, and is created again");
                 self.listener = Some(listener);
-                if self.told.replace(false) != Some(false) {
-                    self.reports.mend("inspection");
+                if self.reported.replace(false) != Some(false) {
+                    self.reports.clear("inspection");
                 }
             }
-            Err(reason) if self.told.replace(true) != Some(true) => {
+            Err(reason) if self.reported.replace(true) != Some(true) => {
                 let detail = format!("the node is not shown any more: {reason}");
                 self.reports.declare("inspection", detail);
             }

@@ -8,11 +8,11 @@ const LIMIT: Duration = Duration::from_millis(100);
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The number of a call, and what became of it.
-type Told = (u32, CallOutcome);
+type NumberedOutcome = (u32, CallOutcome);
 
 struct Rig {
     callbacks: Callbacks,
-    told: (Sender<Told>, Receiver<Told>),
+    outcomes: (Sender<NumberedOutcome>, Receiver<NumberedOutcome>),
 }
 
 impl Rig {
@@ -21,7 +21,7 @@ impl Rig {
     }
 
     fn of(callbacks: Callbacks) -> Self {
-        Rig { callbacks, told: channel() }
+        Rig { callbacks, outcomes: channel() }
     }
 
     fn threads(&self) -> &Arc<Threads> {
@@ -39,8 +39,8 @@ impl Rig {
         number: u32,
         run: impl FnOnce() + Send + 'static,
     ) {
-        let told = self.told.0.clone();
-        let outcome = move |outcome| told.send((number, outcome)).unwrap();
+        let outcomes = self.outcomes.0.clone();
+        let outcome = move |outcome| outcomes.send((number, outcome)).unwrap();
         self.callbacks.call(kind, &object.parse().unwrap(), run, outcome);
     }
 
@@ -60,8 +60,8 @@ impl Rig {
         hold
     }
 
-    fn told(&self) -> (u32, CallOutcome) {
-        self.told.1.recv_timeout(PATIENCE).expect("a call has an outcome")
+    fn outcomes(&self) -> (u32, CallOutcome) {
+        self.outcomes.1.recv_timeout(PATIENCE).expect("a call has an outcome")
     }
 
     fn abandoned(&self) -> usize {
@@ -77,9 +77,9 @@ fn calls_are_made_in_order_and_a_panic_is_an_outcome() {
     rig.call(2, || panic!("no brake"));
     rig.call(3, || {});
 
-    assert_eq!(rig.told(), (1, CallOutcome::Done));
-    assert_eq!(rig.told(), (2, CallOutcome::Panicked("no brake".into())));
-    assert_eq!(rig.told(), (3, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (2, CallOutcome::Panicked("no brake".into())));
+    assert_eq!(rig.outcomes(), (3, CallOutcome::Done));
 }
 
 #[test]
@@ -89,18 +89,18 @@ fn a_call_that_blocks_is_told_once_and_those_behind_it_are_made_on_another_threa
     rig.call(2, || {});
 
     rig.callbacks.look(LIMIT);
-    assert!(rig.told.1.try_recv().is_err(), "it has the whole limit");
+    assert!(rig.outcomes.1.try_recv().is_err(), "it has the whole limit");
     rig.callbacks.look(Duration::from_millis(1));
 
-    assert_eq!(rig.told(), (1, CallOutcome::Blocked(LIMIT)));
-    assert_eq!(rig.told(), (2, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::Blocked(LIMIT)));
+    assert_eq!(rig.outcomes(), (2, CallOutcome::Done));
     assert_eq!(rig.abandoned(), 1);
     rig.callbacks.look(10 * LIMIT);
     drop(hold);
-    assert_eq!(rig.told(), (1, CallOutcome::ReturnedLate));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::ReturnedLate));
     assert_eq!(rig.abandoned(), 0);
     rig.call(3, || {});
-    assert_eq!(rig.told(), (3, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (3, CallOutcome::Done));
 }
 
 #[test]
@@ -116,13 +116,13 @@ fn a_call_that_returns_while_its_delay_is_reported_leaves_no_lost_thread() {
     }
 
     drop(hold);
-    let early = rig.told.1.recv_timeout(LIMIT);
+    let early = rig.outcomes.1.recv_timeout(LIMIT);
     assert!(early.is_err(), "its delay is reported first: {early:?}");
     drop(queue);
     look.join().unwrap();
 
-    assert_eq!(rig.told(), (1, CallOutcome::Blocked(LIMIT)));
-    assert_eq!(rig.told(), (1, CallOutcome::ReturnedLate));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::Blocked(LIMIT)));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::ReturnedLate));
     assert_eq!(rig.abandoned(), 0);
 }
 
@@ -133,21 +133,21 @@ fn an_object_whose_calls_block_is_called_no_more_and_others_are() {
     for number in 0..THREADS_OF_ONE as u32 {
         holds.push(rig.block(number));
         rig.callbacks.look(2 * LIMIT);
-        assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
+        assert_eq!(rig.outcomes(), (number, CallOutcome::Blocked(LIMIT)));
     }
 
     rig.call(9, || panic!("it is not called"));
-    assert_eq!(rig.told(), (9, CallOutcome::NotMade));
+    assert_eq!(rig.outcomes(), (9, CallOutcome::NotMade));
 
     rig.call_of(CallKind::SafeOutput, "leg", 8, || {});
-    assert_eq!(rig.told(), (8, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (8, CallOutcome::Done));
 
     holds.clear();
     for _ in 0..THREADS_OF_ONE {
-        assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
+        assert_eq!(rig.outcomes().1, CallOutcome::ReturnedLate);
     }
     rig.call(10, || {});
-    assert_eq!(rig.told(), (10, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (10, CallOutcome::Done));
 }
 
 #[test]
@@ -157,22 +157,22 @@ fn what_an_object_blocks_by_messages_is_not_held_against_its_safe_outputs() {
     for number in 0..THREADS_OF_ONE as u32 {
         holds.push(rig.block_by(CallKind::Return, number));
         rig.callbacks.look(2 * LIMIT);
-        assert_eq!(rig.told(), (number, CallOutcome::Blocked(LIMIT)));
+        assert_eq!(rig.outcomes(), (number, CallOutcome::Blocked(LIMIT)));
     }
     assert_eq!(rig.abandoned(), THREADS_OF_ONE);
 
     rig.call(8, || {});
-    assert_eq!(rig.told(), (8, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (8, CallOutcome::Done));
 
     rig.call_of(CallKind::Return, "arm", 9, || {});
     rig.call_of(CallKind::Return, "leg", 10, || {});
-    assert_eq!(rig.told(), (10, CallOutcome::Done), "the ninth waits, and others do not");
+    assert_eq!(rig.outcomes(), (10, CallOutcome::Done), "the ninth waits, and others do not");
     drop(holds.pop());
-    assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
-    assert_eq!(rig.told(), (9, CallOutcome::Done));
+    assert_eq!(rig.outcomes().1, CallOutcome::ReturnedLate);
+    assert_eq!(rig.outcomes(), (9, CallOutcome::Done));
     drop(holds);
     for _ in 1..THREADS_OF_ONE {
-        assert_eq!(rig.told().1, CallOutcome::ReturnedLate);
+        assert_eq!(rig.outcomes().1, CallOutcome::ReturnedLate);
     }
     assert_eq!(rig.abandoned(), 0);
 }
@@ -194,14 +194,14 @@ fn without_a_thread_messages_wait_and_safe_outputs_are_applied_at_once() {
     let elsewhere = move || assert_ne!(std::thread::current().id(), here);
     rig.call_of(CallKind::Return, "arm", 1, elsewhere);
     rig.call_of(CallKind::Return, "arm", 2, elsewhere);
-    assert_eq!(rig.told(), (1, CallOutcome::NotMade));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::NotMade));
     rig.callbacks.look(Duration::ZERO);
-    assert!(rig.told.1.try_recv().is_err(), "that they wait is told once");
+    assert!(rig.outcomes.1.try_recv().is_err(), "that they wait is told once");
     rig.call(3, move || assert_eq!(std::thread::current().id(), here));
-    assert_eq!(rig.told(), (3, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (3, CallOutcome::Done));
 
     has_threads.store(true, std::sync::atomic::Ordering::SeqCst);
     rig.callbacks.look(Duration::ZERO);
-    assert_eq!(rig.told(), (1, CallOutcome::Done));
-    assert_eq!(rig.told(), (2, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (1, CallOutcome::Done));
+    assert_eq!(rig.outcomes(), (2, CallOutcome::Done));
 }

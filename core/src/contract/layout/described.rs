@@ -249,7 +249,7 @@ describe! {
     enum FaultKind {
         Panic, UnexpectedExit, Hang, Silence, ErrorState, InitializationFailed, Fatal, CheckFailed,
         Overload, ContractMismatch, LinkDown, LinkDegraded, NodeLost, RestartStorm,
-        NodeFaulty, NameTaken, CommanderGone, NodeAtRest, Unreplicated,
+        NodeFaulty, NameTaken, CommanderGone, NodeInSafeState, Unreplicated,
         StateLost, ServiceUnavailable, Unavailable, CrashLoop, NodePaused, Custom(Arc<str>),
     }
 }

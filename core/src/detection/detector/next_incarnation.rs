@@ -13,20 +13,20 @@ impl Detector {
     /// told.
     pub(super) fn await_next_incarnation(&mut self, id: FaultId, at: Instant) {
         self.unhanded.insert(id);
-        let Some(entry) = self.chronicle.entry(id) else { return };
-        let Fault { place, incarnation, .. } = entry.fault.clone();
-        let FaultLocation::Object(address) = &place else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
+        let Fault { location, incarnation, .. } = entry.fault.clone();
+        let FaultLocation::Object(address) = &location else { return };
         let seen = self.objects.get(&address.object);
         match seen.filter(|seen| seen.incarnation > incarnation).map(|seen| seen.state) {
             Some(Lifecycle::Active) => {
                 self.recover(id, at);
                 self.withdraw(id, at);
             }
-            Some(Lifecycle::Finalized) => self.end_unhanded_at(&place, at),
+            Some(Lifecycle::Finalized) => self.end_unhanded_at(&location, at),
             _ => {
-                let given_up = self.chronicle.standing_at(&place).find_map(|fault| {
+                let given_up = self.fault_log.open_faults_at(&location).find_map(|fault| {
                     let later = Some(fault.id).filter(|_| fault.incarnation > incarnation)?;
-                    self.chronicle.entry(later)?.given_up.clone()
+                    self.fault_log.entry(later)?.given_up.clone()
                 });
                 if let Some((_, reason)) = given_up {
                     self.give_up(id, at, reason);
@@ -37,8 +37,8 @@ impl Detector {
 
     /// An object that ended in order takes along what only its next incarnation could have ended,
     /// unless it was stopped to be replaced: then that incarnation begins soon.
-    pub(super) fn end_unhanded_at(&mut self, place: &FaultLocation, at: Instant) {
-        let ended: Vec<FaultId> = self.unhanded_at(place).map(|fault| fault.id).collect();
+    pub(super) fn end_unhanded_at(&mut self, location: &FaultLocation, at: Instant) {
+        let ended: Vec<FaultId> = self.unhanded_at(location).map(|fault| fault.id).collect();
         for id in ended {
             self.reminders.set(id, DecisionTimeout { due: at + self.limits.decision, sent: 0 });
         }
@@ -46,8 +46,8 @@ impl Detector {
 
     /// No incarnation has begun in time after the one that ended in order.
     pub(super) fn end_unhanded(&mut self, id: FaultId, at: Instant) {
-        let Some(entry) = self.chronicle.entry(id) else { return };
-        let FaultLocation::Object(address) = &entry.fault.place else { return };
+        let Some(entry) = self.fault_log.entry(id) else { return };
+        let FaultLocation::Object(address) = &entry.fault.location else { return };
         let seen = self.objects.get(&address.object);
         if !self.ending && seen.is_some_and(|seen| seen.state == Lifecycle::Finalized) {
             self.repair(id, at);
@@ -57,14 +57,14 @@ impl Detector {
 
     /// This fault, and those of the incarnations before it that were to end with its own.
     pub(super) fn sharing_the_outcome_of(&self, id: FaultId) -> Vec<FaultId> {
-        let Some(entry) = self.chronicle.entry(id) else { return Vec::new() };
+        let Some(entry) = self.fault_log.entry(id) else { return Vec::new() };
         let fault = &entry.fault;
         let before = |other: &&Fault| other.incarnation < fault.incarnation;
-        let before = self.unhanded_at(&fault.place).filter(before).map(|other| other.id);
+        let before = self.unhanded_at(&fault.location).filter(before).map(|other| other.id);
         iter::once(id).chain(before).collect()
     }
 
-    pub(super) fn unhanded_at(&self, place: &FaultLocation) -> impl Iterator<Item = &Fault> {
-        self.chronicle.standing_at(place).filter(|fault| self.unhanded.contains(&fault.id))
+    pub(super) fn unhanded_at(&self, location: &FaultLocation) -> impl Iterator<Item = &Fault> {
+        self.fault_log.open_faults_at(location).filter(|fault| self.unhanded.contains(&fault.id))
     }
 }

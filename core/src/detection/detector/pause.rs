@@ -10,7 +10,7 @@ use std::time::Duration;
 /// A span in which this node did not run.
 #[derive(Clone, Debug)]
 pub(super) struct Pause {
-    place: FaultLocation,
+    location: FaultLocation,
     span: Duration,
     ended_at: Instant,
     /// Until then, what is found of links and nodes is a symptom of it.
@@ -28,16 +28,16 @@ impl Detector {
             Some(Pause { until, fault, .. }) => (until, fault.filter(|_| !is_long)),
             None => (Instant::ORIGIN, None),
         };
-        let (place, ended_at) = (scene.place.clone(), scene.at);
+        let (location, ended_at) = (scene.location.clone(), scene.at);
         let until = before.max(scene.at + self.limits.pause);
-        self.pause = Some(Pause { place, span, ended_at, until, fault });
+        self.pause = Some(Pause { location, span, ended_at, until, fault });
         let suffers = |fault: &&Fault| {
             let of_network =
-                matches!(fault.place, FaultLocation::Link { .. } | FaultLocation::Node(_));
+                matches!(fault.location, FaultLocation::Link { .. } | FaultLocation::Node(_));
             let fresh = scene.at - fault.found_at <= span;
-            of_network && fresh && fault.place != scene.place && fault.symptom_of.is_none()
+            of_network && fresh && fault.location != scene.location && fault.symptom_of.is_none()
         };
-        let suffer = self.chronicle.all_standing().filter(suffers).map(|fault| fault.id);
+        let suffer = self.fault_log.all_open().filter(suffers).map(|fault| fault.id);
         let suffer: Vec<FaultId> = suffer.collect();
         if is_long || !suffer.is_empty() {
             let root = self.fault_of_pause();
@@ -52,7 +52,7 @@ impl Detector {
 
     /// The fault of the latest pause, recorded now if it was not yet.
     fn fault_of_pause(&mut self) -> Option<FaultId> {
-        let Pause { place, span, ended_at: at, fault, .. } = self.pause.clone()?;
+        let Pause { location, span, ended_at: at, fault, .. } = self.pause.clone()?;
         if fault.is_some() {
             return fault;
         }
@@ -61,9 +61,9 @@ impl Detector {
              is overloaded",
             span.as_secs_f32()
         );
-        let scene = Scene { place, incarnation: Incarnation::default(), at };
+        let scene = Scene { location, incarnation: Incarnation::default(), at };
         let kind = FaultKind::NodePaused;
-        let known = self.chronicle.standing(&scene.place, &kind);
+        let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.filter(|&id| self.repeat(id, &scene, &detail));
         let id = known.unwrap_or_else(|| self.record(&scene, kind, detail, Cause::Itself));
         self.recover(id, at);
@@ -79,7 +79,7 @@ impl Detector {
         let Some(id) = over.and_then(|pause| pause.fault) else { return };
         self.repair(id, now);
         let outlives = |fault: &&Fault| fault.symptom_of == Some(id);
-        let outlive = self.chronicle.all_standing().filter(outlives).map(|fault| fault.id);
+        let outlive = self.fault_log.all_open().filter(outlives).map(|fault| fault.id);
         let outlive: Vec<FaultId> = outlive.collect();
         self.explain(&outlive, None, now);
     }

@@ -55,7 +55,7 @@ impl Detector {
             Finding::Declared { kind, detail } => {
                 self.find(&scene, kind, detail, Cause::Above);
             }
-            Finding::Mended { kind } => self.end_kind(&scene, &kind),
+            Finding::Cleared { kind } => self.end_kind(&scene, &kind),
             Finding::Silent { age } => {
                 let detail = format!("no sign of life for {} ms", age.as_millis());
                 let cause = self.cause_of_standstill(object, &scene);
@@ -106,8 +106,8 @@ impl Detector {
             self.stale += 1;
             return;
         };
-        if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Panic) {
-            let entry = self.chronicle.entry_mut(id).expect("it stands");
+        if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Panic) {
+            let entry = self.fault_log.entry_mut(id).expect("it stands");
             entry.fault.count = entry.fault.count.saturating_add(1);
             return;
         }
@@ -183,14 +183,14 @@ impl Detector {
 
     /// None waits behind the overload of this place any more.
     fn end_overload(&mut self, scene: &Scene) {
-        if let Some(id) = self.chronicle.standing(&scene.place, &FaultKind::Overload) {
+        if let Some(id) = self.fault_log.open_fault(&scene.location, &FaultKind::Overload) {
             self.behind.retain(|_, root| *root != id);
         }
         self.end_kind(scene, &FaultKind::Overload);
     }
 
     fn is_hang(&self, id: FaultId) -> bool {
-        self.chronicle.entry(id).is_some_and(|entry| entry.fault.kind == FaultKind::Hang)
+        self.fault_log.entry(id).is_some_and(|entry| entry.fault.kind == FaultKind::Hang)
     }
 
     fn judge_exit(
@@ -227,10 +227,10 @@ impl Detector {
             ExitReason::Aborted if !over && before != Lifecycle::Finalized => {
                 (FaultKind::UnexpectedExit, format!("its arbiter went away while it was {before}"))
             }
-            ExitReason::Stopped => return self.end_unhanded_at(&scene.place, scene.at),
+            ExitReason::Stopped => return self.end_unhanded_at(&scene.location, scene.at),
             ExitReason::Returned if !over => {
                 seen.state = Lifecycle::Finalized;
-                return self.end_unhanded_at(&scene.place, scene.at);
+                return self.end_unhanded_at(&scene.location, scene.at);
             }
             ExitReason::Returned | ExitReason::Fatal | ExitReason::Aborted => return,
         };
@@ -239,7 +239,7 @@ impl Detector {
             return;
         };
         *seen = Seen::new(next);
-        let known = self.chronicle.standing(&scene.place, &kind);
+        let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
         // A recoverer hears of it if the next incarnation dies likewise.
@@ -282,10 +282,10 @@ impl Detector {
             Lifecycle::Active => {
                 let incarnation = scene.incarnation;
                 // Also what a reset of this incarnation was to end that came to wait.
-                let waits: Vec<FaultId> = self.unhanded_at(&scene.place).map(|f| f.id).collect();
+                let waits: Vec<FaultId> = self.unhanded_at(&scene.location).map(|f| f.id).collect();
                 let is_isolated = self.isolated.contains(object);
-                let entry = |fault: &Fault| self.chronicle.entry(fault.id);
-                let contained: Vec<FaultId> = (self.chronicle.standing_at(&scene.place))
+                let entry = |fault: &Fault| self.fault_log.entry(fault.id);
+                let contained: Vec<FaultId> = (self.fault_log.open_faults_at(&scene.location))
                     .filter(|fault| {
                         is_isolated && entry(fault).is_some_and(|entry| entry.given_up.is_some())
                     })
@@ -308,7 +308,7 @@ impl Detector {
     /// A hook that brings the component to rest has failed. The recoverer is not told: what was to
     /// end has ended, or is recovered from already.
     fn note_failed_stop(&mut self, scene: &Scene, reason: &str) {
-        let known = self.chronicle.standing(&scene.place, &FaultKind::ErrorState);
+        let known = self.fault_log.open_fault(&scene.location, &FaultKind::ErrorState);
         if !known.is_some_and(|id| self.repeat(id, scene, reason)) {
             let id = self.record(scene, FaultKind::ErrorState, reason.to_owned(), Cause::Itself);
             self.repair(id, scene.at);
@@ -336,7 +336,8 @@ impl Detector {
     }
 
     pub(super) fn judge_node(&mut self, scene: Scene, finding: Finding) {
-        let (Finding::Node(condition), FaultLocation::Node(node)) = (finding, scene.place.clone())
+        let (Finding::Node(condition), FaultLocation::Node(node)) =
+            (finding, scene.location.clone())
         else {
             return;
         };
@@ -349,14 +350,14 @@ impl Detector {
                 self.crash_loops.forget(&node);
                 self.end_kind(&scene, &FaultKind::CrashLoop);
                 self.end_kind(&scene, &FaultKind::NodeLost);
-                self.end_kind(&scene, &FaultKind::NodeAtRest);
+                self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 self.end_links_to(&node, scene.at);
             }
-            NodeCondition::AtRest { reason } => {
+            NodeCondition::InSafeState { reason } => {
                 let detail = format!("nothing of it serves until it is restarted: {reason}");
-                self.find(&scene, FaultKind::NodeAtRest, detail, Cause::Itself);
+                self.find(&scene, FaultKind::NodeInSafeState, detail, Cause::Itself);
             }
-            NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeAtRest),
+            NodeCondition::AtWork => self.end_kind(&scene, &FaultKind::NodeInSafeState),
             NodeCondition::Lost { reason } => {
                 self.crash_loops.handle_lost(&node);
                 let cause = self.crash_loop_of(&scene);
@@ -369,7 +370,7 @@ impl Detector {
             }
             NodeCondition::Relieved => self.end_overload(&scene),
             NodeCondition::Offends { what } => {
-                if let Some(detail) = self.conduct.handle_offence(&node, what, scene.at) {
+                if let Some(detail) = self.offences.handle_offence(&node, what, scene.at) {
                     self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
                 }
             }
@@ -378,11 +379,11 @@ impl Detector {
                 self.find(&scene, FaultKind::NodeFaulty, detail, Cause::Itself);
             }
             NodeCondition::Admitted => {
-                self.conduct.forget(&node);
+                self.offences.forget(&node);
                 self.end_kind(&scene, &FaultKind::NodeFaulty);
             }
             NodeCondition::Restarted => {
-                self.end_kind(&scene, &FaultKind::NodeAtRest);
+                self.end_kind(&scene, &FaultKind::NodeInSafeState);
                 if let Some(count) = self.crash_loops.handle_restarted(&node, scene.at) {
                     let period = self.limits.crash_loop_period;
                     let detail = format!(
@@ -391,7 +392,7 @@ impl Detector {
                     );
                     self.find(&scene, FaultKind::CrashLoop, detail, Cause::Itself);
                 }
-                let known = self.chronicle.standing(&scene.place, &FaultKind::NodeLost);
+                let known = self.fault_log.open_fault(&scene.location, &FaultKind::NodeLost);
                 let id = known.unwrap_or_else(|| {
                     let detail = "its process died and began again".into();
                     let cause = self.crash_loop_of(&scene);
@@ -407,26 +408,26 @@ impl Detector {
     /// A node that has stayed up for long enough is in a crash loop no more.
     pub(super) fn end_crash_loop(&mut self, node: NodeName, at: Instant) {
         let scene =
-            Scene { place: FaultLocation::Node(node), incarnation: Incarnation::default(), at };
+            Scene { location: FaultLocation::Node(node), incarnation: Incarnation::default(), at };
         self.end_kind(&scene, &FaultKind::CrashLoop);
     }
 
     /// A death in a crash loop is a symptom of that.
     fn crash_loop_of(&self, scene: &Scene) -> Cause {
-        let known = self.chronicle.standing(&scene.place, &FaultKind::CrashLoop);
+        let known = self.fault_log.open_fault(&scene.location, &FaultKind::CrashLoop);
         known.map_or(Cause::Itself, Cause::Known)
     }
 
     /// A node that leaves in order takes its ends of the cables along.
     fn end_links_to(&mut self, node: &NodeName, at: Instant) {
-        let leads_there = |fault: &&Fault| match &fault.place {
+        let leads_there = |fault: &&Fault| match &fault.location {
             FaultLocation::Link { neighbour, .. } => neighbour.as_ref() == Some(node),
             FaultLocation::Object(_) | FaultLocation::Node(_) => false,
         };
-        let places = self.chronicle.all_standing().filter(leads_there);
-        let places: Vec<FaultLocation> = places.map(|fault| fault.place.clone()).collect();
-        for place in places {
-            let scene = Scene { place, incarnation: Incarnation::default(), at };
+        let locations = self.fault_log.all_open().filter(leads_there);
+        let locations: Vec<FaultLocation> = locations.map(|fault| fault.location.clone()).collect();
+        for location in locations {
+            let scene = Scene { location, incarnation: Incarnation::default(), at };
             self.end_all_at(&scene, |_| true, false);
         }
     }
@@ -437,9 +438,9 @@ impl Detector {
         // Also where the culprit has been replaced elsewhere: its victims stand until they are
         // freed.
         let behind = self.behind.get(object).copied();
-        let behind = behind.filter(|&id| self.is_hang(id) || self.chronicle.stands(id));
+        let behind = behind.filter(|&id| self.is_hang(id) || self.fault_log.stands(id));
         let own = || {
-            let here = self.chronicle.standing_at(&scene.place);
+            let here = self.fault_log.open_faults_at(&scene.location);
             here.filter(|fault| is_down(fault) && fault.kind != FaultKind::Silence)
                 .map(|fault| fault.id)
                 .min()

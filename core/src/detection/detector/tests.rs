@@ -1,4 +1,4 @@
-//! Every finding in every state, roots and symptoms, and what is said of them.
+//! Every finding in every state, roots and symptoms, and the reports of them.
 
 mod findings;
 mod incarnations;
@@ -28,7 +28,7 @@ fn node(name: &str) -> NodeName {
 
 /// A place as it is written: `arm` is an object here, `n:arm` one there, `-eth-n` a link to n, `@n`
 /// a node.
-fn place(text: &str) -> FaultLocation {
+fn location(text: &str) -> FaultLocation {
     if let Some(name) = text.strip_prefix('@') {
         return FaultLocation::Node(node(name));
     }
@@ -65,8 +65,8 @@ impl Bench {
 
     fn see(&mut self, text: &str, incarnation: Incarnation, finding: Finding) {
         self.number += 1;
-        let (place, seen_at) = (place(text), self.now);
-        let observation = Observation { place, incarnation, finding, seen_at };
+        let (location, seen_at) = (location(text), self.now);
+        let observation = Observation { location, incarnation, finding, seen_at };
         self.detector.handle_observed(self.number, observation, self.now);
     }
 
@@ -76,37 +76,37 @@ impl Bench {
     }
 
     /// What was told ("Found 1") and handed over ("+1", "-1"), all of it confirmed.
-    fn said(&mut self) -> Vec<String> {
-        let mut said = Vec::new();
+    fn outputs(&mut self) -> Vec<String> {
+        let mut outputs = Vec::new();
         while let Some(output) = self.detector.poll_output() {
             match output {
                 DetectorOutput::Tell { fault, turn, .. } => {
                     let turn = format!("{turn:?}");
                     let turn = turn.split([' ', '{']).next().unwrap_or_default();
-                    said.push(format!("{turn} {}", fault.id.0));
+                    outputs.push(format!("{turn} {}", fault.id.0));
                 }
                 DetectorOutput::HandOver { number, notice } => {
                     let sign = if matches!(notice, FaultNotice::Found(_)) { '+' } else { '-' };
-                    said.push(format!("{sign}{}", notice.id().0));
+                    outputs.push(format!("{sign}{}", notice.id().0));
                     self.detector.handle_confirmed(number, self.now);
                 }
                 DetectorOutput::GivenUp { notice, .. } => {
-                    said.push(format!("given up {}", notice.id().0));
+                    outputs.push(format!("given up {}", notice.id().0));
                 }
             }
         }
-        said
+        outputs
     }
 
     fn run_until(&mut self, until: u64) -> Vec<String> {
-        let mut said = self.said();
+        let mut outputs = self.outputs();
         while let Some(due) = self.detector.poll_timeout().filter(|&due| due <= at(until)) {
             self.now = due;
             self.detector.handle_timeout(due);
-            said.extend(self.said());
+            outputs.extend(self.outputs());
         }
         self.now = at(until);
-        said
+        outputs
     }
 
     fn entries(&self) -> Vec<super::super::FaultEntry> {
@@ -114,7 +114,7 @@ impl Bench {
     }
 
     fn fault(&self, id: u64) -> Fault {
-        let entry = self.detector.chronicle.entry(FaultId(id)).expect("it is recorded");
+        let entry = self.detector.fault_log.entry(FaultId(id)).expect("it is recorded");
         entry.fault.clone()
     }
 }

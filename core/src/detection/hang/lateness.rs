@@ -231,13 +231,13 @@ pub(super) struct Episode {
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
     /// The worst of them when it was told last, if it was.
-    told: Option<OverloadFigures>,
+    reported: Option<OverloadFigures>,
 }
 
 impl Episode {
     pub(super) fn new(now: Instant) -> Self {
         let worst = OverloadFigures::default();
-        Episode { latest: now, victims: SortedSet::new(), worst, told: None }
+        Episode { latest: now, victims: SortedSet::new(), worst, reported: None }
     }
 
     /// These are late too, or still. Says whether the overload is to be told: it is new, has more
@@ -254,7 +254,7 @@ impl Episode {
         self.worst = self.worst.worst(figures);
         let is_news = self.victims.len() != known || self.has_doubled();
         if is_news {
-            self.told = Some(self.worst);
+            self.reported = Some(self.worst);
         }
         is_news
     }
@@ -264,11 +264,12 @@ impl Episode {
     /// times, and not at every look.
     fn has_doubled(&self) -> bool {
         let OverloadFigures { queued, oldest, missed_rounds, expired, .. } = self.worst;
-        let Some(told) = &self.told else { return true };
-        (oldest > told.oldest && oldest >= 2 * told.oldest)
-            || (queued > told.queued && queued >= 2 * told.queued)
-            || (missed_rounds > told.missed_rounds && missed_rounds >= 2 * told.missed_rounds)
-            || (expired > told.expired && expired >= 2 * told.expired)
+        let Some(reported) = &self.reported else { return true };
+        (oldest > reported.oldest && oldest >= 2 * reported.oldest)
+            || (queued > reported.queued && queued >= 2 * reported.queued)
+            || (missed_rounds > reported.missed_rounds
+                && missed_rounds >= 2 * reported.missed_rounds)
+            || (expired > reported.expired && expired >= 2 * reported.expired)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Who is late, and who keeps the thread meanwhile.
+//! Late components, and the component that occupies their thread.
 
 use super::lateness::{Counts, OverloadRoot};
 use super::{
@@ -58,7 +58,7 @@ impl ComponentRecord {
     ) -> Option<LivenessEvent> {
         let reading = self.reading?;
         let pushed = self.judged.limits.max_silence.filter(|_| reading.speaks);
-        let pushed = pushed.map(|limit| if self.heard { limit.between } else { limit.first });
+        let pushed = pushed.map(|limit| if self.sign_seen { limit.between } else { limit.first });
         let limit = pushed.or(self.judged.limits.max_unanswered)?.max(reading.allowance);
         let silent_for = now - self.alive_since;
         if silent_for < limit {
@@ -80,10 +80,10 @@ impl ComponentRecord {
         } else if around.stands(now) && silent_for < limit.max(self.judged.limits.max_block) {
             return None; // The operating system does not run the thread.
         }
-        if self.silence == Silence::Told {
+        if self.silence == Silence::Reported {
             return None;
         }
-        self.silence = Silence::Told;
+        self.silence = Silence::Reported;
         Some(self.says(reading, |object, incarnation| LivenessEvent::Silent {
             object,
             incarnation,
@@ -118,7 +118,7 @@ impl ComponentRecord {
         let at = (now, around.missed);
         let counts = self.lateness.handle_counts(&self.judged.limits, &reading, (window, root), at);
         // One that is silent does nothing, which is another fault.
-        let counts = counts.filter(|_| self.silence != Silence::Told);
+        let counts = counts.filter(|_| self.silence != Silence::Reported);
         let looks = turned || reading.turn % 2 == 1 || around.is_busy;
         let queue = if looks { looked.queue(slot) } else { QueueReading::default() };
         // One that is not at work, because its device is away or its start fails, serves nothing:
@@ -196,7 +196,7 @@ impl HangDetector {
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
         let Some(Some(root)) = self.components.get_mut(slot as usize) else { return };
-        let root = root.wake(looked.stamp(slot), now);
+        let root = root.wake(looked.activity(slot), now);
         let Some(reading) = root.reading else { return };
         if root.stuck {
             root.flow(reading, &mut self.outputs);
@@ -251,8 +251,8 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for &slot in &self.awake {
-            let place = self.components.get_mut(slot as usize).and_then(Option::as_mut);
-            let Some(component) = place.and_then(ComponentEntry::awake_mut) else { continue };
+            let entry = self.components.get_mut(slot as usize).and_then(Option::as_mut);
+            let Some(component) = entry.and_then(ComponentEntry::awake_mut) else { continue };
             let Some(episode) = component.overload.take_if(is_over) else { continue };
             let Some(reading) = component.reading else { continue };
             if let Some(arbiter) = self.arbiters.get_mut(&component.judged.arbiter) {
@@ -262,9 +262,9 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for victim in free {
-            let place = self.components.get_mut(victim as usize).and_then(Option::as_mut);
-            if let Some(component) = place.and_then(ComponentEntry::awake_mut)
-                && component.silence == Silence::Told
+            let entry = self.components.get_mut(victim as usize).and_then(Option::as_mut);
+            if let Some(component) = entry.and_then(ComponentEntry::awake_mut)
+                && component.silence == Silence::Reported
             {
                 (component.silence, component.alive_since) = (Silence::Void, now);
             }

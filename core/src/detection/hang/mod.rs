@@ -1,5 +1,5 @@
-//! Who hangs, who waits too long, who is silent, who is overloaded: judged from what workers write
-//! in passing.
+//! Finds hangs, stuck queues, silence and overload of components, from the counters that workers
+//! write in passing.
 //!
 //! Workers count; they read no clock. The scanner is shown the counters at even intervals and keeps
 //! for each the time at which it first saw it stand. An arbiter whose beat stands while a component
@@ -93,7 +93,7 @@ struct ComponentRecord {
     /// This turn has been reported.
     waits: bool,
     /// This incarnation has given a sign.
-    heard: bool,
+    sign_seen: bool,
     silence: Silence,
     /// It takes no messages, which has been reported.
     stuck: bool,
@@ -105,12 +105,12 @@ struct ComponentRecord {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Silence {
     No,
-    Told,
+    Reported,
     /// It was told, and what had kept the component from speaking is away: it is measured again.
     Void,
 }
 
-/// The judge. Shown pulses often and stamps less often, each time between
+/// The judge. Shown heartbeats often and activity records less often, each time between
 /// [`handle_look`](HangDetector::handle_look) and draining the outputs.
 #[derive(Debug)]
 pub struct HangDetector {
@@ -158,8 +158,8 @@ impl HangDetector {
 
     /// It is no longer.
     pub fn handle_leave(&mut self, slot: SlotId) {
-        let place = self.components.get_mut(slot as usize);
-        let Some(component) = place.and_then(Option::take) else { return };
+        let entry = self.components.get_mut(slot as usize);
+        let Some(component) = entry.and_then(Option::take) else { return };
         let JudgedComponent { object, arbiter, .. } = component.judged();
         if let Some(arbiter) = self.arbiters.get_mut(arbiter) {
             if arbiter.running == Some(slot) {
@@ -204,10 +204,10 @@ impl HangDetector {
     }
 
     /// What an arbiter says.
-    pub fn handle_pulse(&mut self, id: ArbiterId, reading: ArbiterSample) {
+    pub fn handle_heartbeat(&mut self, id: ArbiterId, reading: ArbiterSample) {
         let now = self.clock;
-        let turn = reading.stamp.map(|stamp| stamp.turn);
-        let allowance = reading.stamp.map_or(Duration::ZERO, |stamp| stamp.allowance);
+        let turn = reading.activity.map(|activity| activity.turn);
+        let allowance = reading.activity.map_or(Duration::ZERO, |activity| activity.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
             beat: reading.beat,
             running: reading.running,
@@ -368,12 +368,12 @@ impl HangDetector {
 
     /// The components that were judged at the last look: all that are not at rest.
     fn awake(&self) -> impl Iterator<Item = (SlotId, &ComponentRecord)> + '_ {
-        let place = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
-        self.awake.iter().filter_map(move |slot| Some((*slot, place(*slot)?)))
+        let entry = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
+        self.awake.iter().filter_map(move |slot| Some((*slot, entry(*slot)?)))
     }
 
     /// Looks at all components. One that rests costs the comparison of its mark.
-    pub fn handle_stamps(&mut self, looked: &impl Looked) {
+    pub fn handle_activities(&mut self, looked: &impl Looked) {
         let (now, missed) = (self.clock, self.missed());
         self.judge_processors();
         let HangDetector { config, arbiters, components, awake, outputs, .. } = self;
@@ -384,8 +384,8 @@ impl HangDetector {
         let busy: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         awake.clear();
-        for (slot, place) in (0..).zip(components) {
-            let Some(watched) = place else { continue };
+        for (slot, entry) in (0..).zip(components) {
+            let Some(watched) = entry else { continue };
             let id = watched.judged().arbiter;
             let is_busy = busy.contains(&id);
             if let ComponentEntry::Resting { mark, .. } = watched
@@ -394,7 +394,7 @@ impl HangDetector {
             {
                 continue;
             }
-            let component = watched.wake(looked.stamp(slot), now);
+            let component = watched.wake(looked.activity(slot), now);
             let around = Around { slot, arbiter: arbiters.get(&id), is_busy, config, missed };
             component.handle(&around, looked, now, (outputs, &mut late, &mut silent));
             watched.settle(now);
@@ -452,7 +452,7 @@ impl ComponentRecord {
             last_sign: None,
             worked: false,
             waits: false,
-            heard: false,
+            sign_seen: false,
             silence: Silence::No,
             stuck: false,
             lateness: Lateness::new(now, &ComponentSample::default()),
@@ -478,7 +478,7 @@ impl ComponentRecord {
     fn void(&mut self, now: Instant) {
         (self.turn_since, self.alive_since) = (now, now);
         self.lateness.void(now);
-        if self.silence == Silence::Told {
+        if self.silence == Silence::Reported {
             self.silence = Silence::Void;
         }
     }
@@ -494,7 +494,7 @@ impl ComponentRecord {
             &mut Vec<LivenessEvent>,
         ),
     ) {
-        let reading = looked.stamp(around.slot);
+        let reading = looked.activity(around.slot);
         let before = self.reading.replace(reading);
         let beat = around.arbiter.map_or(0, |arbiter| arbiter.beat);
         let beats = std::mem::replace(&mut self.beat, beat) != beat;
@@ -524,7 +524,7 @@ impl ComponentRecord {
         let answers = self.judged.limits.max_unanswered.is_some() && (turned || beats);
         if signs || answers || (!reading.speaks && self.judged.limits.max_unanswered.is_none()) {
             (self.alive_since, self.worked) = (now, false);
-            self.heard |= signs;
+            self.sign_seen |= signs;
             if signs {
                 self.last_sign = Some(now);
             }
@@ -539,8 +539,8 @@ impl ComponentRecord {
         if around.runs() && !turned && around.stands(now) {
             return; // Judged as a culprit, not for itself.
         }
-        if let Some(sighting) = self.judge_silence(around, looked, now, late) {
-            silent.push(sighting);
+        if let Some(event) = self.judge_silence(around, looked, now, late) {
+            silent.push(event);
         }
         let age = now - self.turn_since;
         let limit = self.judged.limits.max_wait.max(reading.allowance);

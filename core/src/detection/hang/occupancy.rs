@@ -1,4 +1,4 @@
-//! How much of the time a thread is kept, and by whom, from looks at even intervals.
+//! The share of time that each component occupies a thread, from samples at even intervals.
 
 use crate::sorted::SortedMap;
 use std::collections::VecDeque;

@@ -91,7 +91,7 @@ impl ProcessorShare {
 
 impl HangDetector {
     /// What an arbiter's thread has had of the processors, where the system tells it: before
-    /// [`handle_stamps`](Self::handle_stamps).
+    /// [`handle_activities`](Self::handle_activities).
     pub fn handle_processor_time(&mut self, id: ArbiterId, time: ProcessorTime) {
         if let (Some(at), Some(arbiter)) = (self.looked_at, self.arbiters.get_mut(&id)) {
             arbiter.processor.note(at, time);
@@ -103,7 +103,7 @@ impl HangDetector {
     pub(super) fn judge_processors(&mut self) {
         let mut missed: SortedMap<ArbiterId, f32> = SortedMap::new();
         // One that is silent does nothing, whatever the thread gets.
-        let works = |component: &&ComponentRecord| component.silence != Silence::Told;
+        let works = |component: &&ComponentRecord| component.silence != Silence::Reported;
         for component in self.awake().map(|(_, component)| component).filter(works) {
             let share = missed.entry(component.judged.arbiter).or_default();
             *share = share.max(component.lateness.missed_share());

@@ -41,22 +41,22 @@ fn limits() -> HangLimits {
 struct World {
     scanner: HangDetector,
     now: u64,
-    pulse: ArbiterSample,
-    eyes: Eyes,
-    /// Stamps are looked at with every so many pulses.
+    heartbeat: ArbiterSample,
+    samples: Samples,
+    /// Activity records are looked at with every so many heartbeats.
     every: u64,
     /// What the arbiter's thread has had of the processors, where the system tells it.
     processor: Option<ProcessorTime>,
 }
 
-struct Eyes {
-    stamps: [ComponentSample; 3],
+struct Samples {
+    activities: [ComponentSample; 3],
     queues: [QueueReading; 3],
 }
 
-impl Looked for Eyes {
-    fn stamp(&self, slot: SlotId) -> ComponentSample {
-        self.stamps[slot as usize]
+impl Looked for Samples {
+    fn activity(&self, slot: SlotId) -> ComponentSample {
+        self.activities[slot as usize]
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -69,7 +69,7 @@ impl World {
         let mut scanner = HangDetector::new(HangDetectorConfig::default());
         scanner.handle_enter(0, judged("culprit"));
         scanner.handle_enter(2, judged("victim"));
-        let stamp = ComponentSample {
+        let activity = ComponentSample {
             turn: 0,
             alive: 0,
             incarnation: Incarnation(1),
@@ -81,14 +81,14 @@ impl World {
             missed_ticks: 0,
             expired: 0,
         };
-        let pulse =
-            ArbiterSample { beat: 0, running: None, stamp: None, fenced: false, used: None };
+        let heartbeat =
+            ArbiterSample { beat: 0, running: None, activity: None, fenced: false, used: None };
         let queues = [QueueReading::default(); 3];
         World {
             scanner,
             now: 0,
-            pulse,
-            eyes: Eyes { stamps: [stamp; 3], queues },
+            heartbeat,
+            samples: Samples { activities: [activity; 3], queues },
             every: 1,
             processor: None,
         }
@@ -98,8 +98,8 @@ impl World {
     fn starve(&mut self, millis: u64, share: u64) -> Vec<LivenessEvent> {
         let mut seen = Vec::new();
         for _ in 0..millis / 10 {
-            let used = self.pulse.used.unwrap_or_default() + ms(share);
-            self.pulse.used = Some(used);
+            let used = self.heartbeat.used.unwrap_or_default() + ms(share);
+            self.heartbeat.used = Some(used);
             seen.extend(self.pass(10, false));
         }
         seen
@@ -110,7 +110,7 @@ impl World {
         let mut seen = Vec::new();
         for _ in 0..millis / 10 {
             self.now += 10;
-            self.pulse.beat += u64::from(beats);
+            self.heartbeat.beat += u64::from(beats);
             seen.extend(self.look());
         }
         seen
@@ -119,16 +119,16 @@ impl World {
     fn look(&mut self) -> Vec<LivenessEvent> {
         let now = at(self.now);
         self.scanner.handle_look(now);
-        // As the watch does: the culprit's stamp is read with the pulse.
-        let read = |slot: SlotId| self.eyes.stamps.get(slot as usize).copied();
-        let stamp = self.pulse.running.filter(|slot| self.scanner.judged(*slot).is_some());
-        let pulse = ArbiterSample { stamp: stamp.and_then(read), ..self.pulse };
-        self.scanner.handle_pulse(HOME, pulse);
+        // As the watch does: the culprit's activity record is read with the heartbeat.
+        let read = |slot: SlotId| self.samples.activities.get(slot as usize).copied();
+        let activity = self.heartbeat.running.filter(|slot| self.scanner.judged(*slot).is_some());
+        let heartbeat = ArbiterSample { activity: activity.and_then(read), ..self.heartbeat };
+        self.scanner.handle_heartbeat(HOME, heartbeat);
         if (self.now / 10).is_multiple_of(self.every) {
             if let Some(time) = self.processor {
                 self.scanner.handle_processor_time(HOME, time);
             }
-            self.scanner.handle_stamps(&self.eyes);
+            self.scanner.handle_activities(&self.samples);
         }
         std::iter::from_fn(|| self.scanner.poll_output()).collect()
     }
@@ -137,7 +137,7 @@ impl World {
 #[test]
 fn an_arbiter_that_turns_is_left_alone() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     assert_eq!(world.pass(5000, true), []);
 }
 
@@ -145,8 +145,8 @@ fn an_arbiter_that_turns_is_left_alone() {
 fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
     let mut world = World::new();
     world.pass(100, true);
-    world.pulse.running = Some(0);
-    world.eyes.stamps[0].turn = 1;
+    world.heartbeat.running = Some(0);
+    world.samples.activities[0].turn = 1;
 
     let seen = world.pass(2000, false);
 
@@ -162,16 +162,16 @@ fn a_handler_that_keeps_its_arbiter_is_the_culprit_and_is_named_once() {
 fn an_arbiter_on_which_no_component_runs_has_no_culprit() {
     let mut world = World::new();
     assert_eq!(world.pass(5000, false), []);
-    world.pulse.running = Some(1); // A slot without a component.
+    world.heartbeat.running = Some(1); // A slot without a component.
     assert_eq!(world.pass(5000, false), []);
 }
 
 #[test]
 fn many_turns_in_one_poll_are_no_hang() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     for turns in 1..20 {
-        world.eyes.stamps[0].turn = 2 * turns;
+        world.samples.activities[0].turn = 2 * turns;
         assert_eq!(world.pass(400, false), []);
     }
 }
@@ -179,10 +179,10 @@ fn many_turns_in_one_poll_are_no_hang() {
 #[test]
 fn a_declared_long_operation_is_no_hang_before_its_time() {
     let mut world = World::new();
-    world.eyes.stamps[0].allowance = ms(2000);
-    world.eyes.stamps[0].turn = 1;
+    world.samples.activities[0].allowance = ms(2000);
+    world.samples.activities[0].turn = 1;
     world.pass(20, true);
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
 
     assert_eq!(world.pass(2000, false), []);
 
@@ -190,15 +190,15 @@ fn a_declared_long_operation_is_no_hang_before_its_time() {
 }
 
 #[test]
-fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short_limit() {
+fn an_operation_declared_after_sampling_is_no_hang_with_a_short_limit() {
     let mut world = World::new();
     world.every = 10;
     let quick = judged_by("culprit", HangLimits { max_block: ms(20), ..limits() });
     world.scanner.handle_enter(0, quick);
     world.pass(110, true);
 
-    (world.eyes.stamps[0].turn, world.eyes.stamps[0].allowance) = (1, ms(2000));
-    world.pulse.running = Some(0);
+    (world.samples.activities[0].turn, world.samples.activities[0].allowance) = (1, ms(2000));
+    world.heartbeat.running = Some(0);
 
     assert_eq!(world.pass(1990, false), []);
     assert!(matches!(world.pass(20, false)[..], [LivenessEvent::Hangs { .. }]));
@@ -207,11 +207,11 @@ fn an_operation_declared_after_the_stamps_were_looked_at_is_no_hang_with_a_short
 #[test]
 fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
     let mut world = World::new();
-    (world.eyes.stamps[0].turn, world.eyes.stamps[0].allowance) = (1, ms(2000));
-    world.pulse.running = Some(0);
+    (world.samples.activities[0].turn, world.samples.activities[0].allowance) = (1, ms(2000));
+    world.heartbeat.running = Some(0);
     assert_eq!(world.pass(1500, false), []);
 
-    world.eyes.stamps[0].allowance = Duration::ZERO;
+    world.samples.activities[0].allowance = Duration::ZERO;
 
     assert_eq!(world.pass(490, false), []);
     assert!(matches!(world.pass(30, false)[..], [LivenessEvent::Hangs { .. }]));
@@ -220,10 +220,10 @@ fn what_follows_a_declared_operation_in_its_turn_has_a_time_of_its_own() {
 #[test]
 fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     world.pass(100, false);
     world.scanner.handle_leave(0);
-    world.pulse.fenced = true;
+    world.heartbeat.fenced = true;
 
     let seen = world.pass(1000, false);
 
@@ -234,9 +234,9 @@ fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
 #[test]
 fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() {
     let mut world = World::new();
-    world.eyes.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     let seen = world.pass(1000, false);
     let (object, incarnation) = (name("victim"), Incarnation(1));
     let silent =
@@ -244,13 +244,13 @@ fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() 
     let [LivenessEvent::Hangs { slot: 0, .. }, after] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!(*after, silent(ms(600)));
 
-    world.pulse.running = None;
+    world.heartbeat.running = None;
     let seen = world.pass(500, true);
 
     let objects = vec![name("victim"), name("culprit")];
     assert_eq!(seen, [LivenessEvent::Resumed { objects }]);
     assert_eq!(world.pass(200, true), [silent(ms(600))], "it is silent of itself");
-    world.eyes.stamps[2].alive += 1;
+    world.samples.activities[2].alive += 1;
     let spoke = LivenessEvent::Spoke { object: object.clone(), incarnation };
     assert_eq!(world.pass(100, true), [spoke], "once");
 }
@@ -258,10 +258,10 @@ fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() 
 #[test]
 fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     world.pass(600, false);
     world.scanner.handle_leave(0); // The culprit was given up.
-    world.pulse.fenced = true;
+    world.heartbeat.fenced = true;
 
     let seen = world.pass(1000, false);
 
@@ -275,13 +275,13 @@ fn a_fenced_arbiter_is_lost_when_its_grace_is_over() {
 #[test]
 fn a_fence_that_is_lifted_in_time_loses_nothing() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     world.pass(600, false);
     world.scanner.handle_leave(0);
-    world.pulse.fenced = true;
+    world.heartbeat.fenced = true;
     assert_eq!(world.pass(150, false), []);
 
-    world.pulse.fenced = false;
+    world.heartbeat.fenced = false;
     let seen = world.pass(1000, true);
 
     assert_eq!(seen, [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
@@ -291,7 +291,7 @@ fn a_fence_that_is_lifted_in_time_loses_nothing() {
 fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     let mut world = World::new();
     world.look();
-    world.eyes.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
 
     let seen = world.pass(3000, true);
 
@@ -300,7 +300,7 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
     assert_eq!(seen, [waits]);
     let busy: Vec<_> = world.scanner.busy().map(|(slot, turn, _)| (slot, turn)).collect();
     assert_eq!(busy, [(2, 1)]);
-    world.eyes.stamps[2].turn = 3;
+    world.samples.activities[2].turn = 3;
     let seen = world.pass(3000, true);
     assert!(matches!(seen[..], [LivenessEvent::Resumed { .. }, LivenessEvent::Waits { .. }]));
 }
@@ -309,32 +309,32 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
 fn a_handler_that_ends_after_it_was_found_waiting_is_told_to_have_resumed_once() {
     let mut world = World::new();
     world.look();
-    world.eyes.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(1500, true);
 
-    world.eyes.stamps[2].turn = 2;
+    world.samples.activities[2].turn = 2;
 
     assert_eq!(world.pass(100, true), [LivenessEvent::Resumed { objects: vec![name("victim")] }]);
-    world.eyes.stamps[2].turn = 4;
+    world.samples.activities[2].turn = 4;
     assert_eq!(world.pass(3000, true), []);
 }
 
 #[test]
 fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence() {
     let mut world = World::new();
-    world.eyes.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
     let last = |world: &World| world.scanner.last_signs().collect::<Vec<_>>();
     assert_eq!(last(&world), [(2, None)], "it gave none so far, and the other need give none");
 
-    world.eyes.stamps[2].alive = 1;
+    world.samples.activities[2].alive = 1;
     world.pass(10, true);
     world.pass(100, true);
     assert_eq!(last(&world), [(2, Some(at(10)))]);
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     world.pass(5000, false);
     assert_eq!(last(&world), [(2, Some(at(10)))], "a victim gives none");
-    world.eyes.stamps[2].incarnation = Incarnation(2);
+    world.samples.activities[2].incarnation = Incarnation(2);
     world.look();
     assert_eq!(last(&world), [(2, None)]);
 }
@@ -342,10 +342,10 @@ fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence
 #[test]
 fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let mut world = World::new();
-    world.eyes.stamps[0].speaks = true;
+    world.samples.activities[0].speaks = true;
     world.look();
     for _ in 0..5 {
-        world.eyes.stamps[0].alive += 1;
+        world.samples.activities[0].alive += 1;
         assert_eq!(world.pass(290, true), []);
     }
 
@@ -355,7 +355,7 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
     let silent = LivenessEvent::Silent { object: object.clone(), incarnation, silent_for };
     assert_eq!(seen, [silent]);
 
-    world.eyes.stamps[0].alive += 1;
+    world.samples.activities[0].alive += 1;
     assert_eq!(world.pass(100, true), [LivenessEvent::Spoke { object, incarnation }]);
 }
 
@@ -363,9 +363,9 @@ fn silence_is_reported_once_and_ended_by_a_sign_of_life() {
 fn silence_counts_only_where_signs_are_expected() {
     let mut world = World::new();
     assert_eq!(world.pass(1000, true), []);
-    world.eyes.stamps[0].speaks = true;
+    world.samples.activities[0].speaks = true;
     assert_eq!(world.pass(590, true), []);
-    world.eyes.stamps[0].allowance = ms(1000);
+    world.samples.activities[0].allowance = ms(1000);
     assert_eq!(world.pass(400, true), [], "a long operation was declared");
     let quiet = judged_by("quiet", HangLimits { max_silence: None, ..limits() });
     world.scanner.handle_enter(0, quiet);
@@ -375,11 +375,11 @@ fn silence_counts_only_where_signs_are_expected() {
 #[test]
 fn a_new_incarnation_begins_with_a_clean_record() {
     let mut world = World::new();
-    (world.eyes.stamps[0].speaks, world.eyes.stamps[0].turn) = (true, 1);
+    (world.samples.activities[0].speaks, world.samples.activities[0].turn) = (true, 1);
     world.look();
     assert_eq!(world.pass(1000, true).len(), 2, "silent and waiting");
 
-    world.eyes.stamps[0].incarnation = Incarnation(2);
+    world.samples.activities[0].incarnation = Incarnation(2);
     assert_eq!(world.pass(590, true), [], "its first sign may take longer");
     assert_eq!(world.pass(100, true).len(), 1, "silent again");
 }
@@ -387,10 +387,10 @@ fn a_new_incarnation_begins_with_a_clean_record() {
 #[test]
 fn what_the_scanner_missed_condemns_nobody() {
     let mut world = World::new();
-    world.eyes.stamps[0].speaks = true;
-    world.eyes.stamps[2].turn = 1;
-    world.pulse.running = Some(0);
-    world.pulse.fenced = true;
+    world.samples.activities[0].speaks = true;
+    world.samples.activities[2].turn = 1;
+    world.heartbeat.running = Some(0);
+    world.heartbeat.fenced = true;
     world.look();
 
     world.now += 60_000;
@@ -403,8 +403,8 @@ fn what_the_scanner_missed_condemns_nobody() {
 #[test]
 fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
-    world.eyes.stamps[0].turn = 1;
+    world.heartbeat.running = Some(0);
+    world.samples.activities[0].turn = 1;
     world.look();
 
     let mut seen = Vec::new();
@@ -413,8 +413,8 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
         seen.extend(world.look());
     }
 
-    let told = seen.iter().filter(|told| matches!(told, LivenessEvent::Hangs { .. }));
-    assert_eq!(told.count(), 1, "{seen:?}");
+    let reported = seen.iter().filter(|reported| matches!(reported, LivenessEvent::Hangs { .. }));
+    assert_eq!(reported.count(), 1, "{seen:?}");
     let (_, status) = world.scanner.arbiters().next().expect("it was shown one");
     assert_eq!(status.hangs.map(|(_, since)| at(world.now) - since), Some(ms(600)));
 }
@@ -422,8 +422,8 @@ fn a_hang_is_found_though_the_scanner_is_late_at_every_look() {
 #[test]
 fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
-    world.eyes.stamps[2].speaks = true;
+    world.heartbeat.running = Some(0);
+    world.samples.activities[2].speaks = true;
     world.look();
 
     assert_eq!(world.starve(1500, 2), [], "neither is its victim silent: it had 300 ms");
@@ -437,7 +437,7 @@ fn a_handler_hangs_by_the_time_that_its_thread_was_given_the_processor() {
 #[test]
 fn a_handler_whose_thread_is_not_run_hangs_after_ten_times_its_limit() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     world.look();
 
     assert_eq!(world.starve(4900, 0), []);
@@ -448,7 +448,7 @@ fn a_handler_whose_thread_is_not_run_hangs_after_ten_times_its_limit() {
 fn a_handler_that_waits_or_is_run_all_the_time_hangs_after_its_limit() {
     for share in [None, Some(10)] {
         let mut world = World::new();
-        world.pulse.running = Some(0);
+        world.heartbeat.running = Some(0);
         world.look();
         let mut pass = |millis| match share {
             Some(share) => world.starve(millis, share),
@@ -463,7 +463,7 @@ fn a_handler_that_waits_or_is_run_all_the_time_hangs_after_its_limit() {
 #[test]
 fn a_stall_of_the_scanner_does_not_end_a_hang() {
     let mut world = World::new();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     assert_eq!(world.pass(600, false).len(), 1);
 
     world.now += 60_000;
@@ -476,23 +476,23 @@ mod overload;
 
 /// What a scanner looks at, and how often it looks at it closely.
 struct Counted<'a> {
-    eyes: &'a Eyes,
+    samples: &'a Samples,
     looks: std::cell::Cell<u32>,
 }
 
 impl Looked for Counted<'_> {
-    fn stamp(&self, slot: SlotId) -> ComponentSample {
+    fn activity(&self, slot: SlotId) -> ComponentSample {
         self.looks.set(self.looks.get() + 1);
-        self.eyes.stamp(slot)
+        self.samples.activity(slot)
     }
 
     fn mark(&self, slot: SlotId) -> ActivityMark {
-        self.eyes.mark(slot)
+        self.samples.mark(slot)
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
         self.looks.set(self.looks.get() + 1);
-        self.eyes.queue(slot)
+        self.samples.queue(slot)
     }
 }
 
@@ -512,13 +512,13 @@ fn a_component_that_rests_is_only_compared_with_its_mark() {
     let close = |world: &mut World| {
         world.now += 100;
         world.scanner.handle_look(at(world.now));
-        let looked = Counted { eyes: &world.eyes, looks: Default::default() };
-        world.scanner.handle_stamps(&looked);
+        let looked = Counted { samples: &world.samples, looks: Default::default() };
+        world.scanner.handle_activities(&looked);
         looked.looks.get()
     };
     assert_eq!(close(&mut world), 0);
 
-    world.eyes.stamps[2].turn += 2;
+    world.samples.activities[2].turn += 2;
     assert!(close(&mut world) > 0, "it has served something");
     assert!(close(&mut world) > 0, "it may do so again");
     assert_eq!(close(&mut world), 0, "it rests again");
@@ -529,7 +529,7 @@ fn a_component_that_has_rested_is_judged_from_when_it_took_something_up() {
     let mut world = at_rest();
     world.pass(5000, true);
 
-    world.eyes.stamps[2].turn += 1;
+    world.samples.activities[2].turn += 1;
 
     assert_eq!(world.pass(1000, true), []);
     assert!(matches!(world.pass(20, true)[..], [LivenessEvent::Waits { slot: 2, .. }]));
@@ -544,7 +544,7 @@ fn messages_that_expire_while_a_component_has_nothing_in_service_are_counted() {
     let mut world = at_rest();
     let mut seen = Vec::new();
     for _ in 0..30 {
-        world.eyes.stamps[2].expired += 1;
+        world.samples.activities[2].expired += 1;
         seen.extend(world.pass(100, true));
     }
     assert!(matches!(seen[..], [LivenessEvent::Overloaded { .. }, ..]), "{seen:?}");
@@ -553,7 +553,7 @@ fn messages_that_expire_while_a_component_has_nothing_in_service_are_counted() {
 #[test]
 fn one_that_rests_is_named_as_a_victim_and_as_a_culprit() {
     let mut world = at_rest();
-    world.pulse.running = Some(0);
+    world.heartbeat.running = Some(0);
     let seen = world.pass(600, false);
     let [LivenessEvent::Hangs { object, victims, .. }] = &seen[..] else { panic!("{seen:?}") };
     assert_eq!((object, &victims[..]), (&name("culprit"), &[name("victim")][..]));

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 /// The number of an arbiter.
 pub type ArbiterId = u64;
-/// The number of a component's place in the table of stamps.
+/// The number of a component's place in the table of activity records.
 pub type SlotId = u32;
 
 /// When the scanner believes what it sees.
@@ -96,8 +96,8 @@ pub struct ArbiterSample {
     /// The component that is on the thread.
     pub running: Option<SlotId>,
     /// What that component says, read at the same time; `None` where it is no longer judged. An
-    /// allowance that its handler has just announced counts from the next pulse on.
-    pub stamp: Option<ComponentSample>,
+    /// allowance that its handler has just announced counts from the next heartbeat on.
+    pub activity: Option<ComponentSample>,
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
     /// How much of the processor its thread has used, if it is ready to run; `None` where it waits
@@ -159,13 +159,13 @@ pub struct QueueReading {
     pub oldest: Duration,
 }
 
-/// What a scanner looks at.
+/// The samples that a hang detector reads.
 pub trait Looked {
     /// What the component of a slot says.
-    fn stamp(&self, slot: SlotId) -> ComponentSample;
+    fn activity(&self, slot: SlotId) -> ComponentSample;
     /// The mark of what it says, for one that may rest: asked of every component at every look.
     fn mark(&self, slot: SlotId) -> ActivityMark {
-        self.stamp(slot).mark()
+        self.activity(slot).mark()
     }
     /// How its queue is. Asked only where something may wait.
     fn queue(&self, slot: SlotId) -> QueueReading;
@@ -202,7 +202,7 @@ impl OverloadFigures {
     }
 }
 
-/// What the scanner has seen.
+/// A finding of the hang detector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum LivenessEvent {
     /// A handler keeps its arbiter.
@@ -303,7 +303,7 @@ pub enum LivenessEvent {
     },
 }
 
-/// What is known of an arbiter, for people.
+/// The status of an arbiter, for display.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArbiterStatus {
     /// The share of the latest looks that found a component on its thread; `None` before the first.

@@ -121,7 +121,7 @@ impl Monitor {
         self.settle(now);
     }
 
-    /// The watch thread heard this object.
+    /// The sampler saw a sign of life of this object.
     pub fn handle_spoke(&mut self, object: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(entry) = self.alive(object, incarnation, now) else { return };
         entry.last_sign = Some(now);
@@ -156,8 +156,8 @@ impl Monitor {
     }
 
     fn observe_this_node(&mut self, condition: NodeCondition, now: Instant) {
-        let place = FaultLocation::Node(self.node.clone());
-        self.observe(place, Incarnation::default(), Finding::Node(condition), now);
+        let location = FaultLocation::Node(self.node.clone());
+        self.observe(location, Incarnation::default(), Finding::Node(condition), now);
         self.settle(now);
     }
 

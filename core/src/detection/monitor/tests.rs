@@ -47,7 +47,7 @@ fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
     while let Some(output) = monitor.poll_output() {
         match output {
             MonitorOutput::Observe { number, observation } => {
-                seen.push(format!("{} {}", observation.place, name(&observation.finding)));
+                seen.push(format!("{} {}", observation.location, name(&observation.finding)));
                 monitor.handle_confirmed(number, at(millis));
             }
             MonitorOutput::Ask { object } => seen.push(format!("ask {object}")),
@@ -59,20 +59,20 @@ fn seen(monitor: &mut Monitor, millis: u64) -> Vec<String> {
 
 /// Wakes the machine exactly when it wants, up to `until`.
 fn run(monitor: &mut Monitor, until: u64) -> Vec<(u64, String)> {
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     loop {
         let now = monitor.poll_timeout().unwrap_or(at(until)).min(at(until));
         monitor.handle_timeout(now);
         let millis = now.as_nanos() / 1_000_000;
-        told.extend(seen(monitor, millis).into_iter().map(|text| (millis, text)));
+        reported.extend(seen(monitor, millis).into_iter().map(|text| (millis, text)));
         if now == at(until) {
-            return told;
+            return reported;
         }
     }
 }
 
 fn row(monitor: &Monitor, name: &str, now: u64) -> MonitorRow {
-    let is_it = |row: &MonitorRow| row.place.to_string() == name;
+    let is_it = |row: &MonitorRow| row.location.to_string() == name;
     monitor.read_table(at(now)).into_iter().find(is_it).expect("it has a row")
 }
 
@@ -119,8 +119,8 @@ fn answer(incarnation: Incarnation, state: Lifecycle) -> WorkProgress {
 fn a_suspicion_is_counted_and_shown_and_is_no_finding() {
     let mut monitor = watched(Liveness::pull(TENTH, TENTH / 2));
     for question in [0, 100, 200] {
-        let told = run(&mut monitor, question + 60);
-        assert!(told.iter().all(|(_, text)| text == "ask laser" || text.ends_with("State")));
+        let reported = run(&mut monitor, question + 60);
+        assert!(reported.iter().all(|(_, text)| text == "ask laser" || text.ends_with("State")));
         let alive = answer(TWO, Lifecycle::Active);
         monitor.handle_alive(&object("laser"), alive, at(question + 60));
     }
@@ -167,18 +167,18 @@ fn answers_tell_the_state_of_an_object_only_while_no_guard_does() {
 #[test]
 fn whoever_is_asked_and_answers_nothing_is_silent() {
     let mut monitor = watched(Liveness::pull(TENTH, TENTH));
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for turn in 0..=20 {
-        told.extend(run(&mut monitor, turn * 100));
+        reported.extend(run(&mut monitor, turn * 100));
         let alive = answer(TWO, Lifecycle::Active);
         monitor.handle_alive(&object("laser"), alive, at(turn * 100));
-        told.extend(run(&mut monitor, turn * 100));
+        reported.extend(run(&mut monitor, turn * 100));
     }
-    told.extend(run(&mut monitor, 5000));
-    told.retain(|(_, text)| !text.starts_with("ask"));
+    reported.extend(run(&mut monitor, 5000));
+    reported.retain(|(_, text)| !text.starts_with("ask"));
 
     let texts = ["m:laser State", "m:laser Silent"].map(String::from);
-    assert_eq!(told.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
+    assert_eq!(reported.iter().map(|(_, text)| text.clone()).collect::<Vec<_>>(), texts);
 }
 
 #[test]
@@ -254,7 +254,7 @@ fn every_input_in_every_state_says_what_it_should() {
 
             feed(&mut monitor, input, TWO, at(5));
 
-            let told = seen(&mut monitor, 5);
+            let reported = seen(&mut monitor, 5);
             let over = state != State::Going;
             let expected = match input {
                 "died" | "stopped" if matches!(state, State::Going | State::Finalized) => {
@@ -270,7 +270,7 @@ fn every_input_in_every_state_says_what_it_should() {
             };
             let expected: Vec<String> =
                 expected.iter().map(|text| format!("m:laser {text}")).collect();
-            assert_eq!(told, expected, "{input} while {state:?}");
+            assert_eq!(reported, expected, "{input} while {state:?}");
         }
     }
 }
@@ -337,8 +337,8 @@ fn an_object_of_the_middleware_is_at_work_when_its_guard_has_restarted_it() {
                 at(millis),
             );
 
-            let told = ["m:laser Exited", "m:laser State"];
-            assert_eq!(seen(&mut monitor, millis), told, "{case} {incarnation}");
+            let reported = ["m:laser Exited", "m:laser State"];
+            assert_eq!(seen(&mut monitor, millis), reported, "{case} {incarnation}");
             let row = row(&monitor, "m:laser", millis);
             assert_eq!((row.incarnation, row.state), (next, Some(Lifecycle::Active)), "{case}");
         }
@@ -350,7 +350,7 @@ fn an_incarnation_that_is_over_is_not_shown_in_the_state_that_it_had_before() {
     for (exit, state, opinion) in [
         (panicked(), Lifecycle::Fatal, Opinion::Failed),
         (ExitReason::Aborted, Lifecycle::Fatal, Opinion::Failed),
-        (ExitReason::Stopped, Lifecycle::Finalized, Opinion::AtRest),
+        (ExitReason::Stopped, Lifecycle::Finalized, Opinion::Stopped),
     ] {
         let mut monitor = watched(Liveness::Guard);
         monitor.handle_state(&object("laser"), TWO, Lifecycle::Active, None, at(0));
@@ -381,9 +381,9 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     state(&mut monitor, Lifecycle::Active, None);
     assert_eq!(note(&monitor).as_deref(), Some("it is dark"), "that goes on");
     declare(&mut monitor, FaultKind::Overload, "too much");
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(3));
     assert_eq!(note(&monitor).as_deref(), Some("too much"));
-    monitor.handle_mended(&laser, TWO, FaultKind::Overload, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::Overload, at(3));
     assert_eq!(note(&monitor), None);
 
     declare(&mut monitor, FaultKind::Unavailable, "no device");
@@ -391,7 +391,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     assert_eq!(note(&monitor).as_deref(), Some("no device"), "another hook may wait for it");
     declare(&mut monitor, FaultKind::CheckFailed, "it is dark");
     assert_eq!(row(&monitor, "m:laser", 3).waiting_for.as_deref(), Some("no device"));
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(3));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(3));
     state(&mut monitor, Lifecycle::Active, None);
     assert_eq!(note(&monitor), None);
     assert_eq!(row(&monitor, "m:laser", 3).waiting_for, None);
@@ -399,7 +399,7 @@ fn a_note_goes_when_its_cause_goes_and_no_earlier() {
     monitor.handle_exited(&laser, TWO, ExitReason::Stopped, None, at(4));
     declare(&mut monitor, FaultKind::CheckFailed, "its cut-off blocks");
     assert_eq!(note(&monitor).as_deref(), Some("its cut-off blocks"));
-    monitor.handle_mended(&laser, TWO, FaultKind::CheckFailed, at(5));
+    monitor.handle_declared_fault_cleared(&laser, TWO, FaultKind::CheckFailed, at(5));
     assert_ne!(note(&monitor).as_deref(), Some("its cut-off blocks"));
 }
 
@@ -506,9 +506,9 @@ fn a_stall_of_the_monitor_itself_condemns_nobody() {
     monitor.handle_timeout(at(60_000));
     monitor.handle_alive(&object("laser"), answer(TWO, Lifecycle::Active), at(60_010));
 
-    let told = run(&mut monitor, 60_100);
-    assert!(told.iter().all(|(_, text)| text != "m:laser Silent"), "{told:?}");
-    assert!(told.iter().any(|(_, text)| text == "m Node"), "{told:?}");
+    let reported = run(&mut monitor, 60_100);
+    assert!(reported.iter().all(|(_, text)| text != "m:laser Silent"), "{reported:?}");
+    assert!(reported.iter().any(|(_, text)| text == "m Node"), "{reported:?}");
 }
 
 #[test]
@@ -518,7 +518,7 @@ fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confir
     monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
     assert!(matches!(monitor.poll_output(), Some(MonitorOutput::Observe { .. })));
 
-    let mut monitor = monitor.reborn(at(20));
+    let mut monitor = monitor.restarted(at(20));
 
     assert_eq!(monitor.read_table(at(20)).len(), 2);
     monitor.handle_timeout(at(20));
@@ -542,8 +542,8 @@ proptest! {
             let incarnation = row(&monitor, "m:laser", 0).incarnation;
             monitor.handle_alive(&object("laser"), answer(incarnation, Lifecycle::Active), now);
             now = now + Duration::from_millis(wait);
-            for told in run(&mut monitor, now.as_nanos() / 1_000_000) {
-                prop_assert_ne!(&told.1, "m:laser Silent");
+            for reported in run(&mut monitor, now.as_nanos() / 1_000_000) {
+                prop_assert_ne!(&reported.1, "m:laser Silent");
             }
         }
     }
@@ -576,10 +576,10 @@ fn a_fault_right_after_the_start_of_many_objects_is_handed_over_at_once() {
     let failed = "it is broken".to_owned();
     monitor.handle_declared(&object("part/7"), ONE, FaultKind::CheckFailed, failed, at(0));
 
-    let mut told = 0;
+    let mut reported = 0;
     while let Some(MonitorOutput::Observe { number, observation }) = monitor.poll_output() {
-        told += u32::from(matches!(observation.finding, Finding::Declared { .. }));
+        reported += u32::from(matches!(observation.finding, Finding::Declared { .. }));
         monitor.handle_confirmed(number, at(0));
     }
-    assert_eq!(told, 1);
+    assert_eq!(reported, 1);
 }

@@ -112,7 +112,7 @@ pub enum AddressClaimOutput {
 pub struct AddressClaim {
     own: AddressClaimed,
     state: State,
-    said: Instant,
+    claimed_at: Instant,
     /// It is to be said again, when the pause is over.
     owed: bool,
     /// The name of the one it was kept from last, and when he was heard last.
@@ -135,7 +135,7 @@ impl AddressClaim {
         let own = AddressClaimed { held: false, number, name };
         let outputs = VecDeque::from([AddressClaimOutput::Say(own.clone())]);
         let state = State::Claiming { until: now + CLAIM_TIMEOUT };
-        AddressClaim { own, state, said: now, owed: false, rival: None, outputs }
+        AddressClaim { own, state, claimed_at: now, owed: false, rival: None, outputs }
     }
 
     /// Another node claims the address.
@@ -154,7 +154,7 @@ impl AddressClaim {
         let known = self
             .rival
             .take()
-            .is_some_and(|(name, heard)| name == claim.name && now - heard < MEMORY);
+            .is_some_and(|(name, received_at)| name == claim.name && now - received_at < MEMORY);
         self.rival = Some((claim.name.clone(), now));
         if !known {
             self.outputs.push_back(AddressClaimOutput::Kept { from: claim });
@@ -163,15 +163,15 @@ impl AddressClaim {
 
     /// Another node sends something else under our address: perhaps it does not know of us.
     pub fn handle_intruder(&mut self, now: Instant) {
-        if self.state != State::Lost && now - self.said >= LONG_RETRY_DELAY {
+        if self.state != State::Lost && now - self.claimed_at >= LONG_RETRY_DELAY {
             self.object(now);
         }
     }
 
     fn object(&mut self, now: Instant) {
-        self.owed = now - self.said < RETRY_DELAY;
+        self.owed = now - self.claimed_at < RETRY_DELAY;
         if !self.owed {
-            self.said = now;
+            self.claimed_at = now;
             self.outputs.push_back(AddressClaimOutput::Say(self.own.clone()));
         }
     }
@@ -190,7 +190,7 @@ impl Machine for AddressClaim {
             State::Held => None,
             State::Lost => return None,
         };
-        let owed = self.owed.then(|| self.said + RETRY_DELAY);
+        let owed = self.owed.then(|| self.claimed_at + RETRY_DELAY);
         settled.into_iter().chain(owed).min()
     }
 
@@ -267,7 +267,7 @@ mod tests {
     fn of_two_that_begin_together_one_stays() {
         for (a, b) in [("a", "b"), ("m", "m")] {
             let mut nodes = [AddressClaim::new(a, 1, at(0)), AddressClaim::new(b, 2, at(0))];
-            let mut told = [vec![], vec![]];
+            let mut reported = [vec![], vec![]];
             for millis in 0..1_000 {
                 for from in 0..2 {
                     nodes[from].handle_timeout(at(millis));
@@ -276,13 +276,13 @@ mod tests {
                             AddressClaimOutput::Say(claim) => {
                                 nodes[1 - from].handle_claim(claim, at(millis))
                             }
-                            other => told[from].push(other),
+                            other => reported[from].push(other),
                         }
                     }
                 }
             }
 
-            let [first, second] = told;
+            let [first, second] = reported;
             assert!(
                 matches!(&first[..], [AddressClaimOutput::Kept { from }, AddressClaimOutput::Held] if from.name == b)
             );
@@ -312,15 +312,17 @@ mod tests {
     #[test]
     fn a_flood_of_claims_is_answered_twenty_times_a_second_and_the_last_is_answered() {
         let mut machine = holding();
-        let mut said = 0;
+        let mut claimed_at = 0;
         for millis in 1_000..2_000 {
             machine.handle_claim(claim(false, "z", 1), at(millis));
             machine.handle_timeout(at(millis));
-            let told = outputs(&mut machine);
-            said +=
-                told.iter().filter(|output| matches!(output, AddressClaimOutput::Say(_))).count();
+            let reported = outputs(&mut machine);
+            claimed_at += reported
+                .iter()
+                .filter(|output| matches!(output, AddressClaimOutput::Say(_)))
+                .count();
         }
-        assert_eq!(said, 20);
+        assert_eq!(claimed_at, 20);
         assert_eq!(machine.poll_timeout(), Some(at(2_000)));
 
         machine.handle_timeout(at(2_000));
@@ -336,9 +338,9 @@ mod tests {
         let seconds = (1..20).chain(40..50);
         for second in seconds {
             machine.handle_claim(claim(false, "z", second), at(1_000 * u64::from(second)));
-            let told = outputs(&mut machine);
-            assert!(told.iter().any(|output| matches!(output, AddressClaimOutput::Say(_))));
-            if told.iter().any(|output| matches!(output, AddressClaimOutput::Kept { .. })) {
+            let reported = outputs(&mut machine);
+            assert!(reported.iter().any(|output| matches!(output, AddressClaimOutput::Say(_))));
+            if reported.iter().any(|output| matches!(output, AddressClaimOutput::Kept { .. })) {
                 kept.push(second);
             }
         }

@@ -1,5 +1,5 @@
-//! What a CAN bus needs, as pure logic: frames, who speaks to whom, messages longer than a frame,
-//! and the text that serial adapters speak.
+//! The protocols of a CAN bus, as pure logic: frames, addresses, messages longer than a frame, and
+//! the text that serial adapters speak.
 //!
 //! ```text
 //!        messages ──► isotp ──► frames ──► socket                 (SocketCAN)

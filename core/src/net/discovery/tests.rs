@@ -30,7 +30,7 @@ fn gossip(network: &str, medium: &str, neighbours: &[(&str, &str)]) -> Vec<u8> {
     codec::encode_unbounded(&vec![gossip])
 }
 
-fn told(discovery: &mut Discovery) -> Vec<String> {
+fn outputs(discovery: &mut Discovery) -> Vec<String> {
     let text = |output| match output {
         DiscoveryOutput::Send { to, .. } => format!("tell {to}"),
         DiscoveryOutput::Connect { domain, node, address } => {
@@ -55,9 +55,9 @@ fn two_that_know_only_the_one_between_learn_of_each_other() {
         let mut other = of(name, vec![domain("eth0", "udp", DiscoveryAdmission::AnyNode)]);
         other.handle_up(0, node("b"), "b:1".into(), ms(0));
         other.handle_message(&node("b"), &message, ms(30));
-        assert_eq!(told(&mut other), [learns]);
+        assert_eq!(outputs(&mut other), [learns]);
     }
-    assert_eq!(told(&mut b), Vec::<String>::new());
+    assert_eq!(outputs(&mut b), Vec::<String>::new());
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn only_who_is_admitted_and_not_described_is_tried() {
     let mut a = beside_b(DiscoveryAdmission::Only([node("c"), node("a"), node("b")].into()));
     let all = gossip("ethernet", "udp", &[("c", "c:1"), ("d", "d:1"), ("a", "a:1"), ("b", "x:1")]);
     a.handle_message(&node("b"), &all, ms(30));
-    assert_eq!(told(&mut a), ["0: try c at c:1"]);
+    assert_eq!(outputs(&mut a), ["0: try c at c:1"]);
     assert_eq!(a.refusals().map(|(_, refusals)| refusals.total()).sum::<u64>(), 0);
 }
 
@@ -80,11 +80,11 @@ fn what_is_told_counts_on_networks_of_the_same_medium_that_the_teller_is_on() {
     }
 
     a.handle_message(&node("b"), &gossip("right", "udp", &[("c", "c:1")]), ms(10));
-    assert_eq!(told(&mut a), ["1: try c at c:1"], "the one of the same name");
+    assert_eq!(outputs(&mut a), ["1: try c at c:1"], "the one of the same name");
     a.handle_message(&node("b"), &gossip("else", "udp", &[("d", "d:1")]), ms(20));
-    assert_eq!(told(&mut a), ["0: try d at d:1", "1: try d at d:1"], "either may be meant");
+    assert_eq!(outputs(&mut a), ["0: try d at d:1", "1: try d at d:1"], "either may be meant");
     a.handle_message(&node("b"), &gossip("far", "unix", &[("e", "/e")]), ms(30));
-    assert_eq!(told(&mut a), Vec::<String>::new());
+    assert_eq!(outputs(&mut a), Vec::<String>::new());
 }
 
 #[test]
@@ -92,19 +92,19 @@ fn what_does_not_prove_itself_is_given_up_and_not_tried_again_soon() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     let forged = gossip("ethernet", "udp", &[("c", "nowhere:1")]);
     a.handle_message(&node("b"), &forged, ms(0));
-    told(&mut a);
+    outputs(&mut a);
 
     a.handle_timeout(ms(4_999));
-    assert_eq!(told(&mut a), Vec::<String>::new());
+    assert_eq!(outputs(&mut a), Vec::<String>::new());
     a.handle_timeout(ms(5_000));
-    assert_eq!(told(&mut a), ["0: give c up"]);
+    assert_eq!(outputs(&mut a), ["0: give c up"]);
     a.handle_message(&node("b"), &forged, ms(34_999));
-    assert_eq!(told(&mut a), Vec::<String>::new());
+    assert_eq!(outputs(&mut a), Vec::<String>::new());
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(35_010));
-    assert_eq!(told(&mut a), ["0: try c at c:1"], "its right address is another matter");
+    assert_eq!(outputs(&mut a), ["0: try c at c:1"], "its right address is another matter");
     a.handle_up(0, node("c"), "c:1".into(), ms(36_000));
     a.handle_timeout(ms(50_000));
-    assert_eq!(told(&mut a), ["tell b", "tell c"]);
+    assert_eq!(outputs(&mut a), ["tell b", "tell c"]);
 }
 
 #[test]
@@ -114,14 +114,14 @@ fn a_learned_neighbour_is_tried_for_long_after_it_went_and_then_forgotten() {
     a.handle_up(0, node("c"), "c:1".into(), ms(500));
     a.handle_down(0, node("b"), "b:1".into(), ms(1_000));
     a.handle_down(0, node("c"), "c:1".into(), ms(2_000));
-    told(&mut a);
+    outputs(&mut a);
 
     a.handle_timeout(ms(601_999));
-    assert_eq!(told(&mut a), Vec::<String>::new());
+    assert_eq!(outputs(&mut a), Vec::<String>::new());
     a.handle_timeout(ms(602_000));
-    assert_eq!(told(&mut a), ["0: give c up"]);
+    assert_eq!(outputs(&mut a), ["0: give c up"]);
     a.handle_timeout(ms(10_000_000));
-    assert_eq!(told(&mut a), Vec::<String>::new(), "who was described is never given up");
+    assert_eq!(outputs(&mut a), Vec::<String>::new(), "who was described is never given up");
 }
 
 #[test]
@@ -129,15 +129,15 @@ fn a_neighbour_that_came_back_elsewhere_is_tried_there() {
     let mut a = beside_b(DiscoveryAdmission::AnyNode);
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(0));
     a.handle_up(0, node("c"), "c:1".into(), ms(500));
-    told(&mut a);
+    outputs(&mut a);
     let elsewhere = gossip("ethernet", "udp", &[("c", "c:2")]);
 
     a.handle_message(&node("b"), &elsewhere, ms(600));
     a.handle_down(0, node("c"), "c:1".into(), ms(1_000));
     a.handle_message(&node("b"), &elsewhere, ms(5_999));
-    assert_eq!(told(&mut a), Vec::<String>::new(), "who is up, or was just now, is believed");
+    assert_eq!(outputs(&mut a), Vec::<String>::new(), "who is up, or was just now, is believed");
     a.handle_message(&node("b"), &elsewhere, ms(6_010));
-    assert_eq!(told(&mut a), ["0: give c up", "0: try c at c:2"]);
+    assert_eq!(outputs(&mut a), ["0: give c up", "0: try c at c:2"]);
 }
 
 #[test]
@@ -155,7 +155,7 @@ fn a_flood_of_gossip_and_of_nodes_is_bounded_and_counted_by_who_says_it() {
     a.handle_message(&node("b"), &gossip("ethernet", "udp", &[("c", &huge)]), ms(2_010));
     a.handle_message(&node("z"), &gossip("ethernet", "udp", &[("c", "c:1")]), ms(2_020));
 
-    assert_eq!(told(&mut a).len(), TRIED_MAX);
+    assert_eq!(outputs(&mut a).len(), TRIED_MAX);
     let (who, refusals) = a.refusals().next().unwrap();
     assert_eq!(who, Some(&node("b")));
     assert_eq!((refusals.unexpected, refusals.malformed), (50, 2));
@@ -178,8 +178,8 @@ fn a_node_says_by_beacon_where_it_is() {
         a.handle_beacon(0, node(name), format!("{name}:1"), ms(0));
     }
     a.handle_beacon(7, node("c"), "c:1".into(), ms(0));
-    assert_eq!(told(&mut a), ["0: try c at c:1"]);
+    assert_eq!(outputs(&mut a), ["0: try c at c:1"]);
     a.handle_unusable(0, &node("c"), ms(1));
     a.handle_beacon(0, node("c"), "c:1".into(), ms(2));
-    assert_eq!(told(&mut a), Vec::<String>::new());
+    assert_eq!(outputs(&mut a), Vec::<String>::new());
 }

@@ -7,14 +7,14 @@ fn node(name: &str) -> NodeName {
 /// Nodes that all have a session with each other.
 struct Robot {
     nodes: SortedMap<NodeName, Isolation>,
-    told: Vec<String>,
+    outputs: Vec<String>,
     /// Whether the last decision counts.
-    said: Result<(), VoteRefused>,
+    result: Result<(), VoteRefused>,
 }
 
 impl Robot {
     fn new(names: &[&str], judges: &IsolationAuthority) -> Self {
-        let mut robot = Robot { nodes: SortedMap::new(), told: vec![], said: Ok(()) };
+        let mut robot = Robot { nodes: SortedMap::new(), outputs: vec![], result: Ok(()) };
         names.iter().for_each(|name| robot.join(name, 1, judges));
         robot
     }
@@ -34,9 +34,9 @@ impl Robot {
     fn decides(&mut self, by: &str, about: &str, isolated: bool) -> Vec<String> {
         let by = self.nodes.get_mut(&node(by)).unwrap();
         let (node, cause) = (&node(about), "it floods");
-        self.said = by.handle_decision(IsolationDecision { node, isolated, cause });
+        self.result = by.handle_decision(IsolationDecision { node, isolated, cause });
         self.carry();
-        std::mem::take(&mut self.told)
+        std::mem::take(&mut self.outputs)
     }
 
     fn carry(&mut self) {
@@ -52,12 +52,12 @@ impl Robot {
                 match output {
                     IsolationOutput::Tell { to, message } => {
                         if let Some(isolation) = self.nodes.get_mut(&to) {
-                            isolation.handle_told(&from, &message);
+                            isolation.handle_ballot(&from, &message);
                         }
                     }
                     IsolationOutput::Isolate { node, isolated, reason } => {
                         let what = if isolated { "keeps out" } else { "admits" };
-                        self.told.push(format!("{from} {what} {node} {reason}"));
+                        self.outputs.push(format!("{from} {what} {node} {reason}"));
                     }
                     IsolationOutput::Accused { .. } => {}
                 }
@@ -81,9 +81,9 @@ fn wardens(names: &[&str]) -> IsolationAuthority {
 fn a_wardens_word_holds_everywhere_and_another_warden_can_take_it_back() {
     let mut robot = Robot::new(&["a", "b", "c", "d"], &wardens(&["a", "c"]));
 
-    let told = robot.decides("a", "d", true);
-    assert_eq!(told.len(), 3, "{told:?}");
-    assert!(told.contains(&"c keeps out d by a: it floods".to_owned()));
+    let outputs = robot.decides("a", "d", true);
+    assert_eq!(outputs.len(), 3, "{outputs:?}");
+    assert!(outputs.contains(&"c keeps out d by a: it floods".to_owned()));
     assert_eq!(robot.refuse("d"), "abc");
 
     robot.decides("c", "d", false);
@@ -113,9 +113,9 @@ fn a_majority_isolates_and_a_single_node_shuts_out_nobody_but_itself() {
     robot.decides("a", "e", true);
     robot.decides("b", "e", true);
     assert_eq!(robot.refuse("e"), "ab", "two of four are no majority");
-    let told = robot.decides("c", "e", true);
+    let outputs = robot.decides("c", "e", true);
     assert_eq!(robot.refuse("e"), "abcd");
-    assert!(told.contains(&"d keeps out e by a, b, c: it floods".to_owned()), "{told:?}");
+    assert!(outputs.contains(&"d keeps out e by a, b, c: it floods".to_owned()), "{outputs:?}");
 
     // What it said is void with it, and what it says now is not heard.
     let d = &robot.nodes[&node("d")];
@@ -145,7 +145,7 @@ fn of_two_nodes_each_decides_for_itself() {
     assert_eq!(robot.refuse("a"), "b");
     robot.decides("b", "b", true);
     assert_eq!(robot.refuse("b"), "", "on itself a node has no say");
-    assert_eq!(robot.said, Err(VoteRefused::Oneself));
+    assert_eq!(robot.result, Err(VoteRefused::Oneself));
 }
 
 #[test]
@@ -153,19 +153,19 @@ fn who_has_voted_on_too_many_is_told_that_its_word_does_not_count() {
     let mut robot = Robot::new(&["a", "b"], &IsolationAuthority::Majority);
     for n in 0..VOTES_MAX {
         robot.decides("a", &format!("n{n}"), true);
-        assert_eq!(robot.said, Ok(()));
+        assert_eq!(robot.result, Ok(()));
     }
 
     robot.decides("a", "b", true);
 
-    assert_eq!(robot.said, Err(VoteRefused::TooMany { limit: VOTES_MAX }));
+    assert_eq!(robot.result, Err(VoteRefused::TooMany { limit: VOTES_MAX }));
     assert_eq!(robot.refuse("b"), "");
     robot.decides("a", "n0", false);
-    assert_eq!(robot.said, Ok(()), "what it has said once it can take back");
+    assert_eq!(robot.result, Ok(()), "what it has said once it can take back");
 
     robot.decides("a", "b", true);
 
-    assert_eq!(robot.said, Ok(()), "and that makes room");
+    assert_eq!(robot.result, Ok(()), "and that makes room");
     assert_eq!(robot.refuse("b"), "a");
 }
 
@@ -228,15 +228,15 @@ fn nobody_is_believed_about_another_ones_vote_and_nobody_floods_the_table() {
         let votes = names.into_iter().enumerate().map(vote).collect();
         codec::encode_unbounded(&Ballot { incarnation: Incarnation(u64::MAX), votes })
     };
-    victim.handle_told(&node("hostile"), &accuse((0..60).map(|n| format!("n{n}")).collect()));
-    victim.handle_told(&node("hostile"), &accuse((0..70).map(|n| format!("n{n}")).collect()));
-    victim.handle_told(&node("hostile"), &accuse(vec!["a".into(), "hostile".into()]));
-    victim.handle_told(&node("hostile"), b"\xff\xff");
+    victim.handle_ballot(&node("hostile"), &accuse((0..60).map(|n| format!("n{n}")).collect()));
+    victim.handle_ballot(&node("hostile"), &accuse((0..70).map(|n| format!("n{n}")).collect()));
+    victim.handle_ballot(&node("hostile"), &accuse(vec!["a".into(), "hostile".into()]));
+    victim.handle_ballot(&node("hostile"), b"\xff\xff");
 
     assert_eq!((victim.votes.len(), victim.refused()), (VOTES_MAX, 6 + 1 + 1));
     let longest = victim.votes.values().flat_map(SortedMap::values).map(|vote| vote.cause.len());
     assert_eq!(longest.max(), Some(CAUSE_MAX));
-    assert!(victim.kept_out.is_empty());
+    assert!(victim.isolated.is_empty());
 }
 
 #[test]

@@ -64,7 +64,8 @@ impl Link {
             return Err(Some(PeerRefusal::NumberTaken { node, other }));
         }
         let present = self.carries().then_some(self.neighbour.as_ref()).flatten();
-        let expected = self.config.expected.as_ref().or(present.map(|heard| &heard.neighbour.node));
+        let expected =
+            self.config.expected.as_ref().or(present.map(|record| &record.neighbour.node));
         match expected {
             Some(expected) if expected != theirs => Err(Some(PeerRefusal::WrongNeighbour {
                 expected: expected.clone(),
@@ -91,21 +92,21 @@ impl Link {
 
     /// Whether this is a new hello of the neighbour. Any other is counted as refused.
     pub(super) fn meet(&mut self, hello: &Hello, interval: Duration, now: Instant) -> HelloArrival {
-        let Some(heard) = &mut self.neighbour else {
+        let Some(record) = &mut self.neighbour else {
             self.begin_with(hello, interval, now);
             return HelloArrival::New { missed: 0 };
         };
-        let interval_before = heard.arrivals.interval();
-        let same = heard.neighbour.is(hello);
-        let highest = heard.arrivals.highest();
+        let interval_before = record.arrivals.interval();
+        let same = record.neighbour.is(hello);
+        let highest = record.arrivals.highest();
         if same
             && interval == interval_before
             && !is_far_behind(highest, hello.sequence)
-            && !is_far_ahead(highest, hello.sequence, now - heard.heard_at, interval)
+            && !is_far_ahead(highest, hello.sequence, now - record.received_at, interval)
         {
-            let arrival = heard.arrivals.handle(hello.sequence, now);
+            let arrival = record.arrivals.handle(hello.sequence, now);
             match arrival {
-                HelloArrival::New { .. } if heard.echoed.is_some() => self.claimant = None,
+                HelloArrival::New { .. } if record.echoed.is_some() => self.claimant = None,
                 // It does not receive our hellos, or is replayed: the claimant stays.
                 HelloArrival::New { .. } => {}
                 HelloArrival::Old => self.refusals.stale += 1,
@@ -143,9 +144,11 @@ impl Link {
     /// becomes the claimant.
     fn has_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
         let answered = self.echo_in(hello);
-        let silent = self.neighbour.as_ref().is_none_or(|heard| {
+        let silent = self.neighbour.as_ref().is_none_or(|record| {
             // Both are of one incarnation, so of the same node.
-            heard.neighbour.is(hello) || heard.arrivals.expected() <= now || heard.echoed.is_none()
+            record.neighbour.is(hello)
+                || record.arrivals.expected() <= now
+                || record.echoed.is_none()
         });
         let challenge = (self.next_hello.as_nanos() / self.interval().as_nanos() as u64) as u32;
         match &mut self.claimant {
@@ -174,9 +177,9 @@ impl Link {
     /// neighbour sends as well, that is every second hello; and if the neighbour receives ours,
     /// only if the claimant does, too.
     pub(super) fn claimants_turn(&self) -> Option<(Incarnation, u32, Instant)> {
-        let (number, said) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
-        let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= said)?;
-        let rival = self.neighbour.as_ref().filter(|heard| heard.heard_at >= said);
+        let (number, sent_at) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
+        let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= sent_at)?;
+        let rival = self.neighbour.as_ref().filter(|record| record.received_at >= sent_at);
         let its_turn = rival.is_none_or(|rival| {
             number % 2 == 0 && (claimant.answered.is_some() || rival.echoed.is_none())
         });
@@ -186,10 +189,10 @@ impl Link {
     /// Starts with a new neighbour, or with a new incarnation of the present one.
     fn begin_with(&mut self, hello: &Hello, interval: Duration, now: Instant) {
         let arrivals = ArrivalEstimator::new(interval, hello.sequence, now);
-        if let Some(heard) = &mut self.neighbour
-            && heard.neighbour.is(hello)
+        if let Some(record) = &mut self.neighbour
+            && record.neighbour.is(hello)
         {
-            heard.arrivals = arrivals;
+            record.arrivals = arrivals;
             return;
         }
         if self.carries() {
@@ -197,10 +200,10 @@ impl Link {
         }
         // The link went down because that incarnation ended, which is no flap of the medium.
         self.flaps = 0;
-        let heard = NeighbourRecord {
+        let record = NeighbourRecord {
             neighbour: Neighbour::of(hello),
             arrivals,
-            heard_at: now,
+            received_at: now,
             hellos_received: 0,
             stance: hello.stance,
             loss_there: 0,
@@ -209,7 +212,7 @@ impl Link {
             excused_until: Instant::ORIGIN,
             excuses: 0,
         };
-        self.neighbour = Some(heard);
+        self.neighbour = Some(record);
         self.gauge = QualityEstimator::default();
     }
 }

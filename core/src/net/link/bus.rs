@@ -1,4 +1,4 @@
-//! A link on a bus, where one greeting says hello to all.
+//! A link on a bus, where one frame carries the hellos to all neighbours.
 
 use super::{HELLO_INTERVAL_RANGE, Link, LinkConfig, percent};
 use crate::Instant;
@@ -52,10 +52,10 @@ impl Link {
     }
 
     /// Whether a hello of the neighbour is not long overdue: those who are not there need no word.
-    pub(in crate::net) fn is_heard(&self, now: Instant) -> bool {
-        self.neighbour.as_ref().is_some_and(|heard| {
-            let patience = percent(heard.arrivals.interval(), self.down_after_percent());
-            now <= heard.arrivals.expected() + patience
+    pub(in crate::net) fn is_received(&self, now: Instant) -> bool {
+        self.neighbour.as_ref().is_some_and(|record| {
+            let patience = percent(record.arrivals.interval(), self.down_after_percent());
+            now <= record.arrivals.expected() + patience
         })
     }
 
@@ -68,8 +68,8 @@ impl Link {
             // more.
             self.sent.clear();
             self.claimant = None;
-            if let Some(heard) = &mut self.neighbour {
-                heard.echoed = None;
+            if let Some(record) = &mut self.neighbour {
+                record.echoed = None;
             }
         }
     }
@@ -78,18 +78,19 @@ impl Link {
         let BusHello { node, incarnation, sequence, interval_us, turn, words } = greeting;
         let own = NodeId::of(&self.config.node);
         let word = words.into_iter().find(|word| word.to == own);
-        let known = self.neighbour.as_ref().filter(|heard| {
-            heard.neighbour.node == node && heard.neighbour.incarnation == incarnation
+        let known = self.neighbour.as_ref().filter(|record| {
+            record.neighbour.node == node && record.neighbour.incarnation == incarnation
         });
         // Where none is for us, it stands as it was said last.
-        let said =
-            known.map_or((HelloState::Unproved, 0), |heard| (heard.stance, heard.loss_there));
-        let (stance, loss_permille) = word.map_or(said, |word| (word.stance, word.loss_permille));
+        let reported =
+            known.map_or((HelloState::Unproved, 0), |record| (record.stance, record.loss_there));
+        let (stance, loss_permille) =
+            word.map_or(reported, |word| (word.stance, word.loss_permille));
         let echo = word.and_then(|word| self.echo(word.echo?));
         let hello = Hello { node, incarnation, sequence, interval_us, stance, loss_permille, echo };
         self.handle_hello(hello, now);
-        if let Some(heard) = &mut self.neighbour {
-            heard.turn = u32::from(turn.max(1));
+        if let Some(record) = &mut self.neighbour {
+            record.turn = u32::from(turn.max(1));
         }
     }
 

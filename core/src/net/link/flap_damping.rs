@@ -18,7 +18,7 @@ impl Link {
 
     /// Raises the state after a hello, if it has proved enough.
     pub(super) fn rise(&mut self, now: Instant) {
-        let Some(heard) = &self.neighbour else { return };
+        let Some(record) = &self.neighbour else { return };
         match self.state {
             LinkState::Up => {}
             LinkState::Suspect => {
@@ -38,7 +38,7 @@ impl Link {
                 if now - self.down_at > Self::FLAP_MEMORY {
                     self.flaps = 0;
                 }
-                if !self.has_proved() || heard.stance != HelloState::Ready {
+                if !self.has_proved() || record.stance != HelloState::Ready {
                     return;
                 }
                 self.damped &= !self.is_trusted();
@@ -56,13 +56,13 @@ impl Link {
     pub(super) fn has_proved(&self) -> bool {
         self.neighbour
             .as_ref()
-            .is_some_and(|heard| heard.hellos_received >= self.config.up_after_hellos)
+            .is_some_and(|record| record.hellos_received >= self.config.up_after_hellos)
     }
 
     /// Whether that is so for as long as its recent failures demand.
     fn is_trusted(&self) -> bool {
         let needed = self.config.up_after_hellos << self.flaps;
-        self.neighbour.as_ref().is_some_and(|heard| heard.hellos_received >= needed)
+        self.neighbour.as_ref().is_some_and(|record| record.hellos_received >= needed)
     }
 
     pub(super) fn stance(&self) -> HelloState {

@@ -30,14 +30,14 @@ pub struct LinkSet {
     /// The largest frame; 0 while that is not known.
     mtu: usize,
     /// The last entry of each link's neighbour; `None` where there is no bus.
-    bus: Option<SortedMap<LinkId, Told>>,
+    bus: Option<SortedMap<LinkId, SentState>>,
     greetings: VecDeque<GatherBuffer>,
     stalled: Option<Duration>,
 }
 
 /// The last entry that was sent to a neighbour.
 #[derive(Clone, Copy, Debug)]
-struct Told {
+struct SentState {
     stance: HelloState,
     /// Its number among all entries.
     at: u64,
@@ -170,13 +170,13 @@ impl LinkSet {
         if self.bus.is_some() {
             self.each(|link| due = due.max(link.take_greeting()));
         }
-        let (Some(sequence), Some(told)) = (due, &mut self.bus) else { return };
+        let (Some(sequence), Some(sent)) = (due, &mut self.bus) else { return };
         let mut words: Vec<(LinkId, bool, u64, NeighbourEntry)> = Vec::new();
         for (number, link) in self.machines.iter() {
             let Some(word) = link.word(now) else { continue };
-            let before = told.get(&number);
+            let before = sent.get(&number);
             let changed = before.is_none_or(|before| before.stance != word.stance);
-            if changed || link.is_heard(now) {
+            if changed || link.is_received(now) {
                 words.push((number, changed, before.map_or(0, |before| before.at), word));
             }
         }
@@ -184,9 +184,9 @@ impl LinkSet {
         words.sort_by_key(|(number, changed, at, _)| (!changed, *at, *number));
         let turn = words.len().div_ceil(Self::WORDS).clamp(1, usize::from(u8::MAX)) as u8;
         words.truncate(Self::WORDS);
-        let last = told.values().map(|told| told.at).max().unwrap_or(0);
+        let last = sent.values().map(|sent| sent.at).max().unwrap_or(0);
         for ((number, _, _, word), at) in words.iter().zip(last + 1..) {
-            told.insert(*number, Told { stance: word.stance, at });
+            sent.insert(*number, SentState { stance: word.stance, at });
         }
         let Some((_, link)) = self.machines.iter().next() else { return };
         let words = words.into_iter().map(|(_, _, _, word)| word).collect();
@@ -266,14 +266,14 @@ mod tests {
             link.handle_frame(Frame::Greeting(greeting).encode(), now);
         }
         bundle.handle_timeout(now);
-        let mut said = Vec::new();
+        let mut outputs = Vec::new();
         while let Some(output) = bundle.poll_output() {
             if let LinkSetOutput::Greet(frame) = output {
-                said.push(frame);
+                outputs.push(frame);
             }
         }
-        assert_eq!(said.len(), 1, "one for all");
-        match Frame::decode(said.remove(0).into_bytes()) {
+        assert_eq!(outputs.len(), 1, "one for all");
+        match Frame::decode(outputs.remove(0).into_bytes()) {
             Ok(Frame::Greeting(greeting)) => greeting,
             other => panic!("{other:?}"),
         }
@@ -326,9 +326,9 @@ mod tests {
         while bundle.poll_output().is_some() {}
         bundle.handle_timeout(at(0));
 
-        let said: Vec<_> = std::iter::from_fn(|| bundle.poll_output()).collect();
+        let outputs: Vec<_> = std::iter::from_fn(|| bundle.poll_output()).collect();
         assert!(matches!(
-            &said[..],
+            &outputs[..],
             [
                 LinkSetOutput::Of(LinkId(1), LinkOutput::Transmit(_)),
                 LinkSetOutput::Of(LinkId(2), LinkOutput::Transmit(_)),

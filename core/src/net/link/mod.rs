@@ -98,7 +98,7 @@ struct NeighbourRecord {
     neighbour: Neighbour,
     arrivals: ArrivalEstimator,
     /// When its last hello was received.
-    heard_at: Instant,
+    received_at: Instant,
     /// Hellos since the last silence, while it receives ours, less two for each that was missing.
     hellos_received: u32,
     /// The state of the link at its end.
@@ -169,7 +169,7 @@ impl Link {
 
     /// The node that is, or was last, at the other end.
     pub fn neighbour(&self) -> Option<&Neighbour> {
-        self.neighbour.as_ref().map(|heard| &heard.neighbour)
+        self.neighbour.as_ref().map(|record| &record.neighbour)
     }
 
     /// The node that is at the other end instead of the neighbour, once that was reported.
@@ -264,8 +264,8 @@ impl Link {
     pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
         if self.carries() {
             self.go_down(reason, now);
-        } else if let Some(heard) = &mut self.neighbour {
-            heard.forget_proof();
+        } else if let Some(record) = &mut self.neighbour {
+            record.forget_proof();
         }
     }
 
@@ -285,22 +285,22 @@ impl Link {
     /// How surprising the neighbour's silence is by now, as φ: 1 is one in ten, 8 one in 10⁸, were
     /// delays normally distributed. It is for display, and decides nothing.
     pub fn phi(&self, now: Instant) -> f32 {
-        self.neighbour.as_ref().map_or(0.0, |heard| heard.arrivals.phi(now))
+        self.neighbour.as_ref().map_or(0.0, |record| record.arrivals.phi(now))
     }
 
     /// When the neighbour's last hello was received, if it is known.
     pub fn last_hello(&self) -> Option<Instant> {
-        self.neighbour.as_ref().map(|heard| heard.heard_at)
+        self.neighbour.as_ref().map(|record| record.received_at)
     }
 
     /// Silence counts only from a while after `now`. The number of excuses in a row is bounded, so
     /// that a node which stalls again and again still detects a dead link.
     fn excuse(&mut self, a_while: Duration, now: Instant) {
-        if let Some(heard) = &mut self.neighbour
-            && heard.excuses < Self::EXCUSES_MAX
+        if let Some(record) = &mut self.neighbour
+            && record.excuses < Self::EXCUSES_MAX
         {
-            heard.excuses += 1;
-            heard.excused_until = heard.excused_until.max(now + a_while);
+            record.excuses += 1;
+            record.excused_until = record.excused_until.max(now + a_while);
         }
     }
 
@@ -327,38 +327,38 @@ impl Link {
     }
 
     fn listen(&mut self, hello: &Hello, missed: u32, now: Instant) {
-        let Some(heard) = &mut self.neighbour else { return };
-        heard.heard_at = now;
-        heard.excuses = 0;
-        heard.stance = hello.stance;
-        heard.loss_there = hello.loss_permille;
+        let Some(record) = &mut self.neighbour else { return };
+        record.received_at = now;
+        record.excuses = 0;
+        record.stance = hello.stance;
+        record.loss_there = hello.loss_permille;
         if let Some(echo) = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation) {
-            let newest = heard
+            let newest = record
                 .echoed
                 .is_none_or(|(sequence, _)| echo.sequence.wrapping_sub(sequence).cast_signed() > 0);
             let sent = self.sent.iter().find(|(sequence, _)| *sequence == echo.sequence);
             if let (true, Some((_, sent))) = (newest, sent) {
-                heard.echoed = Some((echo.sequence, now));
+                record.echoed = Some((echo.sequence, now));
                 let held = Duration::from_micros(echo.held_us.into());
                 self.gauge.handle_round_trip((now - *sent).saturating_sub(held));
             }
         }
-        heard.hellos_received = match heard.echoed {
+        record.hellos_received = match record.echoed {
             // A link that loses a third of what it carries never proves itself.
-            Some(_) => after(heard.hellos_received, missed),
+            Some(_) => after(record.hellos_received, missed),
             None => 0,
         };
     }
 
     fn judge_quality(&mut self, now: Instant) {
-        let Some(heard) = &self.neighbour else { return };
-        let Some(loss) = heard.arrivals.loss_permille() else { return };
+        let Some(record) = &self.neighbour else { return };
+        let Some(loss) = record.arrivals.loss_permille() else { return };
         let limits = QualityLimits {
             loss_permille: self.config.degraded_loss_permille,
             // On a slow medium a round trip takes two frames and two hellos, when it is full.
             round_trip: self.config.degraded_round_trip.max(self.interval()),
         };
-        if self.gauge.judge(loss.max(heard.loss_there), limits, now) {
+        if self.gauge.judge(loss.max(record.loss_there), limits, now) {
             self.outputs.push_back(LinkOutput::Quality(self.gauge.quality()));
         }
     }
@@ -366,16 +366,16 @@ impl Link {
     /// When silence, or deafness of the neighbour, will have lasted so long past the expected
     /// hello.
     fn silent_at(&self, after_percent: u32) -> Option<Instant> {
-        let heard = self.neighbour.as_ref()?;
-        let interval = heard.arrivals.interval();
-        let silent = heard.arrivals.expected() + percent(interval, after_percent);
-        let deaf = heard.echoed.map_or(heard.heard_at, |(_, at)| at)
+        let record = self.neighbour.as_ref()?;
+        let interval = record.arrivals.interval();
+        let silent = record.arrivals.expected() + percent(interval, after_percent);
+        let deaf = record.echoed.map_or(record.received_at, |(_, at)| at)
             // An echo needs both directions: twice the patience, in the slower one's intervals.
             + percent(
                 interval.max(self.config.hello_interval),
-                2 * (100 + after_percent) + 100 * (heard.turn - 1),
+                2 * (100 + after_percent) + 100 * (record.turn - 1),
             );
-        Some(silent.min(deaf).max(heard.excused_until))
+        Some(silent.min(deaf).max(record.excused_until))
     }
 
     fn down_after_percent(&self) -> u32 {
@@ -389,17 +389,17 @@ impl Link {
         self.flaps = (self.flaps + 1).min(Self::FLAPS_MAX);
         self.down_at = now;
         self.damped = true;
-        if let Some(heard) = &mut self.neighbour {
-            heard.forget_proof();
+        if let Some(record) = &mut self.neighbour {
+            record.forget_proof();
         }
         self.change(LinkState::Down, reason);
     }
 
     fn change(&mut self, state: LinkState, reason: &'static str) {
-        if let (LinkState::Down | LinkState::Connecting, LinkState::Up, Some(heard)) =
+        if let (LinkState::Down | LinkState::Connecting, LinkState::Up, Some(record)) =
             (self.state, state, &mut self.neighbour)
         {
-            heard.arrivals.forget_loss();
+            record.arrivals.forget_loss();
         }
         self.state = state;
         if state != LinkState::Suspect {
@@ -435,13 +435,13 @@ impl Link {
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
         let echo =
-            self.claimants_turn().or(self.neighbour.as_ref().map(NeighbourRecord::last_heard));
+            self.claimants_turn().or(self.neighbour.as_ref().map(NeighbourRecord::last_received));
         let echo = echo.map(|(incarnation, sequence, at)| Echo {
             incarnation,
             sequence,
             held_us: u32::try_from((now - at).as_micros()).unwrap_or(u32::MAX),
         });
-        let lost = self.neighbour.as_ref().and_then(|heard| heard.arrivals.loss_permille());
+        let lost = self.neighbour.as_ref().and_then(|record| record.arrivals.loss_permille());
         Hello {
             node: self.config.node.clone(),
             incarnation: self.config.incarnation,
@@ -457,16 +457,16 @@ impl Link {
         self.expected_by = None;
         // The refused node at the other end was reported, which says more.
         if self.refused.is_none() {
-            let heard = self.neighbour.is_some();
-            self.outputs.push_back(LinkOutput::Missing { heard });
+            let hello_received = self.neighbour.is_some();
+            self.outputs.push_back(LinkOutput::Missing { hello_received });
         }
     }
 
     fn detect_down(&mut self, now: Instant) {
         if self.carries() {
             self.go_down("the neighbour is not heard, or does not hear", now);
-        } else if let Some(heard) = &mut self.neighbour {
-            heard.forget_proof();
+        } else if let Some(record) = &mut self.neighbour {
+            record.forget_proof();
         }
     }
 
@@ -482,8 +482,8 @@ impl Link {
 
 impl NeighbourRecord {
     /// In which incarnation, which hello, and when.
-    fn last_heard(&self) -> (Incarnation, u32, Instant) {
-        (self.neighbour.incarnation, self.arrivals.highest(), self.heard_at)
+    fn last_received(&self) -> (Incarnation, u32, Instant) {
+        (self.neighbour.incarnation, self.arrivals.highest(), self.received_at)
     }
 
     fn forget_proof(&mut self) {
@@ -509,7 +509,7 @@ impl Machine for Link {
         // still unread. After a long stall every silence up to now is void.
         let late = now - due;
         if late > self.config.hello_interval {
-            let interval = self.neighbour.as_ref().map(|heard| heard.arrivals.interval());
+            let interval = self.neighbour.as_ref().map(|record| record.arrivals.interval());
             self.excuse(percent(interval.unwrap_or_default(), self.down_after_percent()), now);
         } else if late > Self::LATE {
             self.excuse(late, now);

@@ -15,11 +15,11 @@ pub(super) fn frames_of(bytes: Bytes, mtu: usize) -> Vec<Frame> {
     if mtu <= PART_HEADER || bytes.len() + FRAME_HEADER <= mtu {
         return vec![Frame::Routing(bytes)];
     }
-    let room = mtu - PART_HEADER;
-    let count = bytes.len().div_ceil(room);
+    let capacity = mtu - PART_HEADER;
+    let count = bytes.len().div_ceil(capacity);
     (0..count)
         .map(|index| {
-            let part = bytes.slice(index * room..bytes.len().min((index + 1) * room));
+            let part = bytes.slice(index * capacity..bytes.len().min((index + 1) * capacity));
             let (last, index) = (index + 1 == count, index as u8 & RoutingFragment::INDEX_MAX);
             Frame::RoutingPart(RoutingFragment { index, last, bytes: part })
         })
@@ -97,14 +97,15 @@ mod tests {
     #[test]
     fn the_most_that_a_router_says_of_a_node_at_once_is_put_together() {
         let edge = Edge { to: NodeId(1), incarnation: 1, cost: 1, mtu: 96 };
-        let told = Advertisement {
-            stamp: AdvertisementId { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
+        let advertisement = Advertisement {
+            id: AdvertisementId { origin: NodeId(2), incarnation: Incarnation(1), sequence: 1 },
             node: NodeName::new(&"n".repeat(32)).unwrap(),
             edges: vec![edge; NEIGHBOURS_MAX],
             withdrawn: false,
         };
-        let one = RoutingMessage::Announce(vec![told.clone()]).encode();
-        let most = RoutingMessage::Announce(vec![told.withdrawal(), told]).encode();
+        let one = RoutingMessage::Announce(vec![advertisement.clone()]).encode();
+        let most =
+            RoutingMessage::Announce(vec![advertisement.withdrawal(), advertisement]).encode();
         assert_eq!((one.len(), most.len()), (627, 677));
 
         let mut parts = RoutingReassembly::default();

@@ -24,15 +24,15 @@ struct Cable {
     now: u64,
     cut: [bool; 2],
     in_flight: Vec<(u64, usize, Bytes)>,
-    told: Vec<(u64, usize, LinkOutput)>,
+    outputs: Vec<(u64, usize, LinkOutput)>,
     /// What the ends have sent.
-    said: Vec<(usize, Bytes)>,
+    sent: Vec<(usize, Bytes)>,
 }
 
 impl Cable {
     fn new(left: LinkConfig, right: LinkConfig) -> Self {
         let ends = [Link::new(left, at(0)), Link::new(right, at(0))];
-        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], told: vec![], said: vec![] }
+        Cable { ends, now: 0, cut: [false; 2], in_flight: vec![], outputs: vec![], sent: vec![] }
     }
 
     fn run_until(&mut self, end: u64) {
@@ -50,10 +50,10 @@ impl Cable {
                         LinkOutput::Transmit(_) if self.cut[from] => {}
                         LinkOutput::Transmit(frame) => {
                             let frame = frame.into_bytes();
-                            self.said.push((from, frame.clone()));
+                            self.sent.push((from, frame.clone()));
                             self.in_flight.push((self.now + 1, 1 - from, frame));
                         }
-                        other => self.told.push((self.now, from, other)),
+                        other => self.outputs.push((self.now, from, other)),
                     }
                 }
             }
@@ -70,7 +70,7 @@ fn running() -> Cable {
     let mut cable = Cable::new(config("left", 1), config("right", 1));
     cable.run_until(100);
     assert_eq!(cable.states(), [LinkState::Up; 2]);
-    cable.told.clear();
+    cable.outputs.clear();
     cable
 }
 
@@ -91,11 +91,11 @@ fn a_neighbour_that_never_comes_is_told_as_missing_once() {
     cable.cut = [true, false];
 
     cable.run_until(5_040);
-    assert_eq!(cable.told, []);
+    assert_eq!(cable.outputs, []);
     cable.run_until(10_000);
 
-    let missing = |at, end, heard| (at, end, LinkOutput::Missing { heard });
-    assert_eq!(cable.told, [missing(5_050, 0, true), missing(5_050, 1, false)]);
+    let missing = |at, end, hello_received| (at, end, LinkOutput::Missing { hello_received });
+    assert_eq!(cable.outputs, [missing(5_050, 0, true), missing(5_050, 1, false)]);
     cable.cut = [false; 2];
     cable.run_until(10_100);
     assert_eq!(cable.states(), [LinkState::Up; 2]);
@@ -109,20 +109,23 @@ fn a_wrong_neighbour_stays_the_reason_and_is_not_told_as_missing() {
 
     cable.run_until(10_000);
 
-    let of_left: Vec<_> = cable.told.iter().filter(|told| told.1 == 0).collect();
+    let of_left: Vec<_> = cable.outputs.iter().filter(|outputs| outputs.1 == 0).collect();
     let [(at, _, LinkOutput::Refused(PeerRefusal::WrongNeighbour { .. }))] = of_left[..] else {
         panic!("{of_left:?}")
     };
     assert!(*at < 5_000, "before the neighbour was missing");
-    let of_right: Vec<_> = cable.told.iter().filter(|told| told.1 == 1).collect();
-    assert!(matches!(of_right[..], [(_, _, LinkOutput::Missing { heard: true })]), "{of_right:?}");
+    let of_right: Vec<_> = cable.outputs.iter().filter(|outputs| outputs.1 == 1).collect();
+    assert!(
+        matches!(of_right[..], [(_, _, LinkOutput::Missing { hello_received: true })]),
+        "{of_right:?}"
+    );
 }
 
 #[test]
 fn who_takes_the_place_of_a_neighbour_is_known_when_the_link_goes_down_and_forgotten_with_it() {
     let mut cable = running();
     cable.cut = [true; 2];
-    let hello = Frame::decode(cable.said.iter().rfind(|said| said.0 == 1).unwrap().1.clone());
+    let hello = Frame::decode(cable.sent.iter().rfind(|sent| sent.0 == 1).unwrap().1.clone());
     let Ok(Frame::Hello(hello)) = hello else { panic!("{hello:?}") };
     let wrong = Frame::Hello(Hello { node: NodeName::new("leg").unwrap(), ..hello }).encode();
     for _ in 0..2 {
@@ -145,7 +148,7 @@ fn a_cut_cable_is_suspect_after_two_intervals_and_down_after_three_and_a_half() 
     cable.cut = [true; 2];
     cable.run_until(200);
 
-    let of_left: Vec<_> = cable.told.iter().filter(|told| told.1 == 0).collect();
+    let of_left: Vec<_> = cable.outputs.iter().filter(|outputs| outputs.1 == 0).collect();
     // The last hello left at 90 and arrived at 91.
     assert!(matches!(of_left[0], (111, _, LinkOutput::Changed { state: LinkState::Suspect, .. })));
     assert!(matches!(of_left[1], (126, _, LinkOutput::Changed { state: LinkState::Down, .. })));
@@ -223,13 +226,13 @@ fn a_cable_that_flaps_proves_nothing() {
     for carries in [false, true].repeat(50) {
         cable.cut = [!carries; 2];
         cable.run_until(cable.now + 40);
-        cable.told.retain(|told| matches!(told.2, LinkOutput::Changed { .. }));
+        cable.outputs.retain(|outputs| matches!(outputs.2, LinkOutput::Changed { .. }));
     }
 
-    let up = |told: &&(u64, usize, LinkOutput)| {
-        matches!(told.2, LinkOutput::Changed { state: LinkState::Up, .. })
+    let up = |outputs: &&(u64, usize, LinkOutput)| {
+        matches!(outputs.2, LinkOutput::Changed { state: LinkState::Up, .. })
     };
-    assert!(cable.told.iter().filter(up).count() <= 4, "{:?}", cable.told);
+    assert!(cable.outputs.iter().filter(up).count() <= 4, "{:?}", cable.outputs);
     cable.cut = [false; 2];
     cable.run_until(cable.now + 1000);
     assert_eq!(cable.states(), [LinkState::Up; 2]);
@@ -350,10 +353,9 @@ fn a_restarted_neighbour_is_a_new_incarnation_and_the_old_one_is_never_heard_aga
     assert_eq!(cable.states(), [LinkState::Up; 2]);
     assert_eq!(cable.ends[0].neighbour().unwrap().incarnation, Incarnation(2));
     assert_eq!(cable.ends[0].refusals().stale, 1);
-    let downs = cable
-        .told
-        .iter()
-        .filter(|told| matches!(told, (_, 0, LinkOutput::Changed { state: LinkState::Down, .. })));
+    let downs = cable.outputs.iter().filter(|outputs| {
+        matches!(outputs, (_, 0, LinkOutput::Changed { state: LinkState::Down, .. }))
+    });
     assert_eq!(downs.count(), 1);
 }
 
@@ -478,11 +480,11 @@ fn loss_alone_hardly_ever_takes_a_link_down() {
         cable.run_until(cable.now + 10);
     }
 
-    let down = |told: &&(u64, usize, LinkOutput)| {
-        matches!(told.2, LinkOutput::Changed { state: LinkState::Down, .. })
+    let down = |outputs: &&(u64, usize, LinkOutput)| {
+        matches!(outputs.2, LinkOutput::Changed { state: LinkState::Down, .. })
     };
     // Both ends together; with three and a half intervals it would be some sixty.
-    assert!(cable.told.iter().filter(down).count() <= 6);
+    assert!(cable.outputs.iter().filter(down).count() <= 6);
 }
 
 #[test]
@@ -515,9 +517,9 @@ fn a_link_that_loses_too_much_is_degraded_until_it_is_much_better() {
     lossy(&mut cable, 0, 8);
 
     assert!(!cable.ends[0].quality().degraded);
-    let told = |end| {
-        let of_end = cable.told.iter().filter(move |told| told.1 == end);
-        of_end.filter(|told| matches!(told.2, LinkOutput::Quality(_))).count()
+    let outputs = |end| {
+        let of_end = cable.outputs.iter().filter(move |outputs| outputs.1 == end);
+        of_end.filter(|outputs| matches!(outputs.2, LinkOutput::Quality(_))).count()
     };
-    assert_eq!([told(0), told(1)], [2, 2], "who loses hellos says so to who sent them");
+    assert_eq!([outputs(0), outputs(1)], [2, 2], "who loses hellos says so to who sent them");
 }

@@ -37,7 +37,7 @@ impl Timers for Link {
                 Some(by + self.interval().saturating_mul(Self::ABSENT_HELLOS))
             }
             LinkTimer::DownDetection => {
-                let has_proof = |heard: &NeighbourRecord| heard.echoed.is_some();
+                let has_proof = |record: &NeighbourRecord| record.echoed.is_some();
                 let runs = self.carries() || self.neighbour.as_ref().is_some_and(has_proof);
                 self.silent_at(self.down_after_percent()).filter(|_| runs)
             }

@@ -8,9 +8,9 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// How often a hello is sent unless a link says otherwise. A link whose hellos stop is down after
-/// three and a half of them, 175 ms. A process that shares its cores stands still for some 100 ms
-/// when they are overloaded; its links are then suspect, and not yet down.
+/// The default hello interval of a link. A link whose hellos stop is down after three and a half of
+/// them, 175 ms. A process that shares its cores stands still for some 100 ms when they are
+/// overloaded; its links are then suspect, and not yet down.
 pub const HELLO_INTERVAL: Duration = Duration::from_millis(50);
 /// The intervals that a link may have, and a neighbour may announce: shorter ones are an attack or
 /// an error, and a link must be known to be down within a minute.
@@ -148,7 +148,7 @@ pub enum LinkOutput {
     /// No node has proved to be at the other end since the start. When one does, `Changed` follows.
     Missing {
         /// A node sends there, and does not receive us.
-        heard: bool,
+        hello_received: bool,
     },
     /// The link became degraded, or good again, or dearer or cheaper to use.
     Quality(Quality),

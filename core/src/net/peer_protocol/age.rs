@@ -3,12 +3,12 @@
 use crate::Instant;
 use std::time::Duration;
 
-/// Tells a message's age from the sender's stamp, without comparing clocks.
+/// Tells a message's age from the sender's timestamp, without comparing clocks.
 ///
-/// `arrival - stamp` is the age plus an unknown constant. The least that was seen lately belongs to
-/// a message that came as fast as the network allows; what another took more than that, it waited
-/// on the way: in a buffer, for a path, for a repetition. The age is therefore short by the fastest
-/// passage, less than a round trip.
+/// `arrival - timestamp` is the age plus an unknown constant. The least that was seen lately
+/// belongs to a message that came as fast as the network allows; what another took more than that,
+/// it waited on the way: in a buffer, for a path, for a repetition. The age is therefore short by
+/// the fastest passage, less than a round trip.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AgeEstimator {
     /// The least of the present window, and of the one before, in microseconds.
@@ -22,14 +22,14 @@ impl AgeEstimator {
     const WINDOW: Duration = Duration::from_secs(10);
 
     /// Begins with a message that was sent just now.
-    pub(crate) fn new(stamp_us: u64, now: Instant) -> Self {
-        let offset = offset(stamp_us, now);
+    pub(crate) fn new(timestamp_us: u64, now: Instant) -> Self {
+        let offset = offset(timestamp_us, now);
         AgeEstimator { least: offset, before: offset, window_from: now }
     }
 
     /// The age of a message that arrives now.
-    pub(crate) fn handle(&mut self, stamp_us: u64, now: Instant) -> Duration {
-        let offset = offset(stamp_us, now);
+    pub(crate) fn handle(&mut self, timestamp_us: u64, now: Instant) -> Duration {
+        let offset = offset(timestamp_us, now);
         if now - self.window_from > Self::WINDOW {
             // Where all that came since was late, the last window's word stands.
             self.before = self.least;
@@ -42,10 +42,10 @@ impl AgeEstimator {
     }
 }
 
-fn offset(stamp_us: u64, now: Instant) -> i64 {
+fn offset(timestamp_us: u64, now: Instant) -> i64 {
     // Both are far below 2^62 microseconds, which is 146,000 years; what is not is an attack.
     let bounded = |us: u64| i64::try_from(us).unwrap_or(i64::MAX / 2).min(i64::MAX / 2);
-    bounded(now.as_nanos() / 1000) - bounded(stamp_us)
+    bounded(now.as_nanos() / 1000) - bounded(timestamp_us)
 }
 
 #[cfg(test)]
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_stamps_are_no_more_than_wrong() {
+    fn absurd_timestamps_are_no_more_than_wrong() {
         let mut ages = AgeEstimator::new(u64::MAX, at(0));
         ages.handle(0, Instant::from_nanos(u64::MAX));
         ages.handle(u64::MAX, at(0));

@@ -49,7 +49,7 @@ impl PendingBudget {
             return BudgetVerdict::Shut(load);
         }
         (half.messages, half.bytes) = (messages, bytes);
-        if half.is_full || half.has_room(load) {
+        if half.is_full || half.has_capacity(load) {
             return BudgetVerdict::Open;
         }
         half.is_full = true;
@@ -66,14 +66,14 @@ impl PendingBudget {
         }
         let halves = SizeClass::ALL.into_iter().zip(&mut self.halves);
         let mut again: Vec<_> =
-            halves.filter(|(load, half)| half.is_full && half.has_room(*load)).collect();
+            halves.filter(|(load, half)| half.is_full && half.has_capacity(*load)).collect();
         again.iter_mut().for_each(|(_, half)| half.is_full = false);
         again.into_iter().map(|(load, _)| load).collect()
     }
 }
 
 impl Half {
-    fn has_room(&self, load: SizeClass) -> bool {
+    fn has_capacity(&self, load: SizeClass) -> bool {
         let bytes = match load {
             SizeClass::Small => BYTES,
             SizeClass::Bulk => BYTES / 2,

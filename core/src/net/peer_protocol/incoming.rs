@@ -1,4 +1,4 @@
-//! What an exchange does with what a peer says.
+//! Handles the messages of a peer.
 
 use super::peer::{Binding, PendingCall, QueuedMessage};
 use super::reply_cache::RequestVerdict;
@@ -37,8 +37,8 @@ impl PeerProtocol {
             PeerMessage::BindRefused { binding, why, identity } => {
                 self.handle_bind_refused(peer, binding, why, &identity);
             }
-            PeerMessage::Request { binding, call, stamp, within, id, payload } => {
-                let age = session.age(stamp.saturating_mul(TICK_US), now);
+            PeerMessage::Request { binding, call, timestamp, within, id, payload } => {
+                let age = session.age(timestamp.saturating_mul(TICK_US), now);
                 let within = Duration::from_micros(within.saturating_mul(TICK_US));
                 if session.redundant.contains(&binding) && session.redundant_calls.len() < CALLS_MAX
                 {
@@ -75,8 +75,8 @@ impl PeerProtocol {
                     }
                 }
             }
-            PeerMessage::Tell { binding, stamp_us, id, payload } => {
-                let (call, age, until) = (None, session.age(stamp_us, now), None);
+            PeerMessage::Tell { binding, timestamp_us, id, payload } => {
+                let (call, age, until) = (None, session.age(timestamp_us, now), None);
                 self.outputs.push_back(PeerProtocolOutput::Serve {
                     peer,
                     epoch,
@@ -106,8 +106,8 @@ impl PeerProtocol {
                 session.taken = session.taken.saturating_sub(1);
                 self.outputs.push_back(PeerProtocolOutput::Unsubscribe { peer, subscription });
             }
-            PeerMessage::Event { subscription, stamp_us, payload } => {
-                let age = session.age(stamp_us, now);
+            PeerMessage::Event { subscription, timestamp_us, payload } => {
+                let age = session.age(timestamp_us, now);
                 self.handle_peers_event(subscription, age, payload.into_bytes());
             }
             PeerMessage::Notice { number, payload } => {
@@ -119,22 +119,22 @@ impl PeerProtocol {
                     self.outputs.push_back(PeerProtocolOutput::Noticed { number, arrived: true });
                 }
             }
-            PeerMessage::Names { stamp_us, complete, added, removed } => {
-                session.age(stamp_us, now);
+            PeerMessage::Names { timestamp_us, complete, added, removed } => {
+                session.age(timestamp_us, now);
                 let announcement = DirectoryUpdate { complete, added, removed };
                 self.outputs.push_back(PeerProtocolOutput::Names { peer, announcement });
             }
             PeerMessage::Leaving => self.outputs.push_back(PeerProtocolOutput::Bye { peer }),
-            PeerMessage::NotReady { binding } => match session.no_room(binding) {
+            PeerMessage::NotReady { binding } => match session.handle_not_ready(binding) {
                 Some((object, true)) => {
                     self.outputs.push_back(PeerProtocolOutput::ObjectFull { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
             },
-            PeerMessage::Ready { binding } => match session.room_again(binding) {
+            PeerMessage::Ready { binding } => match session.handle_ready(binding) {
                 Some((object, true)) => {
-                    self.outputs.push_back(PeerProtocolOutput::ObjectRoom { peer, object });
+                    self.outputs.push_back(PeerProtocolOutput::ObjectReady { peer, object });
                 }
                 Some((_, false)) => {}
                 None => self.refusals.unexpected += 1,
@@ -225,8 +225,8 @@ impl PeerProtocol {
             self.outputs.push_back(PeerProtocolOutput::Differs { peer, difference });
         }
         let waiting = waiting.unwrap_or_default();
-        let rooms = session.let_out(peer, &waiting);
-        self.outputs.extend(rooms);
+        let backlogs = session.let_out(peer, &waiting);
+        self.outputs.extend(backlogs);
         for QueuedMessage { pending, .. } in waiting {
             let (to, reply_as) = ((object.clone(), name), pending.map(|pending| pending.reply_as));
             self.outputs.push_back(refuse(peer, to, reply_as, why.clone()));

@@ -90,7 +90,7 @@ impl PeerProtocol {
     /// An exchange in the place of one that failed. No number of the old one's is used again; what
     /// waited in it is lost for this reason, and what comes back of its sessions is known. Callers
     /// have been told.
-    pub fn reborn(&self, why: &DeliveryError) -> Self {
+    pub fn restarted(&self, why: &DeliveryError) -> Self {
         let mut next = PeerProtocol {
             next_subscription: self.next_subscription,
             next_binding: self.next_binding,
@@ -105,8 +105,9 @@ impl PeerProtocol {
             next.peers.insert(*peer, PeerRecord { past: past.clone(), ..PeerRecord::default() });
             let bindings = state.session.iter().flat_map(|session| &session.bindings);
             for ((object, contract, _), binding) in bindings {
-                let told = binding.waiting.iter().flatten().filter(|told| told.pending.is_none());
-                for _ in told {
+                let tells =
+                    binding.waiting.iter().flatten().filter(|tells| tells.pending.is_none());
+                for _ in tells {
                     let (peer, why) = (*peer, why.clone());
                     let to = MessageTarget::Object(object.clone(), contract);
                     next.outputs.push_back(PeerProtocolOutput::Lost { peer, to, why });
@@ -268,7 +269,7 @@ impl PeerProtocol {
     }
 
     /// It has room again.
-    pub fn handle_room(&mut self, peer: NodeId, binding: u32) {
+    pub fn handle_capacity(&mut self, peer: NodeId, binding: u32) {
         self.tell(peer, &PeerMessage::Ready { binding });
     }
 
@@ -368,8 +369,8 @@ impl PeerProtocol {
         sent: Instant,
     ) {
         if let Some(session) = self.peers.get(&peer).and_then(|peer| peer.session.as_ref()) {
-            let stamp_us = session.stamp_us(sent);
-            let message = PeerMessage::Event { subscription, stamp_us, payload };
+            let timestamp_us = session.timestamp_us(sent);
+            let message = PeerMessage::Event { subscription, timestamp_us, payload };
             let way = (subscription << 1, delivery, OrderingKey::Subscription(subscription));
             self.outputs.push_back(carry(peer, way, &message));
         }
@@ -419,8 +420,8 @@ impl PeerProtocol {
                 && to.is_none_or(|to| to == *peer)
             {
                 let DirectoryUpdate { complete, added, removed } = announcement.clone();
-                let stamp_us = session.stamp_us(now);
-                let message = PeerMessage::Names { stamp_us, complete, added, removed };
+                let timestamp_us = session.timestamp_us(now);
+                let message = PeerMessage::Names { timestamp_us, complete, added, removed };
                 self.outputs.push_back(control(*peer, &message));
             }
         }

@@ -73,8 +73,9 @@ impl NodeDirectory {
         if chunks.is_empty() {
             chunks.push(vec![]);
         }
-        let told = chunks.into_iter().enumerate();
-        told.map(|(n, added)| DirectoryUpdate { complete: n == 0, added, removed: vec![] })
+        let updates = chunks.into_iter().enumerate();
+        updates
+            .map(|(n, added)| DirectoryUpdate { complete: n == 0, added, removed: vec![] })
             .collect()
     }
 
@@ -133,7 +134,7 @@ mod tests {
 
     /// Two nodes; whatever one says, the other hears.
     fn tell(to: &mut NodeDirectory, from: NodeId, announcements: Vec<DirectoryUpdate>) {
-        announcements.into_iter().for_each(|told| to.handle_announcement(from, told));
+        announcements.into_iter().for_each(|updates| to.handle_announcement(from, updates));
     }
 
     #[test]
@@ -162,13 +163,13 @@ mod tests {
         let mut theirs = NodeDirectory::default();
         let many = (0..NAMES_MAX + 5).map(|n| object(&format!("object{n}"))).collect();
         theirs.handle_own(many);
-        let told = theirs.handle_opened(node.clone(), Incarnation(1));
-        assert_eq!(told.len(), 40);
-        assert_eq!(told.iter().filter(|told| told.complete).count(), 1);
+        let updates = theirs.handle_opened(node.clone(), Incarnation(1));
+        assert_eq!(updates.len(), 40);
+        assert_eq!(updates.iter().filter(|updates| updates.complete).count(), 1);
 
         let mut ours = NodeDirectory::default();
         ours.handle_opened(node.clone(), Incarnation(1));
-        tell(&mut ours, NodeId::of(&node), told);
+        tell(&mut ours, NodeId::of(&node), updates);
 
         assert_eq!(ours.nodes().next().unwrap().2.len(), NAMES_MAX);
         assert_eq!(ours.refused(), 5);

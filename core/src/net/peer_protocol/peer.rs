@@ -23,9 +23,9 @@ pub(super) struct PeerSession {
     pub(super) epoch: SessionEpoch,
     /// With which incarnation of the peer.
     pub(super) incarnation: Incarnation,
-    /// Our stamps count from here.
+    /// Our timestamps count from here.
     pub(super) began: Instant,
-    /// Known from the peer's first stamp on.
+    /// Known from the peer's first timestamp on.
     pub(super) ages: Option<AgeEstimator>,
     pub(super) bindings: SortedMap<BindingKey, Binding>,
     pub(super) numbers: BindingTable,
@@ -102,7 +102,7 @@ impl PeerSession {
 
     /// The peer says that an object has no room. Answers whether that is news, and of which object;
     /// `None` if nothing was bound that this could be about.
-    pub(super) fn no_room(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+    pub(super) fn handle_not_ready(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.entry(object.clone()).or_default();
         let news = full.is_empty();
@@ -111,7 +111,7 @@ impl PeerSession {
 
     /// The peer says that an object has room again. Answers likewise; `None` also if the contrary
     /// was not said.
-    pub(super) fn room_again(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
+    pub(super) fn handle_ready(&mut self, binding: u32) -> Option<(ObjectName, bool)> {
         let (object, ..) = self.numbers.get(&binding)?;
         let full = self.full.get_mut(object)?;
         if !full.remove(&binding) {
@@ -124,12 +124,14 @@ impl PeerSession {
         Some((object.clone(), news))
     }
 
-    pub(super) fn stamp_us(&self, sent: Instant) -> u64 {
+    pub(super) fn timestamp_us(&self, sent: Instant) -> u64 {
         u64::try_from((sent - self.began).as_micros()).unwrap_or(u64::MAX)
     }
 
-    pub(super) fn age(&mut self, stamp_us: u64, now: Instant) -> Duration {
-        self.ages.get_or_insert_with(|| AgeEstimator::new(stamp_us, now)).handle(stamp_us, now)
+    pub(super) fn age(&mut self, timestamp_us: u64, now: Instant) -> Duration {
+        self.ages
+            .get_or_insert_with(|| AgeEstimator::new(timestamp_us, now))
+            .handle(timestamp_us, now)
     }
 
     pub(super) fn send(
@@ -140,17 +142,17 @@ impl PeerSession {
         next_call: &mut u64,
     ) -> PeerProtocolOutput {
         let QueuedMessage { id, sent, payload, pending } = waiting;
-        let stamp_us = self.stamp_us(sent);
+        let timestamp_us = self.timestamp_us(sent);
         let message = match pending {
-            None => PeerMessage::Tell { binding, stamp_us, id, payload },
+            None => PeerMessage::Tell { binding, timestamp_us, id, payload },
             Some(pending) => {
                 *next_call += 1;
                 let call = *next_call;
                 // A deadline of less than a tick is one all the same.
                 let within = pending.until.map_or(0, |until| ticks(until - sent).max(1));
                 self.calls.insert(call, pending);
-                let stamp = stamp_us / TICK_US;
-                PeerMessage::Request { binding, call, stamp, within, id, payload }
+                let timestamp = timestamp_us / TICK_US;
+                PeerMessage::Request { binding, call, timestamp, within, id, payload }
             }
         };
         carry(peer, ((binding << 1) | 1, delivery, strand), &message)
@@ -163,7 +165,7 @@ impl PeerSession {
         waiting: &[QueuedMessage],
     ) -> impl Iterator<Item = PeerProtocolOutput> + use<> {
         let again = self.budget.leave(waiting.iter().map(|waiting| waiting.payload.len()));
-        again.into_iter().map(move |load| PeerProtocolOutput::Room { peer, load })
+        again.into_iter().map(move |load| PeerProtocolOutput::Ready { peer, load })
     }
 
     /// The peer has agreed: what waited goes out. `None` if nothing was asked.
@@ -176,10 +178,10 @@ impl PeerSession {
         let key = self.numbers.get(&number)?;
         let binding = self.bindings.get_mut(key)?;
         let (waiting, way) = (binding.waiting.take()?, binding.way());
-        let rooms = self.let_out(peer, &waiting);
+        let ready = self.let_out(peer, &waiting);
         let sent = waiting.into_iter().map(|waiting| self.send(peer, way, waiting, next_call));
         // Room first: the session may find itself full, and must have the last word.
-        Some(rooms.chain(sent).collect())
+        Some(ready.chain(sent).collect())
     }
 }
 

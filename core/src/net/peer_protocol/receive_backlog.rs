@@ -5,7 +5,7 @@
 //!      │ tell ──────────────────────────────► │  its queue is full: this one waits
 //!      │ ◄───────────────────────── full 1    │  through binding 1
 //!      │ tell ──────────────────────────────► │  was under way: waits behind it
-//!      │ ◄───────────────────────── room 1    │  the last that waited has been taken
+//!      │ ◄───────────────────────── backlog 1    │  the last that waited has been taken
 //! ```
 //!
 //! Each object has a line of its own for each peer, so that no message waits for another's
@@ -154,63 +154,63 @@ mod tests {
         ObjectName::new(name).unwrap()
     }
 
-    fn fill(room: &mut ReceiveBacklog<usize>, bytes: usize) -> usize {
+    fn fill(backlog: &mut ReceiveBacklog<usize>, bytes: usize) -> usize {
         let arm = object("arm");
-        let mut admit = |n: &usize| room.handle_full(PEER, &arm, 7, (*n, bytes));
+        let mut admit = |n: &usize| backlog.handle_full(PEER, &arm, 7, (*n, bytes));
         (0..100_000).take_while(|n| !matches!(admit(n), BacklogVerdict::Refused(_))).count()
     }
 
     #[test]
     fn each_object_has_its_line_and_the_peer_is_told_once_at_either_end() {
-        let mut room = ReceiveBacklog::default();
+        let mut backlog = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
 
-        assert_eq!(room.handle_full(PEER, &arm, 7, (1, 10)), BacklogVerdict::First);
-        assert_eq!(room.handle_full(PEER, &arm, 8, (2, 10)), BacklogVerdict::Behind);
-        assert_eq!(room.handle_full(OTHER, &arm, 7, (3, 10)), BacklogVerdict::First);
-        assert!(room.is_waiting(PEER, &arm) && !room.is_waiting(PEER, &leg));
+        assert_eq!(backlog.handle_full(PEER, &arm, 7, (1, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.handle_full(PEER, &arm, 8, (2, 10)), BacklogVerdict::Behind);
+        assert_eq!(backlog.handle_full(OTHER, &arm, 7, (3, 10)), BacklogVerdict::First);
+        assert!(backlog.is_waiting(PEER, &arm) && !backlog.is_waiting(PEER, &leg));
 
-        assert_eq!(room.first(PEER, &arm), Some(&1));
-        assert_eq!(room.handle_taken(PEER, &arm), None);
-        assert_eq!(room.first(PEER, &arm), Some(&2));
-        assert_eq!(room.handle_taken(PEER, &arm), Some(7), "by the binding that was stopped");
-        assert!(!room.is_waiting(PEER, &arm) && room.is_waiting(OTHER, &arm));
-        assert_eq!(room.first(PEER, &arm), None);
-        assert_eq!(room.handle_taken(PEER, &arm), None);
-        assert_eq!(room.handle_full(PEER, &arm, 8, (4, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.first(PEER, &arm), Some(&1));
+        assert_eq!(backlog.handle_taken(PEER, &arm), None);
+        assert_eq!(backlog.first(PEER, &arm), Some(&2));
+        assert_eq!(backlog.handle_taken(PEER, &arm), Some(7), "by the binding that was stopped");
+        assert!(!backlog.is_waiting(PEER, &arm) && backlog.is_waiting(OTHER, &arm));
+        assert_eq!(backlog.first(PEER, &arm), None);
+        assert_eq!(backlog.handle_taken(PEER, &arm), None);
+        assert_eq!(backlog.handle_full(PEER, &arm, 8, (4, 10)), BacklogVerdict::First);
     }
 
     #[test]
     fn a_peer_that_does_not_stop_is_refused_and_counted_and_others_are_not() {
         for (bytes, fits) in [(0, MESSAGES_MAX), (1 << 20, BYTES_MAX >> 20)] {
-            let mut room = ReceiveBacklog::default();
+            let mut backlog = ReceiveBacklog::default();
 
-            assert_eq!(fill(&mut room, bytes), fits);
-            assert_eq!(fill(&mut room, bytes), 0);
+            assert_eq!(fill(&mut backlog, bytes), fits);
+            assert_eq!(fill(&mut backlog, bytes), 0);
 
             let too_large = |(peer, refusals): (NodeId, Refusals)| (peer, refusals.too_large);
-            assert_eq!(room.refusals().map(too_large).collect::<Vec<_>>(), [(PEER, 2)]);
+            assert_eq!(backlog.refusals().map(too_large).collect::<Vec<_>>(), [(PEER, 2)]);
             assert_eq!(
-                room.handle_full(OTHER, &object("arm"), 7, (0, bytes)),
+                backlog.handle_full(OTHER, &object("arm"), 7, (0, bytes)),
                 BacklogVerdict::First
             );
-            room.handle_taken(PEER, &object("arm"));
-            assert_eq!(fill(&mut room, bytes), 1, "what was taken makes room");
+            backlog.handle_taken(PEER, &object("arm"));
+            assert_eq!(fill(&mut backlog, bytes), 1, "what was taken makes room");
         }
     }
 
     #[test]
     fn the_end_of_a_session_hands_out_what_waited_and_leaves_nothing() {
-        let mut room = ReceiveBacklog::default();
+        let mut backlog = ReceiveBacklog::default();
         let (arm, leg) = (object("arm"), object("leg"));
         for (n, object) in [(1, &leg), (2, &arm), (3, &leg)] {
-            room.handle_full(PEER, object, 7, (n, 10));
+            backlog.handle_full(PEER, object, 7, (n, 10));
         }
 
-        let left: Vec<_> = room.handle_ended(PEER).collect();
+        let left: Vec<_> = backlog.handle_ended(PEER).collect();
 
         assert_eq!(left, [(arm, 2), (leg.clone(), 1), (leg.clone(), 3)]);
-        assert_eq!(room.refusals().count(), 0);
-        assert_eq!(room.handle_full(PEER, &leg, 7, (4, 10)), BacklogVerdict::First);
+        assert_eq!(backlog.refusals().count(), 0);
+        assert_eq!(backlog.handle_full(PEER, &leg, 7, (4, 10)), BacklogVerdict::First);
     }
 }

@@ -148,12 +148,12 @@ mod tests {
         assert_eq!(requests.admit(key(1), asker(2, 20), at(1)), RequestVerdict::Wait);
 
         let reply = Bytes::from_static(b"reply");
-        let told = requests.resolve(asker(1, 10), Some(&reply.clone().into()), at(2));
+        let askers = requests.resolve(asker(1, 10), Some(&reply.clone().into()), at(2));
 
-        assert_eq!(told, [asker(1, 10), asker(2, 20)]);
+        assert_eq!(askers, [asker(1, 10), asker(2, 20)]);
         assert_eq!(requests.admit(key(1), asker(3, 30), at(3)), RequestVerdict::Answer(reply));
-        let reborn = (CALLER, Incarnation(2), key(1).2);
-        assert_eq!(requests.admit(reborn, asker(4, 1), at(3)), RequestVerdict::Serve);
+        let restarted = (CALLER, Incarnation(2), key(1).2);
+        assert_eq!(requests.admit(restarted, asker(4, 1), at(3)), RequestVerdict::Serve);
     }
 
     #[test]

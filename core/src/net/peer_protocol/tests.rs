@@ -55,15 +55,15 @@ fn at(millis: u64) -> Instant {
 struct Pair {
     ends: [PeerProtocol; 2],
     ids: [NodeId; 2],
-    told: [Vec<PeerProtocolOutput>; 2],
+    outputs: [Vec<PeerProtocolOutput>; 2],
     now: u64,
 }
 
 impl Pair {
     fn new() -> Self {
         let ids = [NodeId::of(&node("left")), NodeId::of(&node("right"))];
-        let told = [vec![], vec![]];
-        Pair { ends: [PeerProtocol::default(), PeerProtocol::default()], ids, told, now: 0 }
+        let outputs = [vec![], vec![]];
+        Pair { ends: [PeerProtocol::default(), PeerProtocol::default()], ids, outputs, now: 0 }
     }
 
     fn open() -> Self {
@@ -92,7 +92,7 @@ impl Pair {
                                 at(self.now),
                             );
                         }
-                        other => self.told[end].push(other),
+                        other => self.outputs[end].push(other),
                     }
                 }
             }
@@ -103,7 +103,7 @@ impl Pair {
     }
 
     fn take(&mut self, end: usize) -> Vec<PeerProtocolOutput> {
-        std::mem::take(&mut self.told[end])
+        std::mem::take(&mut self.outputs[end])
     }
 
     fn call(&mut self, contract: ContractIdentity, reply_as: Option<u64>) {
@@ -124,9 +124,9 @@ impl Pair {
 
     /// The right end agrees to the binding that it was just asked for.
     fn agree(&mut self) -> SessionEpoch {
-        let told = self.take(1);
-        let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
-            panic!("{told:?}");
+        let outputs = self.take(1);
+        let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &outputs[..] else {
+            panic!("{outputs:?}");
         };
         assert_eq!(count().check(identity), Ok(()));
         self.ends[1].handle_bound(*peer, *epoch, *binding, Ok(()));
@@ -169,25 +169,25 @@ fn the_first_message_binds_and_all_are_served_in_order() {
 fn a_contract_that_differs_is_shown_from_both_sides_and_asked_again_next_time() {
     let mut pair = Pair::open();
     pair.call(contract(layout_of_text), Some(10));
-    let told = pair.take(1);
-    let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &told[..] else {
-        panic!("{told:?}");
+    let outputs = pair.take(1);
+    let [PeerProtocolOutput::Bind { peer, epoch, binding, identity, .. }] = &outputs[..] else {
+        panic!("{outputs:?}");
     };
     let theirs = count().check(identity).unwrap_err().to_string();
     let why = DeliveryError::ContractDiffers { difference: theirs.clone() };
     pair.ends[1].handle_bound(*peer, *epoch, *binding, Err((why, Some(count()))));
     pair.run();
 
-    let told = pair.take(0);
+    let outputs = pair.take(0);
     let [
         PeerProtocolOutput::Differs { difference, .. },
         PeerProtocolOutput::Resolve {
             reply_as: 10,
             result: Err(DeliveryError::ContractDiffers { .. }),
         },
-    ] = &told[..]
+    ] = &outputs[..]
     else {
-        panic!("{told:?}");
+        panic!("{outputs:?}");
     };
     assert_ne!(*difference, theirs, "here and there have changed places");
     pair.call(count(), Some(11));
@@ -263,7 +263,7 @@ fn too_many_messages_for_one_binding_are_told_and_then_refused() {
 
     pair.agree();
 
-    assert_eq!(pair.take(0), [PeerProtocolOutput::Room { peer, load }]);
+    assert_eq!(pair.take(0), [PeerProtocolOutput::Ready { peer, load }]);
     assert_eq!(pair.take(1).len(), budget::TIMES * budget::MESSAGES);
 }
 
@@ -275,10 +275,10 @@ fn an_interest_is_told_now_and_to_every_later_session() {
         pair.ends[end].handle_opened(pair.ids[1 - end], Incarnation(1), at(0));
     }
     pair.run();
-    let told = pair.take(1);
-    let [PeerProtocolOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &told[..]
+    let outputs = pair.take(1);
+    let [PeerProtocolOutput::Subscribe { peer, subscription, topic: wanted, .. }] = &outputs[..]
     else {
-        panic!("{told:?}");
+        panic!("{outputs:?}");
     };
     assert_eq!(*wanted, topic());
 
@@ -310,9 +310,9 @@ fn a_notice_is_confirmed_only_when_it_was_taken() {
     let mut pair = Pair::open();
     pair.ends[0].handle_notice(pair.ids[1], 77, payload());
     pair.run();
-    let told = pair.take(1);
-    let [PeerProtocolOutput::Notice { peer, epoch, number, .. }] = told[..] else {
-        panic!("{told:?}");
+    let outputs = pair.take(1);
+    let [PeerProtocolOutput::Notice { peer, epoch, number, .. }] = outputs[..] else {
+        panic!("{outputs:?}");
     };
     assert_eq!(pair.take(0), []);
 
@@ -339,7 +339,7 @@ fn a_returned_message_resolves_its_request() {
         reply_as,
     };
     let full = DeliveryError::WayFull { node: "right".into(), bulk: false };
-    let mut told = vec![];
+    let mut outputs = vec![];
     for reply_as in [Some(10), None] {
         pair.ends[0].handle_call(call(reply_as));
         let Some(PeerProtocolOutput::Send { peer, message, .. }) = pair.ends[0].poll_output()
@@ -352,13 +352,13 @@ fn a_returned_message_resolves_its_request() {
             full.clone(),
             TransmitState::Nothing,
         );
-        told.extend(pair.ends[0].poll_output());
+        outputs.extend(pair.ends[0].poll_output());
     }
 
     let (peer, to) = (pair.ids[1], MessageTarget::Object(arm(), "count"));
     let resolved = PeerProtocolOutput::Resolve { reply_as: 10, result: Err(full.clone()) };
     let lost = PeerProtocolOutput::Lost { peer, to, why: full };
-    assert_eq!(told, [resolved, lost]);
+    assert_eq!(outputs, [resolved, lost]);
 }
 
 #[test]
@@ -390,8 +390,8 @@ fn what_waited_on_the_way_arrives_with_its_age() {
     );
     pair.run();
 
-    let told = pair.take(1);
-    let [PeerProtocolOutput::Serve { age, .. }] = &told[..] else { panic!("{told:?}") };
+    let outputs = pair.take(1);
+    let [PeerProtocolOutput::Serve { age, .. }] = &outputs[..] else { panic!("{outputs:?}") };
     assert_eq!(*age, Duration::from_millis(300));
 }
 
@@ -403,9 +403,9 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     let mut numbers = Vec::new();
     for contract in [count(), contract(layout_of_text)] {
         pair.call(contract, None);
-        let told = pair.take(1);
-        let [.., PeerProtocolOutput::Bind { epoch, binding, .. }] = &told[..] else {
-            panic!("{told:?}")
+        let outputs = pair.take(1);
+        let [.., PeerProtocolOutput::Bind { epoch, binding, .. }] = &outputs[..] else {
+            panic!("{outputs:?}")
         };
         pair.ends[1].handle_bound(left, *epoch, *binding, Ok(()));
         pair.run();
@@ -419,19 +419,19 @@ fn an_object_without_room_is_told_of_once_however_many_bindings_lead_there() {
     };
     let (peer, object) = (right, arm());
     let full = PeerProtocolOutput::ObjectFull { peer, object: object.clone() };
-    let room = PeerProtocolOutput::ObjectRoom { peer, object };
+    let backlog = PeerProtocolOutput::ObjectReady { peer, object };
 
     assert_eq!(says(numbers[0], PeerProtocol::handle_full), std::slice::from_ref(&full));
     assert_eq!(says(numbers[1], PeerProtocol::handle_full), []);
-    assert_eq!(says(numbers[0], PeerProtocol::handle_room), []);
-    assert_eq!(says(numbers[1], PeerProtocol::handle_room), [room]);
+    assert_eq!(says(numbers[0], PeerProtocol::handle_capacity), []);
+    assert_eq!(says(numbers[1], PeerProtocol::handle_capacity), [backlog]);
     assert_eq!(says(numbers[1], PeerProtocol::handle_full), [full]);
 
     // What makes no sense changes nothing, and is counted.
     assert_eq!(says(numbers[1], PeerProtocol::handle_full), []);
-    assert_eq!(says(numbers[0], PeerProtocol::handle_room), []);
+    assert_eq!(says(numbers[0], PeerProtocol::handle_capacity), []);
     assert_eq!(says(99, PeerProtocol::handle_full), []);
-    assert_eq!(says(99, PeerProtocol::handle_room), []);
+    assert_eq!(says(99, PeerProtocol::handle_capacity), []);
     assert_eq!(pair.ends[0].refusals().unexpected, 4);
 }
 
@@ -478,15 +478,15 @@ fn what_waited_in_a_machine_that_failed_is_told_as_lost_and_what_comes_back_of_i
     while pair.ends[0].poll_output().is_some() {}
 
     let why = DeliveryError::OutcomeUnknown { reason: "it failed".into() };
-    let mut reborn = pair.ends[0].reborn(&why);
+    let mut restarted = pair.ends[0].restarted(&why);
     let lost = |contract, why| {
         let to = MessageTarget::Object(arm(), contract);
         Some(PeerProtocolOutput::Lost { peer, to, why })
     };
-    assert_eq!(reborn.poll_output(), lost("other", why));
-    assert_eq!(reborn.poll_output(), None);
+    assert_eq!(restarted.poll_output(), lost("other", why));
+    assert_eq!(restarted.poll_output(), None);
 
     let died = DeliveryError::PeerDied { incarnation: Incarnation(1) };
-    reborn.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
-    assert_eq!(reborn.poll_output(), lost("count", died));
+    restarted.handle_returned(peer, message.into_bytes(), died.clone(), TransmitState::Perhaps);
+    assert_eq!(restarted.poll_output(), lost("count", died));
 }

@@ -1,4 +1,4 @@
-//! What an exchange is told, and wants done.
+//! Inputs and outputs of the peer protocol.
 
 use crate::net::peer_protocol::naming::DirectoryUpdate;
 use crate::net::session::ordering_key::OrderingKey;
@@ -147,7 +147,7 @@ pub enum PeerProtocolOutput {
         load: SizeClass,
     },
     /// They may go on.
-    Room {
+    Ready {
         /// Whom.
         peer: NodeId,
         /// With what.
@@ -161,7 +161,7 @@ pub enum PeerProtocolOutput {
         object: ObjectName,
     },
     /// It has room again.
-    ObjectRoom {
+    ObjectReady {
         /// Where.
         peer: NodeId,
         /// Which.

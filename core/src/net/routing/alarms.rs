@@ -1,4 +1,4 @@
-//! What was told of as a fault, until it is over.
+//! Alarms that were reported as faults, until they clear.
 //!
 //! A condition that lasts is reported again and again: announcements are repeated every ten
 //! seconds, and the holder of a name is asked as often. A condition that is not reported for a
@@ -23,7 +23,7 @@ impl Router {
         for trouble in self.troubles.take_over(self.now) {
             if trouble == RouterAlarm::NameTaken {
                 // When it begins again, it is told of again.
-                (self.told, self.usurper) = (None, None);
+                (self.reported_conflict, self.usurper) = (None, None);
             }
             self.outputs.push_back(RouterOutput::Over(trouble));
         }

@@ -27,7 +27,7 @@ pub(super) struct Dispute {
     /// Until when the holder may take to defend itself; `None` once it has.
     until: Option<Instant>,
     /// When others were last asked, or told.
-    told_at: Instant,
+    reported_at: Instant,
     /// When the holder was last asked.
     asked_at: Instant,
 }
@@ -53,7 +53,8 @@ impl Router {
         }
         if self.disputes.get(&id).is_none_or(|dispute| dispute.contender < incarnation) {
             let until = Some(now + Self::DEFEND_WITHIN);
-            let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
+            let dispute =
+                Dispute { contender: incarnation, until, reported_at: now, asked_at: now };
             self.disputes.insert(id, dispute);
             self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
             let contender = AdvertisementId { origin: id, incarnation, sequence: 0 };
@@ -80,20 +81,20 @@ impl Router {
     ) {
         let AdvertisementId { origin, incarnation, .. } = contender;
         if origin == self.id {
-            if incarnation > self.own.stamp.incarnation {
+            if incarnation > self.own.id.incarnation {
                 self.defend(incarnation);
             }
             return;
         }
         let now = self.now;
         let known = self.disputes.get(&origin).filter(|dispute| dispute.contender >= incarnation);
-        if known.is_some_and(|dispute| now < dispute.told_at + Self::TELL_AGAIN)
+        if known.is_some_and(|dispute| now < dispute.reported_at + Self::TELL_AGAIN)
             || self.disputes.len() >= self.config.nodes_max && known.is_none()
         {
             return;
         }
         let until = known.map_or(Some(now + Self::DEFEND_WITHIN), |dispute| dispute.until);
-        let dispute = Dispute { contender: incarnation, until, told_at: now, asked_at: now };
+        let dispute = Dispute { contender: incarnation, until, reported_at: now, asked_at: now };
         self.disputes.insert(origin, dispute);
         self.wake_at = self.wake_at.min(now + Self::DEFEND_WITHIN);
         self.tell_all(&RoutingMessage::Dispute { contender, node }, Some(from));
@@ -154,13 +155,13 @@ impl Router {
         against: Incarnation,
         advertisement: Advertisement,
     ) {
-        let AdvertisementId { origin, incarnation, .. } = advertisement.stamp;
+        let AdvertisementId { origin, incarnation, .. } = advertisement.id;
         if incarnation >= against {
             self.refusals.malformed += 1;
             return;
         }
         if origin == self.id {
-            let own = self.own.stamp.incarnation;
+            let own = self.own.id.incarnation;
             self.go_on(RouterAlarm::NameTaken);
             if incarnation < own && own <= against && self.usurper != Some(incarnation) {
                 self.begin_trouble(RouterAlarm::NameTaken);
@@ -177,17 +178,14 @@ impl Router {
         let settled = |dispute: &Dispute| dispute.until.is_none() && dispute.contender >= against;
         // Also where a later incarnation is held, which has ended, and an earlier one defends
         // itself against it.
-        let news = held.is_none_or(|held| {
-            held.stamp < advertisement.stamp || held.stamp.incarnation > incarnation
-        });
+        let news =
+            held.is_none_or(|held| held.id < advertisement.id || held.id.incarnation > incarnation);
         let known = self.disputes.get(&origin);
         if known.is_some_and(settled) && !news {
             return;
         }
         let contender = known.map_or(against, |known| known.contender.max(against));
-        if let Some(held) =
-            held.map(|held| held.stamp).filter(|held| held.incarnation > incarnation)
-        {
+        if let Some(held) = held.map(|held| held.id).filter(|held| held.incarnation > incarnation) {
             if held.incarnation > against {
                 // A later incarnation than the one that it knows of, and has not heard of it yet.
                 return;
@@ -198,7 +196,7 @@ impl Router {
             return;
         }
         let asked_at = known.map_or(self.now, |known| known.asked_at);
-        let dispute = Dispute { contender, until: None, told_at: self.now, asked_at };
+        let dispute = Dispute { contender, until: None, reported_at: self.now, asked_at };
         self.disputes.insert(origin, dispute);
         self.learn(advertisement.clone(), from);
         self.outdate();
@@ -244,8 +242,9 @@ impl Router {
             return;
         };
         let known = self.known.get(&id).map(|known| known.advertisement.clone());
-        if let (true, Some(advertisement)) = (dispute.told_at + Self::TELL_AGAIN <= now, known) {
-            dispute.told_at = now;
+        if let (true, Some(advertisement)) = (dispute.reported_at + Self::TELL_AGAIN <= now, known)
+        {
+            dispute.reported_at = now;
             let defence = RoutingMessage::Defend { against: dispute.contender, advertisement };
             let bytes = defence.encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
@@ -256,7 +255,7 @@ impl Router {
     pub(super) fn settle_disputes(&mut self) {
         let (routes, now) = (&self.routes, self.now);
         for (id, known) in &mut self.known {
-            let incarnation = known.advertisement.stamp.incarnation;
+            let incarnation = known.advertisement.id.incarnation;
             known.ended |=
                 known.reached && routes.get(id).is_none_or(|r| r.incarnation != incarnation);
             known.reached |= routes.get(id).is_some_and(|route| route.incarnation == incarnation);

@@ -2,7 +2,7 @@
 
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::net::wire::advertisement::{
-    Advertisement, AdvertisementId, Edge, HAVE_HEADER, NEIGHBOURS_MAX, RoutingMessage, STAMP,
+    Advertisement, AdvertisementId, Edge, HAVE_HEADER, ID_LENGTH, NEIGHBOURS_MAX, RoutingMessage,
 };
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
@@ -46,10 +46,10 @@ impl Router {
     }
 
     pub(super) fn renew(&mut self) {
-        if self.own.stamp.sequence == u32::MAX {
+        if self.own.id.sequence == u32::MAX {
             return self.begin_anew(self.own.withdrawal());
         }
-        self.own.stamp.sequence += 1;
+        self.own.id.sequence += 1;
         self.refresh_at = self.now + self.config.refresh;
         self.flood(self.id, None);
     }
@@ -63,11 +63,12 @@ impl Router {
 
     /// An origin's newest advertisement, and before it, in one frame, what the origin has withdrawn
     /// to begin below it: frames overtake each other.
-    fn told_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
+    fn advertisements_of(&self, origin: NodeId) -> Option<Vec<Advertisement>> {
         let newest = self.advertisement(origin)?;
         let withdrawn = self.known.get(&origin).and_then(|known| known.withdrawn.front().copied());
-        let higher = withdrawn.filter(|stamp| *stamp > newest.stamp);
-        let withdrawal = higher.map(|stamp| Advertisement { stamp, ..newest.withdrawal() });
+        let higher = withdrawn.filter(|advertisement_id| *advertisement_id > newest.id);
+        let withdrawal = higher
+            .map(|advertisement_id| Advertisement { id: advertisement_id, ..newest.withdrawal() });
         Some(withdrawal.into_iter().chain([newest.clone()]).collect())
     }
 
@@ -83,20 +84,20 @@ impl Router {
     pub(super) fn announce(&mut self, link: LinkId, origins: &[NodeId]) {
         let Some(adjacent) = self.links.get_mut(&link) else { return };
         let again = self.now + adjacent.patience(self.config.resend);
-        let room = usize::from(adjacent.mtu) - FRAME_HEADER;
+        let capacity = usize::from(adjacent.mtu) - FRAME_HEADER;
         self.wake_at = self.wake_at.min(again);
         adjacent.pending.extend(origins.iter().map(|origin| (*origin, again)));
         let mut frame = Vec::new();
         let mut length = 1;
         let mut frames = Vec::new();
-        for told in origins.iter().filter_map(|origin| self.told_of(*origin)) {
-            let more: usize = told.iter().map(Advertisement::length).sum();
-            if length + more > room {
+        for advertisements in origins.iter().filter_map(|origin| self.advertisements_of(*origin)) {
+            let more: usize = advertisements.iter().map(Advertisement::length).sum();
+            if length + more > capacity {
                 frames.push(std::mem::take(&mut frame));
                 length = 1;
             }
             length += more;
-            frame.extend(told);
+            frame.extend(advertisements);
         }
         frames.push(frame);
         for frame in frames.into_iter().filter(|frame| !frame.is_empty()) {
@@ -112,27 +113,27 @@ impl Router {
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
         adjacent.compare_at = self.now + adjacent.patience(self.config.compare);
         self.wake_at = self.wake_at.min(adjacent.compare_at);
-        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
-        let mut stamps: Vec<_> =
-            self.known.values().map(|known| known.advertisement.stamp).collect();
-        stamps.push(self.own.stamp);
-        stamps.sort();
+        let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
+        let mut ids: Vec<_> = self.known.values().map(|known| known.advertisement.id).collect();
+        ids.push(self.own.id);
+        ids.sort();
         let mut first = NodeId(0);
-        let count = stamps.chunks(room).len();
-        for (n, chunk) in stamps.chunks(room).enumerate() {
-            let end = chunk.last().map_or(NodeId(u32::MAX), |stamp| stamp.origin);
+        let count = ids.chunks(capacity).len();
+        for (n, chunk) in ids.chunks(capacity).enumerate() {
+            let end =
+                chunk.last().map_or(NodeId(u32::MAX), |advertisement_id| advertisement_id.origin);
             let last = if n + 1 == count { NodeId(u32::MAX) } else { end };
-            let have = RoutingMessage::Have { range: Some((first, last)), stamps: chunk.to_vec() };
+            let have = RoutingMessage::Have { range: Some((first, last)), ids: chunk.to_vec() };
             self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
             first = NodeId(last.0.saturating_add(1));
         }
     }
 
-    pub(super) fn say_have(&mut self, link: LinkId, stamps: Vec<AdvertisementId>) {
+    pub(super) fn say_have(&mut self, link: LinkId, ids: Vec<AdvertisementId>) {
         let Some(adjacent) = self.links.get(&link) else { return };
-        let room = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / STAMP;
-        for chunk in stamps.chunks(room) {
-            let have = RoutingMessage::Have { range: None, stamps: chunk.to_vec() };
+        let capacity = (usize::from(adjacent.mtu) - FRAME_HEADER - HAVE_HEADER) / ID_LENGTH;
+        for chunk in ids.chunks(capacity) {
+            let have = RoutingMessage::Have { range: None, ids: chunk.to_vec() };
             self.outputs.push_back(RouterOutput::Routing { link, bytes: have.encode() });
         }
     }
@@ -141,35 +142,37 @@ impl Router {
         let mut confirmed = Vec::new();
         let mut better = SortedSet::new();
         for advertisement in advertisements {
-            let stamp = advertisement.stamp;
-            if stamp.origin == self.id {
-                let echo = advertisement.withdrawn && self.withdrew.contains(&stamp);
+            let advertisement_id = advertisement.id;
+            if advertisement_id.origin == self.id {
+                let echo = advertisement.withdrawn && self.withdrew.contains(&advertisement_id);
                 if echo || advertisement == self.own {
-                    confirmed.push(stamp);
+                    confirmed.push(advertisement_id);
                 } else if !self.hear_of_ourselves(&advertisement, link) {
-                    better.insert(stamp.origin);
+                    better.insert(advertisement_id.origin);
                 }
                 continue;
             }
-            let known = self.known.get(&stamp.origin);
-            if let Some(known) = known.filter(|known| known.withdrawn.contains(&stamp)) {
+            let known = self.known.get(&advertisement_id.origin);
+            if let Some(known) = known.filter(|known| known.withdrawn.contains(&advertisement_id)) {
                 if advertisement.withdrawn {
-                    confirmed.extend(known.advertisement.withdrawn.then_some(stamp));
+                    confirmed.extend(known.advertisement.withdrawn.then_some(advertisement_id));
                     if let Some(adjacent) = self.links.get_mut(&link) {
-                        adjacent.pending.remove(&stamp.origin);
+                        adjacent.pending.remove(&advertisement_id.origin);
                     }
                 } else {
                     // Its origin has withdrawn it: each node that still has it must know.
                     self.refusals.stale += 1;
-                    let told = vec![advertisement.withdrawal(), known.advertisement.clone()];
-                    self.say(link, told);
+                    let advertisements =
+                        vec![advertisement.withdrawal(), known.advertisement.clone()];
+                    self.say(link, advertisements);
                 }
                 continue;
             }
-            let held = self.known.get(&stamp.origin).map(|known| known.advertisement.stamp);
-            let later = held.is_some_and(|held| held.incarnation < stamp.incarnation);
-            let contested = later && self.is_contested(&advertisement.node, stamp.incarnation);
-            let held = self.known.get(&stamp.origin).map(|known| &known.advertisement);
+            let held = self.known.get(&advertisement_id.origin).map(|known| known.advertisement.id);
+            let later = held.is_some_and(|held| held.incarnation < advertisement_id.incarnation);
+            let contested =
+                later && self.is_contested(&advertisement.node, advertisement_id.incarnation);
+            let held = self.known.get(&advertisement_id.origin).map(|known| &known.advertisement);
             match held {
                 Some(held) if held.node != advertisement.node => {
                     let held = Some(held.node.clone());
@@ -177,41 +180,41 @@ impl Router {
                 }
                 // Only who has it takes it back: a lie spreads from node to node, and so does this.
                 Some(held) if advertisement.withdrawn && !takes_back(&advertisement, held) => {
-                    if held.withdrawn || held.stamp > stamp {
-                        better.insert(stamp.origin);
+                    if held.withdrawn || held.id > advertisement_id {
+                        better.insert(advertisement_id.origin);
                     }
                 }
                 // After a withdrawal the origin counts from the beginning.
                 Some(held) if held.withdrawn && !advertisement.withdrawn && !contested => {
-                    confirmed.push(stamp);
+                    confirmed.push(advertisement_id);
                     self.learn(advertisement, link);
                 }
-                // Of two that differ and have one stamp, everybody takes the same, which comes to
+                // Of two that differ and have one id, everybody takes the same, which comes to
                 // its origin sooner or later (RFC 2328, 13.1).
                 Some(held)
-                    if (held.stamp, held.withdrawn, &held.edges)
-                        > (stamp, advertisement.withdrawn, &advertisement.edges) =>
+                    if (held.id, held.withdrawn, &held.edges)
+                        > (advertisement_id, advertisement.withdrawn, &advertisement.edges) =>
                 {
                     self.refusals.stale += 1;
-                    better.insert(stamp.origin);
+                    better.insert(advertisement_id.origin);
                 }
                 Some(held) if *held == advertisement => {
-                    confirmed.push(stamp);
+                    confirmed.push(advertisement_id);
                     if let Some(adjacent) = self.links.get_mut(&link) {
-                        adjacent.pending.remove(&stamp.origin);
+                        adjacent.pending.remove(&advertisement_id.origin);
                     }
                 }
                 // Confirmed, so that it is not repeated; not kept, so that it is asked for once it
                 // counts.
                 Some(_) if contested => {
-                    confirmed.push(stamp);
-                    self.tell_why(link, stamp.origin);
+                    confirmed.push(advertisement_id);
+                    self.tell_why(link, advertisement_id.origin);
                 }
                 None if self.known.len() >= self.config.nodes_max => {
                     self.refusals.too_large += 1;
                 }
                 _ => {
-                    confirmed.push(stamp);
+                    confirmed.push(advertisement_id);
                     self.learn(advertisement, link);
                 }
             }
@@ -223,13 +226,13 @@ impl Router {
         }
     }
 
-    fn say(&mut self, link: LinkId, told: Vec<Advertisement>) {
-        let bytes = RoutingMessage::Announce(told).encode();
+    fn say(&mut self, link: LinkId, advertisements: Vec<Advertisement>) {
+        let bytes = RoutingMessage::Announce(advertisements).encode();
         self.outputs.push_back(RouterOutput::Routing { link, bytes });
     }
 
     pub(super) fn learn(&mut self, advertisement: Advertisement, from: LinkId) {
-        let origin = advertisement.stamp.origin;
+        let origin = advertisement.id.origin;
         let expires = self.now + self.config.lifetime;
         self.wake_at = self.wake_at.min(expires);
         let before = self.known.remove(&origin);
@@ -241,14 +244,14 @@ impl Router {
             self.wake_at = self.wake_at.min(until);
             believed = effective.clone().map(|effective| (effective, until));
             withdrawn.truncate(WITHDRAWN_MAX - 1);
-            withdrawn.push_front(advertisement.stamp);
+            withdrawn.push_front(advertisement.id);
         }
         self.hear_given_up(effective.as_ref(), &advertisement);
         let (reached, ended) = (false, false);
         let known = DatabaseEntry { advertisement, expires, reached, ended, believed, withdrawn };
         let same = match (&effective, known.effective()) {
             (Some(before), Some(now)) => {
-                before.edges == now.edges && before.stamp.incarnation == now.stamp.incarnation
+                before.edges == now.edges && before.id.incarnation == now.id.incarnation
             }
             _ => false,
         };
@@ -270,7 +273,7 @@ impl Router {
         advertisement: &Advertisement,
         link: LinkId,
     ) -> bool {
-        let (theirs, ours) = (advertisement.stamp, self.own.stamp);
+        let (theirs, ours) = (advertisement.id, self.own.id);
         if advertisement.node != self.own.node {
             self.tell_collision(Some(self.own.node.clone()), advertisement.node.clone());
         } else if theirs.incarnation > ours.incarnation {
@@ -295,7 +298,7 @@ impl Router {
             } else {
                 // Also where this router was rebuilt within its node's incarnation: it continues
                 // the count.
-                self.own.stamp.sequence = theirs.sequence;
+                self.own.id.sequence = theirs.sequence;
                 self.renew();
             }
         }
@@ -306,8 +309,8 @@ impl Router {
     /// overtake each other. Who does not hear it, answers our next announcement by what it still
     /// has, and hears it again.
     fn begin_anew(&mut self, withdrawal: Advertisement) {
-        self.remember_withdrawn(withdrawal.stamp);
-        self.own.stamp.sequence = 1;
+        self.remember_withdrawn(withdrawal.id);
+        self.own.id.sequence = 1;
         self.refresh_at = self.now + self.config.refresh;
         let length = 1 + withdrawal.length() + self.own.length() + FRAME_HEADER;
         let (withdrawal, own) = (vec![withdrawal], vec![self.own.clone()]);
@@ -318,19 +321,19 @@ impl Router {
             adjacent.pending.insert(self.id, again);
             let fits = length <= usize::from(adjacent.mtu);
             let frames = if fits { vec![&both] } else { vec![&withdrawal, &own] };
-            self.outputs.extend(frames.into_iter().map(|told| {
-                let bytes = RoutingMessage::Announce(told.clone()).encode();
+            self.outputs.extend(frames.into_iter().map(|advertisements| {
+                let bytes = RoutingMessage::Announce(advertisements.clone()).encode();
                 RouterOutput::Routing { link, bytes }
             }));
         }
     }
 
     /// Its echo is no news.
-    fn remember_withdrawn(&mut self, stamp: AdvertisementId) {
+    fn remember_withdrawn(&mut self, id: AdvertisementId) {
         if self.withdrew.len() == WITHDRAWN_MAX {
             self.withdrew.pop_front();
         }
-        self.withdrew.push_back(stamp);
+        self.withdrew.push_back(id);
     }
 
     /// Counts what is said in our name, and tells when it does not cease.
@@ -354,23 +357,24 @@ impl Router {
         &mut self,
         link: LinkId,
         range: Option<(NodeId, NodeId)>,
-        stamps: &[AdvertisementId],
+        ids: &[AdvertisementId],
     ) {
         let mut better = Vec::new();
         let mut wanted = Vec::new();
-        for &stamp in stamps {
-            let AdvertisementId { origin, .. } = stamp;
+        for &advertisement_id in ids {
+            let AdvertisementId { origin, .. } = advertisement_id;
             let nothing = AdvertisementId { origin, incarnation: Incarnation(0), sequence: 0 };
-            let held = self.advertisement(origin).map_or(nothing, |held| held.stamp);
+            let held = self.advertisement(origin).map_or(nothing, |held| held.id);
             let known = self.known.get(&origin);
-            if let Some(known) = known.filter(|known| known.withdrawn.contains(&stamp))
-                && held != stamp
+            if let Some(known) = known.filter(|known| known.withdrawn.contains(&advertisement_id))
+                && held != advertisement_id
             {
-                let withdrawal = Advertisement { stamp, ..known.advertisement.withdrawal() };
+                let withdrawal =
+                    Advertisement { id: advertisement_id, ..known.advertisement.withdrawal() };
                 self.say(link, vec![withdrawal, known.advertisement.clone()]);
-            } else if held > stamp {
+            } else if held > advertisement_id {
                 better.push(origin);
-            } else if held < stamp {
+            } else if held < advertisement_id {
                 wanted.push(held);
             } else if let Some(adjacent) = self.links.get_mut(&link) {
                 adjacent.pending.remove(&origin);
@@ -379,7 +383,7 @@ impl Router {
         if let Some((first, last)) = range
             && first <= last
         {
-            let listed: crate::sorted::SortedSet<_> = stamps.iter().map(|s| s.origin).collect();
+            let listed: crate::sorted::SortedSet<_> = ids.iter().map(|s| s.origin).collect();
             let held = self.known.range(first..=last).map(|(origin, _)| *origin);
             let own = (first..=last).contains(&self.id).then_some(self.id);
             better.extend(held.chain(own).filter(|origin| !listed.contains(origin)));
@@ -395,8 +399,8 @@ impl Router {
         let Some(node) = node else { return };
         let pair = Some((node.clone(), refused.clone()));
         self.go_on(RouterAlarm::NameTaken);
-        if self.told != pair {
-            self.told = pair;
+        if self.reported_conflict != pair {
+            self.reported_conflict = pair;
             self.begin_trouble(RouterAlarm::NameTaken);
             self.outputs.push_back(RouterOutput::NumberTaken { node, refused });
         }
@@ -418,8 +422,7 @@ impl Router {
 
 /// Whether this withdrawal is of what is held.
 fn takes_back(withdrawal: &Advertisement, held: &Advertisement) -> bool {
-    let (void, held_stamp) = (withdrawal.stamp, held.stamp);
-    let at_the_end = held_stamp.sequence >= JUMP_MAX && held_stamp <= void;
-    !held.withdrawn
-        && (held_stamp == void || held_stamp.incarnation == void.incarnation && at_the_end)
+    let (void, held_id) = (withdrawal.id, held.id);
+    let at_the_end = held_id.sequence >= JUMP_MAX && held_id <= void;
+    !held.withdrawn && (held_id == void || held_id.incarnation == void.incarnation && at_the_end)
 }

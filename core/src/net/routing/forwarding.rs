@@ -17,7 +17,7 @@ impl Router {
             Ok(packet) => packet,
             Err(error) => return self.refusals.count(&error),
         };
-        if self.barred.contains_key(&link) || self.isolated.contains(&packet.source) {
+        if self.isolated_links.contains_key(&link) || self.isolated.contains(&packet.source) {
             self.refusals.isolated += 1;
         } else if packet.source == self.id {
             // It went in a circle, as packets may while nodes hear of a change one after the other,

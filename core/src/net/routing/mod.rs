@@ -44,7 +44,7 @@ pub struct Router {
     /// Isolated nodes, as many as there are decisions.
     isolated: SortedSet<NodeId>,
     /// Links to them, which are not used.
-    barred: SortedMap<LinkId, LinkStatus>,
+    isolated_links: SortedMap<LinkId, LinkStatus>,
     known: SortedMap<NodeId, DatabaseEntry>,
     own: Advertisement,
     routes: SortedMap<NodeId, Route>,
@@ -56,7 +56,7 @@ pub struct Router {
     computed_at: Instant,
     refresh_at: Instant,
     /// The last reported pair, so that a collision is reported once and not with every flood.
-    told: Option<(NodeName, NodeName)>,
+    reported_conflict: Option<(NodeName, NodeName)>,
     /// Withdrawals in our name, in their order.
     withdrew: VecDeque<AdvertisementId>,
     /// How often another node sent in our name within the last seconds, and since when.
@@ -114,16 +114,17 @@ impl Router {
     /// A router without links.
     pub fn new(config: RouterConfig, now: Instant) -> Self {
         let id = NodeId::of(&config.node);
-        let stamp = AdvertisementId { origin: id, incarnation: config.incarnation, sequence: 1 };
+        let advertisement_id =
+            AdvertisementId { origin: id, incarnation: config.incarnation, sequence: 1 };
         let (node, edges) = (config.node.clone(), Vec::new());
-        let own = Advertisement { stamp, node, edges, withdrawn: false };
+        let own = Advertisement { id: advertisement_id, node, edges, withdrawn: false };
         let refresh_at = now + config.refresh;
         Router {
             config,
             id,
             links: SortedMap::new(),
             isolated: SortedSet::new(),
-            barred: SortedMap::new(),
+            isolated_links: SortedMap::new(),
             known: SortedMap::new(),
             own,
             routes: SortedMap::new(),
@@ -131,7 +132,7 @@ impl Router {
             compute_at: None,
             computed_at: Instant::ORIGIN,
             refresh_at,
-            told: None,
+            reported_conflict: None,
             withdrew: VecDeque::new(),
             forged: (now, 0),
             usurper: None,
@@ -180,8 +181,8 @@ impl Router {
 
     /// Whether a link's hellos have said that this incarnation of a node is at its other end.
     pub fn is_neighbour(&self, node: &NodeName, incarnation: Incarnation) -> bool {
-        let mut heard = self.links.values().map(|link| &link.neighbour);
-        heard.any(|heard| heard.node == *node && heard.incarnation == incarnation)
+        let mut neighbours = self.links.values().map(|link| &link.neighbour);
+        neighbours.any(|peer| peer.node == *node && peer.incarnation == incarnation)
     }
 
     /// Whether a path leads to a node now, by everything that is known; `None` while all paths lead
@@ -214,13 +215,13 @@ impl Router {
             self.tell_collision(known, neighbour.node);
             return;
         }
-        self.barred.remove(&link);
+        self.isolated_links.remove(&link);
         if self.isolated.contains(&id) {
             if self.links.remove(&link).is_some() {
                 self.announce_links();
             }
             if health != LinkHealth::Down {
-                self.barred.insert(link, LinkStatus { neighbour, health, cost, mtu });
+                self.isolated_links.insert(link, LinkStatus { neighbour, health, cost, mtu });
             }
             return;
         }
@@ -279,24 +280,24 @@ impl Router {
         }
         self.outdate();
         if !isolated {
-            for (link, status) in std::mem::take(&mut self.barred) {
+            for (link, status) in std::mem::take(&mut self.isolated_links) {
                 self.handle_link(link, status, now);
             }
             return;
         }
-        let (barred, links) = std::mem::take(&mut self.links)
+        let (isolated_links, links) = std::mem::take(&mut self.links)
             .into_iter()
             .partition(|(_, adjacent)| adjacent.id == id);
         self.links = links;
-        let barred: SortedMap<LinkId, Adjacency> = barred;
-        if barred.is_empty() {
+        let isolated_links: SortedMap<LinkId, Adjacency> = isolated_links;
+        if isolated_links.is_empty() {
             return;
         }
         self.choose_anew();
         self.announce_links();
-        for (link, Adjacency { neighbour, cost, mtu, health, .. }) in barred {
+        for (link, Adjacency { neighbour, cost, mtu, health, .. }) in isolated_links {
             let status = LinkStatus { neighbour, health, cost, mtu: mtu.into() };
-            self.barred.insert(link, status);
+            self.isolated_links.insert(link, status);
             // The last message to it: it learns at once that no node is behind its links.
             let bytes = RoutingMessage::Announce(vec![self.own.clone()]).encode();
             self.outputs.push_back(RouterOutput::Routing { link, bytes });
@@ -306,7 +307,7 @@ impl Router {
     /// A message of a neighbour's router was received.
     pub fn handle_routing(&mut self, link: LinkId, bytes: Bytes, now: Instant) {
         self.now = now;
-        if self.barred.contains_key(&link) {
+        if self.isolated_links.contains_key(&link) {
             self.refusals.isolated += 1;
             return;
         }
@@ -319,7 +320,7 @@ impl Router {
             Ok(RoutingMessage::Announce(advertisements)) => {
                 self.handle_announce(link, advertisements)
             }
-            Ok(RoutingMessage::Have { range, stamps }) => self.handle_have(link, range, &stamps),
+            Ok(RoutingMessage::Have { range, ids }) => self.handle_have(link, range, &ids),
             Ok(RoutingMessage::Dispute { contender, node }) => {
                 self.handle_dispute(link, contender, node)
             }

@@ -48,19 +48,21 @@ impl Router {
 
     /// A node's newest announcement follows another: has it withdrawn its links with us?
     pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
-        let (id, stamp) = (self.id, newest.stamp);
-        let incarnation = Edge::incarnation_tag(self.own.stamp.incarnation);
-        let with_us = |told: &Advertisement| {
-            told.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
+        let (id, advertisement_id) = (self.id, newest.id);
+        let incarnation = Edge::incarnation_tag(self.own.id.incarnation);
+        let with_us = |advertisement: &Advertisement| {
+            advertisement.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
         };
-        let before = before.filter(|told| told.stamp.incarnation == stamp.incarnation);
+        let before = before
+            .filter(|advertisement| advertisement.id.incarnation == advertisement_id.incarnation);
         // One that is full may lack what there was no room for.
         let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;
         if !complete || with_us(newest) || !before.is_some_and(with_us) {
             return;
         }
         let lost = self.links.iter().filter(|(_, adjacent)| {
-            adjacent.id == stamp.origin && adjacent.neighbour.incarnation == stamp.incarnation
+            adjacent.id == advertisement_id.origin
+                && adjacent.neighbour.incarnation == advertisement_id.incarnation
         });
         self.outputs.extend(lost.map(|(&link, _)| RouterOutput::GivenUp { link }));
     }

@@ -35,11 +35,12 @@ fn up(neighbour: &str, cost: u16) -> LinkStatus {
 }
 
 fn advertisement(node: &str, sequence: u32, edges: &[(&str, u16)]) -> Advertisement {
-    let stamp = AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
+    let advertisement_id =
+        AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence };
     let (incarnation, mtu) = (1, 1400);
     let edge = |&(to, cost): &(&str, u16)| Edge { to: id(to), incarnation, cost, mtu };
     let edges = edges.iter().map(edge).collect();
-    Advertisement { stamp, node: named(node), edges, withdrawn: false }
+    Advertisement { id: advertisement_id, node: named(node), edges, withdrawn: false }
 }
 
 /// The same, of a node that is linked to that incarnation of another.
@@ -50,8 +51,8 @@ fn linked_to(incarnation: u8, to: &str, mut linked: Advertisement) -> Advertisem
     linked
 }
 
-fn tell(router: &mut Router, link: LinkId, told: Advertisement, now: u64) {
-    router.handle_routing(link, RoutingMessage::Announce(vec![told]).encode(), at(now));
+fn tell(router: &mut Router, link: LinkId, reported: Advertisement, now: u64) {
+    router.handle_routing(link, RoutingMessage::Announce(vec![reported]).encode(), at(now));
 }
 
 fn outputs(router: &mut Router, now: u64) -> Vec<RouterOutput> {
@@ -70,7 +71,7 @@ fn announced(outputs: &[RouterOutput], link: LinkId) -> Vec<Advertisement> {
     });
     bytes
         .filter_map(|bytes| match RoutingMessage::decode(bytes) {
-            Ok(RoutingMessage::Announce(told)) => Some(told),
+            Ok(RoutingMessage::Announce(reported)) => Some(reported),
             _ => None,
         })
         .flatten()
@@ -116,8 +117,8 @@ fn the_alternate_is_known_ahead_and_taken_without_any_computation() {
     router.handle_link(FIRST, suspect, at(1020));
 
     let changed = RouterOutput::PathChanged { node: id("far"), mtu: 1376 };
-    let told: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
-    assert!(told.contains(&changed), "{told:?}");
+    let reported: Vec<_> = std::iter::from_fn(|| router.poll_output()).collect();
+    assert!(reported.contains(&changed), "{reported:?}");
     router.handle_segment(id("far"), PacketPriority::Data, segment().into());
     assert_eq!(over(router.poll_output()), Some(SECOND));
 }
@@ -160,9 +161,11 @@ fn an_edge_counts_only_if_both_ends_announce_it() {
     assert!(router.route(id("far")).is_none());
 
     tell(&mut router, FIRST, advertisement("far", 2, &[("left", 1)]), 1020);
-    let told = without_routing(outputs(&mut router, 1030));
+    let reported = without_routing(outputs(&mut router, 1030));
 
-    assert!(matches!(&told[..], [RouterOutput::Reachable { node, .. }] if *node == named("far")));
+    assert!(
+        matches!(&reported[..], [RouterOutput::Reachable { node, .. }] if *node == named("far"))
+    );
 }
 
 #[test]
@@ -202,9 +205,9 @@ fn what_somebody_says_in_our_name_is_outdone() {
 
     tell(&mut router, FIRST, advertisement("own", 700, &[("nowhere", 1)]), 1020);
 
-    let told = announced(&outputs(&mut router, 1020), SECOND);
-    let own = told.iter().find(|told| told.stamp.origin == id("own")).unwrap();
-    assert_eq!((own.stamp.sequence, own.edges.len()), (701, 2));
+    let reported = announced(&outputs(&mut router, 1020), SECOND);
+    let own = reported.iter().find(|reported| reported.id.origin == id("own")).unwrap();
+    assert_eq!((own.id.sequence, own.edges.len()), (701, 2));
 }
 
 #[test]
@@ -305,8 +308,8 @@ fn news_is_passed_on_at_once_and_repeated_until_confirmed() {
     let again = outputs(&mut router, 1065);
     assert!(announced(&again, SECOND).contains(&news));
 
-    let stamps = vec![news.stamp];
-    let confirm = RoutingMessage::Have { range: None, stamps };
+    let ids = vec![news.id];
+    let confirm = RoutingMessage::Have { range: None, ids };
     router.handle_routing(SECOND, confirm.encode(), at(1070));
     let later = outputs(&mut router, 1200);
     assert!(!announced(&later, SECOND).contains(&news));
@@ -322,7 +325,7 @@ fn old_news_is_answered_with_newer_news() {
 
     let answer = announced(&outputs(&mut router, 1040), SECOND);
     assert_eq!(
-        answer.iter().find(|told| told.stamp.origin == id("far")).unwrap().stamp.sequence,
+        answer.iter().find(|reported| reported.id.origin == id("far")).unwrap().id.sequence,
         5
     );
     assert!(router.refusals().stale >= 1);
@@ -334,11 +337,11 @@ fn what_a_neighbour_lacks_is_seen_in_its_list_and_sent() {
     outputs(&mut router, 1030);
 
     let range = Some((NodeId(0), NodeId(u32::MAX)));
-    let nothing = RoutingMessage::Have { range, stamps: vec![] };
+    let nothing = RoutingMessage::Have { range, ids: vec![] };
     router.handle_routing(SECOND, nothing.encode(), at(1031));
 
     let sent = announced(&outputs(&mut router, 1031), SECOND);
-    let mut origins: Vec<_> = sent.iter().map(|told| told.node.as_str()).collect();
+    let mut origins: Vec<_> = sent.iter().map(|reported| reported.node.as_str()).collect();
     origins.sort();
     assert_eq!(origins, ["far", "left", "own", "right"]);
 }
@@ -360,13 +363,13 @@ fn a_node_that_nobody_repeats_is_forgotten() {
 
 #[test]
 fn over_a_narrow_medium_news_is_repeated_ten_times_as_rarely() {
-    let told_within = |mtu| {
+    let reported_within = |mtu| {
         let mut router = router();
         router.handle_link(FIRST, LinkStatus { mtu, ..up("left", 1) }, at(1000));
         (1000..1900).map(|now| announced(&outputs(&mut router, now), FIRST).len()).sum::<usize>()
     };
 
-    assert_eq!((told_within(1400), told_within(MTU_MIN)), (23, 3));
+    assert_eq!((reported_within(1400), reported_within(MTU_MIN)), (23, 3));
 }
 
 #[test]
@@ -386,15 +389,15 @@ fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_a
     let packet = |source: &str, to: &str| Packet { source: id(source), ..packet_to(to, 3) };
 
     router.handle_isolation(&named("left"), true, at(1020));
-    let told = outputs(&mut router, 1030);
+    let reported = outputs(&mut router, 1030);
 
-    let own = |link| announced(&told, link).into_iter().find(|own| own.node == named("own"));
+    let own = |link| announced(&reported, link).into_iter().find(|own| own.node == named("own"));
     for link in [FIRST, SECOND] {
         let own = own(link).expect("all are told, and so is the isolated node itself");
         assert_eq!(own.edges.iter().map(|edge| edge.to).collect::<Vec<_>>(), [id("right")]);
     }
     let (node, incarnation) = (named("left"), Incarnation(1));
-    assert!(told.contains(&RouterOutput::Lost { node, incarnation }));
+    assert!(reported.contains(&RouterOutput::Lost { node, incarnation }));
     // The ways go around it.
     assert_eq!(router.route(id("far")).unwrap().next, SECOND);
     router.handle_segment(id("left"), PacketPriority::Data, segment().into());
@@ -414,9 +417,9 @@ fn nothing_goes_to_an_isolated_node_comes_from_it_or_leads_over_it_until_it_is_a
 
     router.handle_isolation(&named("left"), false, at(1080));
 
-    let told = outputs(&mut router, 1090);
+    let reported = outputs(&mut router, 1090);
     let back = |output: &RouterOutput| matches!(output, RouterOutput::Reachable { node, .. } if *node == named("left"));
-    assert!(told.iter().any(back), "{told:?}");
+    assert!(reported.iter().any(back), "{reported:?}");
     assert_eq!(router.route(id("far")).unwrap().next, FIRST);
 }
 
@@ -446,13 +449,14 @@ fn what_was_said_in_our_name_under_the_highest_number_is_withdrawn_and_counting_
     tell(&mut router, FIRST, advertisement("own", u32::MAX, &[("nowhere", 1)]), 1020);
 
     for link in [FIRST, SECOND] {
-        let told = announced(&outputs(&mut router, 1020), link);
-        if told.is_empty() {
+        let reported = announced(&outputs(&mut router, 1020), link);
+        if reported.is_empty() {
             continue;
         }
-        let own: Vec<_> = told.iter().filter(|told| told.node == named("own")).collect();
-        assert!(own[0].withdrawn && own[0].stamp.sequence == u32::MAX, "{own:?}");
-        assert_eq!((own[1].stamp.sequence, own[1].edges.len()), (1, 2));
+        let own: Vec<_> =
+            reported.iter().filter(|reported| reported.node == named("own")).collect();
+        assert!(own[0].withdrawn && own[0].id.sequence == u32::MAX, "{own:?}");
+        assert_eq!((own[1].id.sequence, own[1].edges.len()), (1, 2));
     }
     assert_eq!(router.refusals().forged, 1);
 }
@@ -477,12 +481,12 @@ fn lies_in_our_name_are_over_when_a_minute_has_passed_without_one() {
 #[test]
 fn a_router_that_has_counted_to_the_end_withdraws_its_last_word_first() {
     let mut router = between_two();
-    router.own.stamp.sequence = u32::MAX;
+    router.own.id.sequence = u32::MAX;
 
     router.handle_link(SECOND, up("right", 7), at(1030));
 
-    let told = announced(&outputs(&mut router, 1030), FIRST);
-    let own: Vec<_> = told.iter().map(|own| (own.withdrawn, own.stamp.sequence)).collect();
+    let reported = announced(&outputs(&mut router, 1030), FIRST);
+    let own: Vec<_> = reported.iter().map(|own| (own.withdrawn, own.id.sequence)).collect();
     assert_eq!(own[..2], [(true, u32::MAX), (false, 1)]);
 }
 
@@ -516,10 +520,10 @@ fn what_is_withdrawn_counts_for_a_moment_and_then_no_longer() {
     tell(&mut router, FIRST, advertisement("far", 1, &[("left", 1), ("right", 1)]), 1080);
     assert_eq!(without_routing(outputs(&mut router, 1090)), []);
     let mut again = advertisement("far", 1, &[("left", 1), ("right", 1)]);
-    again.stamp.incarnation = Incarnation(0);
+    again.id.incarnation = Incarnation(0);
     tell(&mut router, FIRST, again, 1100);
     let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
     tell(&mut router, FIRST, linked_to(0, "far", left), 1100);
-    let back = |told: &RouterOutput| matches!(told, RouterOutput::Reachable { node, .. } if *node == named("far"));
+    let back = |reported: &RouterOutput| matches!(reported, RouterOutput::Reachable { node, .. } if *node == named("far"));
     assert!(outputs(&mut router, 1110).iter().any(back));
 }

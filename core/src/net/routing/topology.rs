@@ -186,13 +186,13 @@ impl<'a> Topology<'a> {
 
     /// A node's name and newest known incarnation: its own words, or what a link to it has heard.
     fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
-        let told = self.known.get(&id).map(|a| (a.node.clone(), a.stamp.incarnation));
-        let heard = self
+        let announced = self.known.get(&id).map(|a| (a.node.clone(), a.id.incarnation));
+        let observed = self
             .links
             .values()
             .filter(|link| link.id == id)
             .map(|link| (link.neighbour.node.clone(), link.neighbour.incarnation));
-        heard.chain(told).max_by_key(|(_, incarnation)| *incarnation)
+        observed.chain(announced).max_by_key(|(_, incarnation)| *incarnation)
     }
 
     /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
@@ -238,9 +238,9 @@ impl<'a> Topology<'a> {
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
         known.iter().filter(|edge| {
-            let told = self.known.get(&edge.to).map(|known| known.stamp.incarnation);
+            let announced = self.known.get(&edge.to).map(|known| known.id.incarnation);
             usize::from(edge.mtu) >= MTU_MIN
-                && told.is_none_or(|incarnation| {
+                && announced.is_none_or(|incarnation| {
                     Edge::incarnation_tag(incarnation) == edge.incarnation
                 })
         })

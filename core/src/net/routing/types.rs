@@ -1,4 +1,4 @@
-//! What a router is configured with, is told, and wants done.
+//! Configuration, inputs and outputs of a router.
 
 use crate::net::link::Neighbour;
 use crate::net::wire::link_id::LinkId;

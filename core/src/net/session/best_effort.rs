@@ -10,8 +10,8 @@ use bytes::Bytes;
 const DATAGRAM_HEADER: usize = 28;
 
 /// What a datagram of this size carries at least.
-fn payload_room(room: usize) -> usize {
-    room.saturating_sub(DATAGRAM_HEADER).max(1)
+fn payload_capacity(capacity: usize) -> usize {
+    capacity.saturating_sub(DATAGRAM_HEADER).max(1)
 }
 
 /// Both directions of all channels of one session.
@@ -45,23 +45,24 @@ impl BestEffort {
         BestEffort { sent: SortedMap::new(), delivered: SortedMap::new(), channels_max, pieces }
     }
 
-    /// The most bytes of a message whose datagrams are no larger than `room` with their headers.
-    pub(crate) fn most(room: usize) -> usize {
-        payload_room(room) * usize::from(PIECES_MAX)
+    /// The most bytes of a message whose datagrams are no larger than `capacity` with their
+    /// headers.
+    pub(crate) fn most(capacity: usize) -> usize {
+        payload_capacity(capacity) * usize::from(PIECES_MAX)
     }
 
-    /// The datagrams of one message, none larger than `room` with its header.
+    /// The datagrams of one message, none larger than `capacity` with its header.
     pub(crate) fn cut(
         &mut self,
         tag: u32,
         channel: u32,
         message: &GatherBuffer,
-        room: usize,
+        capacity: usize,
     ) -> impl Iterator<Item = Datagram> + use<> {
         let sequence = self.sent.entry(channel).or_insert(0);
         *sequence += 1;
         let sequence = *sequence;
-        let pieces = pieces_of(message, payload_room(room)).into_iter();
+        let pieces = pieces_of(message, payload_capacity(capacity)).into_iter();
         pieces.map(move |(piece, payload)| Datagram { tag, channel, sequence, piece, payload })
     }
 

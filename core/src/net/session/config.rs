@@ -3,7 +3,8 @@
 use crate::{Incarnation, NodeName};
 use std::time::Duration;
 
-/// How long a peer may owe an answer, or be without a path, unless a node says otherwise.
+/// The default idle timeout: how long a peer may leave segments unacknowledged, or be without a
+/// path.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(2);
 /// A mebibyte of the application's, and what says whose it is.
 const MESSAGE_MAX: usize = (1 << 20) + 4096;

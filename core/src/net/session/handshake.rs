@@ -91,7 +91,7 @@ impl Session {
             }
             State::Open { .. } | State::Closing { .. } => {
                 if open.echo == self.tag {
-                    self.heard();
+                    self.record_receipt();
                     self.acknowledge();
                 } else {
                     self.tell_open(theirs.tag);
@@ -120,7 +120,7 @@ impl Session {
     pub(super) fn begin(&mut self, peer: RemoteEnd) {
         self.state = State::Open { peer };
         self.newest = self.newest.max((peer.incarnation, peer.number));
-        self.heard();
+        self.record_receipt();
         self.outputs.push_back(SessionOutput::Opened { incarnation: peer.incarnation });
     }
 

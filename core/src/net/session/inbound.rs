@@ -144,8 +144,8 @@ impl Inbound {
             .ok_or(WireError::Malformed { what: "a message without a start" })?;
         let rest = reader.rest();
         if partial.bytes.capacity() - partial.bytes.len() < rest.len() {
-            let room = (4 * (partial.bytes.len() + rest.len())).min(partial.length);
-            partial.bytes.reserve(room.saturating_sub(partial.bytes.len()));
+            let capacity = (4 * (partial.bytes.len() + rest.len())).min(partial.length);
+            partial.bytes.reserve(capacity.saturating_sub(partial.bytes.len()));
         }
         partial.bytes.extend_from_slice(&rest);
         if partial.bytes.len() > partial.length {

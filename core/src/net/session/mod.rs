@@ -220,7 +220,7 @@ impl Session {
     /// Sends a message, exactly once and in the order of its strand.
     ///
     /// # Errors
-    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Room`]
+    /// [`DeliveryError::WayFull`]: [`SessionOutput::Full`] was not heeded; [`SessionOutput::Ready`]
     /// tells when the stream takes more. [`DeliveryError::TooLargeForSession`],
     /// [`DeliveryError::Unreachable`], [`DeliveryError::Stopped`] after
     /// [`handle_close`](Session::handle_close). The message comes back.
@@ -269,14 +269,14 @@ impl Session {
     ) -> Result<(), Refused> {
         self.now = now;
         let message = self.check(message.into())?;
-        let (State::Open { peer }, Some(room)) = (self.state, self.path) else {
+        let (State::Open { peer }, Some(capacity)) = (self.state, self.path) else {
             return Err((DeliveryError::Restarting, message.into_bytes()));
         };
-        let limit = BestEffort::most(room);
+        let limit = BestEffort::most(capacity);
         if message.len() > limit {
             return Err((DeliveryError::TooLargeForSession { limit }, message.into_bytes()));
         }
-        for datagram in self.best_effort.cut(peer.tag, channel, &message, room) {
+        for datagram in self.best_effort.cut(peer.tag, channel, &message, capacity) {
             self.transmit(PacketPriority::Data, Segment::Datagram(datagram));
         }
         Ok(())
@@ -432,14 +432,14 @@ impl Session {
                 true
             }
             State::Open { .. } | State::Closing { .. } => {
-                self.heard();
+                self.record_receipt();
                 true
             }
             _ => false,
         }
     }
 
-    fn heard(&mut self) {
+    fn record_receipt(&mut self) {
         let waits = self.streams.iter().any(|stream| !stream.outbound.is_empty());
         self.waiting_since = (waits || self.path.is_none()).then_some(self.now);
     }
@@ -469,7 +469,7 @@ impl Session {
                 self.outputs.push_back(SessionOutput::Returned { stream, message, why, sent });
             }
             for load in SizeClass::ALL.into_iter().filter(|load| state.full[*load as usize]) {
-                self.outputs.push_back(SessionOutput::Room { stream, load });
+                self.outputs.push_back(SessionOutput::Ready { stream, load });
             }
             *state = StreamState::new(&self.config);
         }

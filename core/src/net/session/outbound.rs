@@ -100,8 +100,8 @@ fn length_of(message: usize) -> BytesMut {
 }
 
 /// Whether a message, with its length, goes into a part beside so many bytes.
-fn fits(message: &GatherBuffer, beside: usize, room: usize) -> bool {
-    beside + varint_length(message.len() as u64) + message.len() <= room
+fn fits(message: &GatherBuffer, beside: usize, capacity: usize) -> bool {
+    beside + varint_length(message.len() as u64) + message.len() <= capacity
 }
 
 impl Outbound {
@@ -176,10 +176,10 @@ impl Outbound {
         sent.chain(waiting.into_messages().map(|message| (message.into_bytes(), false)))
     }
 
-    /// The next part to send: what was lost first, then new ones, as large as `room` allows.
+    /// The next part to send: what was lost first, then new ones, as large as `capacity` allows.
     pub(crate) fn transmit(
         &mut self,
-        room: usize,
+        capacity: usize,
         order: u64,
         now: Instant,
     ) -> Option<(u64, Chunk)> {
@@ -195,9 +195,9 @@ impl Outbound {
             return None;
         }
         let sequence = self.next;
-        let (first, last, payload) = match self.cut_overtaking(room, sequence) {
+        let (first, last, payload) = match self.cut_overtaking(capacity, sequence) {
             Some(payload) => (true, true, payload),
-            None => self.cut_part(room, sequence),
+            None => self.cut_part(capacity, sequence),
         };
         let part = Chunk { first, last, payload, sent: now, order, again: false, lost: false };
         self.next += 1;
@@ -208,7 +208,7 @@ impl Outbound {
 
     /// After each part of what is large, one of whole messages that need not wait for the rest of
     /// it: nothing of its strand. The large one goes on after them.
-    fn cut_overtaking(&mut self, room: usize, sequence: u64) -> Option<GatherBuffer> {
+    fn cut_overtaking(&mut self, capacity: usize, sequence: u64) -> Option<GatherBuffer> {
         let large = self.partial.as_ref()?.strand;
         if std::mem::take(&mut self.overtook) {
             return None;
@@ -224,9 +224,9 @@ impl Outbound {
             if strand == large {
                 continue;
             }
-            if !fits(message, payload.len(), room) {
+            if !fits(message, payload.len(), capacity) {
                 passed += 1;
-                if fits(message, 0, room) {
+                if fits(message, 0, capacity) {
                     first_left.get_or_insert(number);
                 }
                 continue;
@@ -247,9 +247,9 @@ impl Outbound {
     }
 
     /// As many whole messages as fit, or as much of a large one.
-    fn cut_part(&mut self, room: usize, sequence: u64) -> (bool, bool, GatherBuffer) {
+    fn cut_part(&mut self, capacity: usize, sequence: u64) -> (bool, bool, GatherBuffer) {
         if let Some(mut partial) = self.partial.take() {
-            let end = partial.message.len().min(partial.cut + room);
+            let end = partial.message.len().min(partial.cut + capacity);
             let payload = partial.message.slice(partial.cut..end);
             let last = end == partial.message.len();
             if last {
@@ -263,10 +263,10 @@ impl Outbound {
         let (number, _, first) = self.waiting.first(0..).expect("something waits");
         let length = first.len();
         let needed = varint_length(length as u64) + length;
-        if needed <= room / 2 {
+        if needed <= capacity / 2 {
             let mut payload = BytesMut::with_capacity(needed);
             while let Some((number, _, message)) = self.waiting.first(0..)
-                && fits(message, payload.len(), room)
+                && fits(message, payload.len(), capacity)
             {
                 self.cut_whole(number, sequence, &mut payload);
             }
@@ -274,8 +274,8 @@ impl Outbound {
         }
         // Few others would go with it, and it would be copied.
         let (strand, message) = self.waiting.take(number).expect("it was just looked at");
-        let last = needed <= room;
-        let cut = if last { length } else { room - varint_length(length as u64) };
+        let last = needed <= capacity;
+        let cut = if last { length } else { capacity - varint_length(length as u64) };
         let payload = message.slice(0..cut).behind(length_of(length));
         if last {
             self.cut.push_back(Held { message, last: sequence });

@@ -63,7 +63,7 @@ pub enum SessionOutput {
         load: SizeClass,
     },
     /// A stream that was full takes messages again.
-    Room {
+    Ready {
         /// Which.
         stream: Stream,
         /// What there is room for.

@@ -94,15 +94,15 @@ impl<K: Ord + Copy> Reassembly<K> {
     }
 }
 
-/// One whole, or pieces of at most `room` bytes.
+/// One whole, or pieces of at most `capacity` bytes.
 pub(crate) fn pieces_of(
     payload: &GatherBuffer,
-    room: usize,
+    capacity: usize,
 ) -> Vec<(Option<Fragment>, GatherBuffer)> {
-    if payload.len() <= room {
+    if payload.len() <= capacity {
         return vec![(None, payload.clone())];
     }
-    let count = payload.len().div_ceil(room).min(PIECES_MAX.into()) as u16;
+    let count = payload.len().div_ceil(capacity).min(PIECES_MAX.into()) as u16;
     let size = payload.len().div_ceil(count.into());
     (0..count)
         .map(|index| {

@@ -1,4 +1,4 @@
-//! How a session stands, for people.
+//! The status of a session, for display.
 
 use super::duplicates::DuplicateDiscard;
 use super::round_trip::RttEstimator;
@@ -96,7 +96,7 @@ impl Session {
     }
 
     /// How it stands now.
-    pub fn standing(&self) -> SessionStatus {
+    pub fn status(&self) -> SessionStatus {
         let state = match self.state {
             State::Idle => SessionState::Away,
             State::Opening { .. } if self.path.is_none() => SessionState::Away,

@@ -1,4 +1,4 @@
-//! The number by which a session knows what is meant for it.
+//! The tag by which a session recognises its segments.
 
 use super::SessionConfig;
 use crate::net::wire::node_id::NodeId;

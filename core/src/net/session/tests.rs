@@ -41,7 +41,7 @@ struct Pair {
     taken: [u64; 2],
     /// Every segment that went out, by its sender.
     sent: Vec<(usize, Segment)>,
-    told: [Vec<SessionOutput>; 2],
+    outputs: [Vec<SessionOutput>; 2],
     lose: Lose,
 }
 
@@ -58,7 +58,7 @@ impl Pair {
             rate: None,
             taken: [0; 2],
             sent: vec![],
-            told: [vec![], vec![]],
+            outputs: [vec![], vec![]],
             lose: Box::new(|_, _| false),
         }
     }
@@ -106,7 +106,7 @@ impl Pair {
         for end in 0..2 {
             while let Some(output) = self.ends[end].poll_output() {
                 let SessionOutput::Transmit { segment, .. } = output else {
-                    self.told[end].push(output);
+                    self.outputs[end].push(output);
                     continue;
                 };
                 let segment = segment.into_bytes();
@@ -127,7 +127,7 @@ impl Pair {
     }
 
     fn take(&mut self, end: usize) -> Vec<SessionOutput> {
-        std::mem::take(&mut self.told[end])
+        std::mem::take(&mut self.outputs[end])
     }
 
     fn parts(&self, from: usize) -> usize {

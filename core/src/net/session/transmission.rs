@@ -68,7 +68,7 @@ impl Session {
             self.flying(0) >= self.congestion || self.flying_bytes(0) >= self.config.window_bytes;
         // Room for an acknowledgement of a few ranges, or of none in a small frame; a longer one
         // travels alone.
-        let ack_room = 32.min(mtu / 8);
+        let ack_capacity = 32.min(mtu / 8);
         let always = self.congestion_min();
         for stream in BY_URGENCY {
             let state = &mut self.streams[stream as usize];
@@ -77,7 +77,8 @@ impl Session {
             let header = data_header(state.outbound.next()) + way;
             // Copies that do not fit onto their ways go one way.
             let least = if stream == Stream::Redundant { 48 } else { 16 };
-            let room = mtu.saturating_sub(header + ack_room).clamp(least, self.config.chunk_max);
+            let capacity =
+                mtu.saturating_sub(header + ack_capacity).clamp(least, self.config.chunk_max);
             let held = match stream {
                 // Some of it may always be on its way, whatever data is before it.
                 Stream::Control => congested && state.outbound.flying() >= always,
@@ -89,20 +90,20 @@ impl Session {
                 continue;
             }
             if let Some((sequence, part)) =
-                state.outbound.transmit(room, self.orders[lane(stream)], self.now)
+                state.outbound.transmit(capacity, self.orders[lane(stream)], self.now)
             {
                 let owed = state.inbound.owed().is_some();
                 let ack = owed.then(|| state.inbound.acknowledge());
                 // What was cut for a larger path says of each piece which it is.
-                let place = if part.payload.len() > room { PIECE_HEADER } else { 0 };
+                let place = if part.payload.len() > capacity { PIECE_HEADER } else { 0 };
                 let (ack, alone) = match ack {
-                    Some(ack) if ack.length() + place > ack_room => (None, Some(ack)),
+                    Some(ack) if ack.length() + place > ack_capacity => (None, Some(ack)),
                     ack => (ack, None),
                 };
                 if let Some(ack) = alone {
                     self.transmit_ack(peer.tag, stream, ack);
                 }
-                self.transmit_as(peer.tag, stream, sequence, part, ack, room);
+                self.transmit_as(peer.tag, stream, sequence, part, ack, capacity);
                 return true;
             }
         }
@@ -127,7 +128,7 @@ impl Session {
         sequence: u64,
         part: Chunk,
         mut ack: Option<Ack>,
-        room: usize,
+        capacity: usize,
     ) {
         let again = part.is_repeated();
         self.counters.sent += 1;
@@ -136,7 +137,7 @@ impl Session {
         self.orders[lane] += 1;
         self.retransmit_at[lane].get_or_insert(self.now + self.rtt[lane].timeout());
         let Chunk { first, last, payload, .. } = part;
-        for (piece, payload) in pieces_of(&payload, room) {
+        for (piece, payload) in pieces_of(&payload, capacity) {
             let ack = ack.take();
             let data = Data { tag, stream, sequence, first, last, again, piece, ack, payload };
             let segment = Segment::Data(data);
@@ -218,14 +219,14 @@ impl Session {
             let flying = self.flying(of) > 0;
             self.retransmit_at[of] = flying.then(|| self.now + self.rtt[of].timeout());
         }
-        self.make_room(stream);
-        self.heard();
+        self.report_ready(stream);
+        self.record_receipt();
     }
 
-    pub(super) fn make_room(&mut self, stream: Stream) {
+    pub(super) fn report_ready(&mut self, stream: Stream) {
         let state = &self.streams[stream as usize];
         let (messages, most) = (state.outbound.messages(), self.config.buffer_messages);
-        let rooms = SizeClass::ALL.map(|load| {
+        let ready = SizeClass::ALL.map(|load| {
             let (holds, should) = (state.outbound.bytes(load), self.buffer_bytes(load));
             match load {
                 // Half empty, so that a waiting sender can send more than one message.
@@ -238,8 +239,8 @@ impl Session {
         });
         let state = &mut self.streams[stream as usize];
         for load in SizeClass::ALL {
-            if rooms[load as usize] && std::mem::take(&mut state.full[load as usize]) {
-                self.outputs.push_back(SessionOutput::Room { stream, load });
+            if ready[load as usize] && std::mem::take(&mut state.full[load as usize]) {
+                self.outputs.push_back(SessionOutput::Ready { stream, load });
             }
         }
     }

@@ -1,18 +1,18 @@
-//! What routers tell their neighbours: who has which links, and who knows what.
+//! The messages between neighbouring routers: the links of each node, and database summaries.
 //!
 //! ```text
 //! announce:  0 │ advertisement … to the frame's end
-//! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ stamp … to the frame's end
-//! dispute:   2 │ stamp 16 │ n 1 │ name n
+//! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ id … to the frame's end
+//! dispute:   2 │ id 16 │ n 1 │ name n
 //! defend:    3 │ incarnation 8 │ advertisement
 //! numbered:  4 │ link 2
 //! gave up:   5 │ link 2
 //!
-//! advertisement: stamp 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, incarnation 1, cost 2, mtu 2)
-//! stamp:         origin 4 │ incarnation 8 │ sequence 4
+//! advertisement: id 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, incarnation 1, cost 2, mtu 2)
+//! id:            origin 4 │ incarnation 8 │ sequence 4
 //! ```
 //!
-//! A count of 128 withdraws the advertisement of that stamp. Only so can an origin remove an
+//! A count of 128 withdraws the advertisement with that id. Only so can an origin remove an
 //! advertisement that another node has sent in its name under the highest sequence, or with an
 //! incarnation that it never had (RFC 2328, 12.1.6 and 14.1, where an age does the same).
 //!
@@ -29,9 +29,9 @@ use bytes::{BufMut, Bytes, BytesMut};
 /// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one
 /// frame of most media, and seven of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
-/// The bytes of one stamp.
-pub(crate) const STAMP: usize = 16;
-/// The bytes of a `have` without its stamps.
+/// The bytes of one id.
+pub(crate) const ID_LENGTH: usize = 16;
+/// The bytes of a `have` without its ids.
 pub(crate) const HAVE_HEADER: usize = 10;
 
 const ANNOUNCE: u8 = 0;
@@ -57,12 +57,12 @@ pub struct AdvertisementId {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Advertisement {
     /// Which.
-    pub stamp: AdvertisementId,
+    pub id: AdvertisementId,
     /// The origin's name.
     pub node: NodeName,
     /// Whom it has links to, at most [`NEIGHBOURS_MAX`].
     pub edges: Vec<Edge>,
-    /// The one of this stamp is void; it has no edges.
+    /// The advertisement with this id is void; it has no edges.
     pub withdrawn: bool,
 }
 
@@ -91,7 +91,7 @@ pub enum RoutingMessage {
         /// Of all origins from the first to the last, I have exactly these.
         range: Option<(NodeId, NodeId)>,
         /// Which. A sequence of 0 asks for the origin's advertisement.
-        stamps: Vec<AdvertisementId>,
+        ids: Vec<AdvertisementId>,
     },
     /// A later incarnation of a node has come up, while routes lead to an older one: is that still
     /// there?
@@ -141,17 +141,17 @@ impl AdvertisementId {
 impl Advertisement {
     /// How many bytes it takes.
     pub(crate) fn length(&self) -> usize {
-        STAMP + 2 + self.node.as_str().len() + 9 * self.edges.len()
+        ID_LENGTH + 2 + self.node.as_str().len() + 9 * self.edges.len()
     }
 
     /// What takes this one back.
     pub(crate) fn withdrawal(&self) -> Advertisement {
         let node = self.node.clone();
-        Advertisement { stamp: self.stamp, node, edges: Vec::new(), withdrawn: true }
+        Advertisement { id: self.id, node, edges: Vec::new(), withdrawn: true }
     }
 
     fn put(&self, bytes: &mut BytesMut) {
-        self.stamp.put(bytes);
+        self.id.put(bytes);
         bytes.sized(self.node.as_str().as_bytes());
         if self.withdrawn {
             return bytes.put_u8(WITHDRAWN);
@@ -166,14 +166,19 @@ impl Advertisement {
     }
 
     fn read(reader: &mut Reader) -> Result<Advertisement, WireError> {
-        let stamp = AdvertisementId::read(reader)?;
+        let advertisement_id = AdvertisementId::read(reader)?;
         let node: NodeName = reader.parsed("a node's name")?;
-        if NodeId::of(&node) != stamp.origin || stamp.sequence == 0 {
+        if NodeId::of(&node) != advertisement_id.origin || advertisement_id.sequence == 0 {
             return Err(WireError::Malformed { what: "an advertisement's origin" });
         }
         let count = reader.u8()?;
         if count == WITHDRAWN {
-            return Ok(Advertisement { stamp, node, edges: Vec::new(), withdrawn: true });
+            return Ok(Advertisement {
+                id: advertisement_id,
+                node,
+                edges: Vec::new(),
+                withdrawn: true,
+            });
         }
         let count = usize::from(count);
         if count > NEIGHBOURS_MAX {
@@ -188,7 +193,7 @@ impl Advertisement {
             }
             edges.push(edge);
         }
-        Ok(Advertisement { stamp, node, edges, withdrawn: false })
+        Ok(Advertisement { id: advertisement_id, node, edges, withdrawn: false })
     }
 }
 
@@ -203,14 +208,14 @@ impl RoutingMessage {
                     advertisement.put(&mut bytes);
                 }
             }
-            RoutingMessage::Have { range, stamps } => {
+            RoutingMessage::Have { range, ids } => {
                 bytes.put_u8(HAVE);
                 let (first, last) = range.unwrap_or((NodeId(0), NodeId(0)));
                 bytes.put_u8(range.is_some().into());
                 bytes.put_u32(first.0);
                 bytes.put_u32(last.0);
-                for stamp in stamps {
-                    stamp.put(&mut bytes);
+                for advertisement_id in ids {
+                    advertisement_id.put(&mut bytes);
                 }
             }
             RoutingMessage::Dispute { contender, node } => {
@@ -253,11 +258,11 @@ impl RoutingMessage {
                     _ => return Err(WireError::Malformed { what: "a have's range" }),
                 };
                 let range = (NodeId(reader.u32()?), NodeId(reader.u32()?));
-                let mut stamps = Vec::new();
+                let mut ids = Vec::new();
                 while !reader.is_empty() {
-                    stamps.push(AdvertisementId::read(&mut reader)?);
+                    ids.push(AdvertisementId::read(&mut reader)?);
                 }
-                Ok(RoutingMessage::Have { range: ranged.then_some(range), stamps })
+                Ok(RoutingMessage::Have { range: ranged.then_some(range), ids })
             }
             DISPUTE => {
                 let contender = AdvertisementId::read(&mut reader)?;
@@ -292,21 +297,25 @@ mod tests {
 
     fn advertisement() -> Advertisement {
         let node = NodeName::new("m1").unwrap();
-        let stamp =
+        let advertisement_id =
             AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
         let edges = vec![Edge { to: NodeId(9), incarnation: 7, cost: 10, mtu: 1400 }];
-        Advertisement { stamp, node, edges, withdrawn: false }
+        Advertisement { id: advertisement_id, node, edges, withdrawn: false }
     }
 
     #[test]
     fn the_bytes_of_routing_messages_are_these_for_ever() {
         let origin = NodeId::of(&NodeName::new("m1").unwrap()).0.to_be_bytes();
-        let stamp = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
-        let announce = [&[0], &stamp[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
+        let advertisement_id = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
+        let announce =
+            [&[0], &advertisement_id[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
         assert_eq!(&RoutingMessage::Announce(vec![advertisement()]).encode()[..], announce);
         let range = Some((NodeId(1), NodeId(2)));
-        let have = RoutingMessage::Have { range, stamps: vec![advertisement().stamp] };
-        assert_eq!(&have.encode()[..], [b"\x01\x01\0\0\0\x01\0\0\0\x02", &stamp[..]].concat());
+        let have = RoutingMessage::Have { range, ids: vec![advertisement().id] };
+        assert_eq!(
+            &have.encode()[..],
+            [b"\x01\x01\0\0\0\x01\0\0\0\x02", &advertisement_id[..]].concat()
+        );
     }
 
     #[test]
@@ -315,21 +324,21 @@ mod tests {
         let announce = RoutingMessage::Announce(vec![advertisement(), withdrawal, advertisement()]);
         assert_eq!(RoutingMessage::decode(announce.encode()), Ok(announce));
         for range in [None, Some((NodeId(0), NodeId(u32::MAX)))] {
-            let have = RoutingMessage::Have { range, stamps: vec![advertisement().stamp; 3] };
+            let have = RoutingMessage::Have { range, ids: vec![advertisement().id; 3] };
             assert_eq!(RoutingMessage::decode(have.encode()), Ok(have));
         }
-        let contender = AdvertisementId { sequence: 0, ..advertisement().stamp };
+        let contender = AdvertisementId { sequence: 0, ..advertisement().id };
         let dispute = RoutingMessage::Dispute { contender, node: advertisement().node };
         assert_eq!(RoutingMessage::decode(dispute.encode()), Ok(dispute));
         let against = Incarnation(9);
         let defend = RoutingMessage::Defend { against, advertisement: advertisement() };
         assert_eq!(RoutingMessage::decode(defend.encode()), Ok(defend));
-        for (said, bytes) in [
+        for (sent, bytes) in [
             (RoutingMessage::Numbered(LinkId(0x0102)), b"\x04\x01\x02"),
             (RoutingMessage::GaveUp(LinkId(0x0102)), b"\x05\x01\x02"),
         ] {
-            assert_eq!(&said.encode()[..], bytes);
-            assert_eq!(RoutingMessage::decode(said.encode()), Ok(said));
+            assert_eq!(&sent.encode()[..], bytes);
+            assert_eq!(RoutingMessage::decode(sent.encode()), Ok(sent));
             assert!(RoutingMessage::decode([&bytes[..], b"\0"].concat().into()).is_err());
         }
         let one = RoutingMessage::Announce(vec![advertisement()]).encode();
@@ -342,7 +351,7 @@ mod tests {
     #[test]
     fn an_advertisement_whose_number_is_not_its_names_is_refused() {
         let mut forged = advertisement();
-        forged.stamp.origin = NodeId(1);
+        forged.id.origin = NodeId(1);
         let bytes = RoutingMessage::Announce(vec![forged]).encode();
         assert!(matches!(RoutingMessage::decode(bytes), Err(WireError::Malformed { .. })));
     }

@@ -272,11 +272,11 @@ mod tests {
 
     #[test]
     fn a_frame_comes_back_as_it_was() {
-        let nothing_heard = Hello { echo: None, ..hello() };
+        let nothing_received = Hello { echo: None, ..hello() };
         let part = |last| RoutingFragment { index: 127, last, bytes: Bytes::from_static(b"z") };
         for frame in [
             Frame::Hello(hello()),
-            Frame::Hello(nothing_heard),
+            Frame::Hello(nothing_received),
             Frame::Data(Bytes::new().into()),
             Frame::RoutingPart(part(false)),
             Frame::RoutingPart(part(true)),

@@ -1,12 +1,12 @@
-//! What nodes say to each other within a session: bindings, requests, events, names, faults.
+//! The messages between nodes within a session: bindings, requests, events, names, faults.
 //!
 //! ```text
 //! kind 1 │ fields in the order of the variant
 //! ```
 //! Numbers are of variable length, texts and byte strings stand after their length, a last byte
-//! string without. Stamps are microseconds since the session began, on the sender's clock; those of
-//! requests, and their deadlines, tenths of a millisecond. An error is encoded as [`DeliveryError`]
-//! by the codec; it is no daily traffic.
+//! string without. Timestamps are microseconds since the session began, on the sender's clock;
+//! those of requests, and their deadlines, tenths of a millisecond. An error is encoded as
+//! [`DeliveryError`] by the codec; it is no daily traffic.
 //!
 //! ```text
 //!   one node                                  the other
@@ -70,7 +70,7 @@ pub enum PeerMessage {
         /// By which number to reply.
         call: u64,
         /// When it was sent, in ticks.
-        stamp: u64,
+        timestamp: u64,
         /// How long after that it may begin to be served, in ticks; 0 for ever.
         within: u64,
         /// By which identity a repeated message is known.
@@ -90,7 +90,7 @@ pub enum PeerMessage {
         /// The binding.
         binding: u32,
         /// When it was sent.
-        stamp_us: u64,
+        timestamp_us: u64,
         /// By which identity a repeated message is known.
         id: Option<MessageId>,
         /// The message.
@@ -124,7 +124,7 @@ pub enum PeerMessage {
         /// For which subscription.
         subscription: u32,
         /// When it was published.
-        stamp_us: u64,
+        timestamp_us: u64,
         /// The event.
         payload: GatherBuffer,
     },
@@ -144,7 +144,7 @@ pub enum PeerMessage {
     Names {
         /// When this was sent. A session begins with such a message, so that the age of what
         /// follows can be measured against one that came without delay.
-        stamp_us: u64,
+        timestamp_us: u64,
         /// Everything said before is void: these are all.
         complete: bool,
         /// Who came.
@@ -223,9 +223,9 @@ impl PeerMessage {
                 bytes.sized(&encode_why(why));
                 bytes.put_slice(identity);
             }
-            PeerMessage::Request { binding, call, stamp, within, id, payload: _ } => {
+            PeerMessage::Request { binding, call, timestamp, within, id, payload: _ } => {
                 numbered(bytes, REQUEST, *binding);
-                [call, stamp, within].into_iter().for_each(|number| bytes.varint(*number));
+                [call, timestamp, within].into_iter().for_each(|number| bytes.varint(*number));
                 put_id(bytes, *id);
             }
             PeerMessage::Reply { call, result: Ok(_) } => {
@@ -237,9 +237,9 @@ impl PeerMessage {
                 bytes.varint(*call);
                 bytes.sized(&encode_why(why));
             }
-            PeerMessage::Tell { binding, stamp_us, id, payload: _ } => {
+            PeerMessage::Tell { binding, timestamp_us, id, payload: _ } => {
                 numbered(bytes, TELL, *binding);
-                bytes.varint(*stamp_us);
+                bytes.varint(*timestamp_us);
                 put_id(bytes, *id);
             }
             PeerMessage::Subscribe { subscription, topic, identities } => {
@@ -254,9 +254,9 @@ impl PeerMessage {
             PeerMessage::Unsubscribe { subscription } => {
                 numbered(bytes, UNSUBSCRIBE, *subscription);
             }
-            PeerMessage::Event { subscription, stamp_us, payload: _ } => {
+            PeerMessage::Event { subscription, timestamp_us, payload: _ } => {
                 numbered(bytes, EVENT, *subscription);
-                bytes.varint(*stamp_us);
+                bytes.varint(*timestamp_us);
             }
             PeerMessage::Notice { number, payload: _ } => {
                 bytes.put_u8(NOTICE);
@@ -266,9 +266,9 @@ impl PeerMessage {
                 bytes.put_u8(CONFIRMED);
                 bytes.varint(*number);
             }
-            PeerMessage::Names { stamp_us, complete, added, removed } => {
+            PeerMessage::Names { timestamp_us, complete, added, removed } => {
                 bytes.put_u8(NAMES);
-                bytes.varint(*stamp_us);
+                bytes.varint(*timestamp_us);
                 bytes.put_u8((*complete).into());
                 for names in [added, removed] {
                     bytes.varint(names.len() as u64);
@@ -307,7 +307,7 @@ impl PeerMessage {
             REQUEST => PeerMessage::Request {
                 binding: number(&mut reader)?,
                 call: reader.varint()?,
-                stamp: reader.varint()?,
+                timestamp: reader.varint()?,
                 within: reader.varint()?,
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
@@ -323,7 +323,7 @@ impl PeerMessage {
             }
             TELL => PeerMessage::Tell {
                 binding: number(&mut reader)?,
-                stamp_us: reader.varint()?,
+                timestamp_us: reader.varint()?,
                 id: read_id(&mut reader)?,
                 payload: reader.rest().into(),
             },
@@ -345,7 +345,7 @@ impl PeerMessage {
             }
             EVENT => PeerMessage::Event {
                 subscription: number(&mut reader)?,
-                stamp_us: reader.varint()?,
+                timestamp_us: reader.varint()?,
                 payload: reader.rest().into(),
             },
             NOTICE => {
@@ -357,12 +357,12 @@ impl PeerMessage {
                 PeerMessage::Confirmed { number }
             }
             NAMES => {
-                let stamp_us = reader.varint()?;
+                let timestamp_us = reader.varint()?;
                 let complete = reader.u8()? != 0;
                 let added = read_names(&mut reader)?;
                 let removed = read_names(&mut reader)?;
                 reader.end(what)?;
-                PeerMessage::Names { stamp_us, complete, added, removed }
+                PeerMessage::Names { timestamp_us, complete, added, removed }
             }
             BYE => {
                 reader.end(what)?;
@@ -480,7 +480,7 @@ mod tests {
                 PeerMessage::Request {
                     binding: 1,
                     call: 7,
-                    stamp: 300,
+                    timestamp: 300,
                     within: 5,
                     id: None,
                     payload: payload.clone().into(),
@@ -491,7 +491,7 @@ mod tests {
                 PeerMessage::Request {
                     binding: 1,
                     call: 7,
-                    stamp: 0,
+                    timestamp: 0,
                     within: 0,
                     id,
                     payload: payload.clone().into(),
@@ -503,7 +503,7 @@ mod tests {
             (
                 PeerMessage::Tell {
                     binding: 1,
-                    stamp_us: 9,
+                    timestamp_us: 9,
                     id: None,
                     payload: payload.clone().into(),
                 },
@@ -522,7 +522,7 @@ mod tests {
             (
                 PeerMessage::Event {
                     subscription: 3,
-                    stamp_us: 300,
+                    timestamp_us: 300,
                     payload: payload.clone().into(),
                 },
                 b"\x0a\x03\xac\x02xy",
@@ -531,7 +531,7 @@ mod tests {
             (PeerMessage::Confirmed { number: 4 }, b"\x0c\x04"),
             (
                 PeerMessage::Names {
-                    stamp_us: 0,
+                    timestamp_us: 0,
                     complete: true,
                     added: vec![object.clone()],
                     removed: vec![object],

@@ -103,6 +103,7 @@ impl Refusals {
     }
 
     /// All but what was of the past: another node may have recorded and replayed that.
+    #[doc(hidden)]
     pub fn of_the_present(&self) -> u64 {
         self.total() - self.stale
     }

@@ -8,7 +8,7 @@ use crate::{Fault, FaultKind, Instant};
 pub(super) enum Standstill {
     /// The node is in the safe state.
     SafeState,
-    /// The node was told to stop.
+    /// The node stops.
     NodeEnds,
 }
 
@@ -20,21 +20,21 @@ impl Recoverer {
         self.stand_still(Standstill::SafeState, now);
     }
 
-    /// The node was told to stop: from now on faults of its objects are recorded and not treated,
-    /// as in the safe state.
+    /// The node stops: from now on faults of its objects are recorded and not treated, as in the
+    /// safe state.
     pub fn handle_node_end(&mut self, now: Instant) {
         self.stand_still(Standstill::NodeEnds, now);
     }
 
     fn stand_still(&mut self, standstill: Standstill, now: Instant) {
         self.standstill = Some(standstill);
-        let rests = |place: &&FaultLocation| matches!(place, FaultLocation::Object(_));
-        let places: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
-        for place in places {
-            let told = self.cases[&place].given_up;
-            for fault in &self.close(&place, now) {
+        let rests = |location: &&FaultLocation| matches!(location, FaultLocation::Object(_));
+        let locations: Vec<FaultLocation> = self.cases.keys().filter(rests).cloned().collect();
+        for location in locations {
+            let given_up = self.cases[&location].given_up;
+            for fault in &self.close(&location, now) {
                 self.give_up_hung(fault);
-                if !told {
+                if !given_up {
                     self.tell_rest(fault, standstill);
                 }
             }

@@ -21,12 +21,12 @@ fn at(object: &str) -> FaultLocation {
     FaultLocation::Object(format!("here:{object}").parse::<ObjectAddress>().expect("a good name"))
 }
 
-fn fault(id: u64, kind: FaultKind, place: FaultLocation, incarnation: u64) -> Fault {
+fn fault(id: u64, kind: FaultKind, location: FaultLocation, incarnation: u64) -> Fault {
     Fault {
         id: FaultId(id),
         severity: kind.severity(),
         kind,
-        place,
+        location,
         incarnation: Incarnation(incarnation),
         detail: String::new(),
         found_at: Instant::ORIGIN,
@@ -60,13 +60,16 @@ impl Rig {
         Rig { machine: Recoverer::new(node(), plan, limits, 7), now: Instant::from_millis(1000) }
     }
 
-    fn said(&mut self) -> Vec<String> {
-        let mut said = Vec::new();
+    fn outputs(&mut self) -> Vec<String> {
+        let mut outputs = Vec::new();
         while let Some(action) = self.machine.poll_output() {
-            said.push(match action {
+            outputs.push(match action {
                 RecovererOutput::CarryOut(order) => {
                     let RecoveryOrder { number, measure, fault, attempt, .. } = order;
-                    format!("#{number} {measure} {} against {}, {attempt}", fault.place, fault.kind)
+                    format!(
+                        "#{number} {measure} {} against {}, {attempt}",
+                        fault.location, fault.kind
+                    )
                 }
                 RecovererOutput::Settle { fault: FaultId(id), settled, .. } => match settled {
                     FaultResolution::Decided { .. } | FaultResolution::Failed { .. } => continue,
@@ -84,19 +87,19 @@ impl Rig {
                 },
                 RecovererOutput::Release { measure } => format!("release {measure}"),
                 RecovererOutput::GiveUpLife { fault } => {
-                    format!("give up {} {}", fault.place, fault.incarnation)
+                    format!("give up {} {}", fault.location, fault.incarnation)
                 }
                 RecovererOutput::LastResort { fault, reason } => {
                     format!("last resort for {}: {reason}", fault.id.0)
                 }
             });
         }
-        said
+        outputs
     }
 
     fn find(&mut self, fault: Fault) -> Vec<String> {
         self.machine.handle_fault(fault, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn outcome(
@@ -105,24 +108,24 @@ impl Rig {
         outcome: Result<RecoveryDone, RecoveryFailed>,
     ) -> Vec<String> {
         self.machine.handle_outcome(number, outcome, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn stand_down(&mut self, id: u64, object: &str) -> Vec<String> {
         self.machine.handle_stand_down(FaultId(id), &at(object), self.now);
-        self.said()
+        self.outputs()
     }
 
     fn pass(&mut self, span: Duration) -> Vec<String> {
         self.now = self.now + span;
         self.machine.handle_timeout(self.now);
-        self.said()
+        self.outputs()
     }
 
     fn pass_to_due(&mut self) -> Vec<String> {
         self.now = self.machine.poll_timeout().expect("something is due");
         self.machine.handle_timeout(self.now);
-        self.said()
+        self.outputs()
     }
 }
 
@@ -165,8 +168,8 @@ fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_no
     rig.find(panic_of(1, "laser", 1));
     let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
 
-    let told = "1 given up: it is not restarted: its end was final, as its rules say";
-    assert_eq!(rig.outcome(1, Ok(finished)), [told]);
+    let expected = "1 given up: it is not restarted: its end was final, as its rules say";
+    assert_eq!(rig.outcome(1, Ok(finished)), [expected]);
 
     assert_eq!(rig.machine.open_cases(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0]);
@@ -226,17 +229,17 @@ fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladde
     rig.find(panic_of(1, "laser", 1));
     let mut reasons = |number, reason: &str| {
         rig.machine.handle_outcome(number, Err(reason.into()), rig.now);
-        let mut said = Vec::new();
+        let mut outputs = Vec::new();
         while let Some(output) = rig.machine.poll_output() {
             let RecovererOutput::Settle { settled, .. } = output else { continue };
-            said.push(match settled {
+            outputs.push(match settled {
                 FaultResolution::Failed { measure, reason } => format!("{measure}: {reason}"),
                 FaultResolution::GaveUp { reason } => format!("given up: {reason}"),
                 FaultResolution::Decided { measure, .. } => measure.to_string(),
                 other => panic!("{other:?}"),
             });
         }
-        said
+        outputs
     };
 
     assert_eq!(reasons(1, "it holds nothing"), ["homing: it holds nothing", "restart"]);
@@ -479,7 +482,7 @@ fn a_recoverer_that_begins_anew_takes_up_what_was_open() {
 
     rig.machine = rig.machine.begun_anew(rig.now);
 
-    assert_eq!(rig.said(), ["#2 restart here:planner against hang, 1"]);
+    assert_eq!(rig.outputs(), ["#2 restart here:planner against hang, 1"]);
     assert_eq!(rig.outcome(1, fails()), [""; 0]);
     assert_eq!(rig.outcome(2, works(2)), ["1 recovered #2", "2 may pass"]);
 }
@@ -509,19 +512,19 @@ fn a_custom_strategy_is_called_by_name_and_not_for_ever() {
 /// to a final outcome in bounded time.
 #[test]
 fn every_fault_is_settled_whatever_the_strategies_do() {
-    let places = [
+    let locations = [
         at("arm"),
         FaultLocation::Node(NodeName::new("there").expect("a good name")),
         FaultLocation::Link { node: node(), link: "ethernet".into(), neighbour: None },
     ];
     for kind in FaultKind::BUILT_IN {
-        for place in &places {
+        for location in &locations {
             for answers in 0..81 {
                 let mut rig = Rig::new();
                 let mut open = vec![1, 2];
                 let second = FaultKind::BUILT_IN[answers % 15].clone();
-                rig.machine.handle_fault(fault(1, kind.clone(), place.clone(), 1), rig.now);
-                rig.machine.handle_fault(fault(2, second, place.clone(), 1), rig.now);
+                rig.machine.handle_fault(fault(1, kind.clone(), location.clone(), 1), rig.now);
+                rig.machine.handle_fault(fault(2, second, location.clone(), 1), rig.now);
                 let mut answers = answers;
                 for _ in 0..60 {
                     while let Some(action) = rig.machine.poll_output() {
@@ -549,7 +552,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                         rig.machine.handle_timeout(due);
                     }
                 }
-                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {place}");
+                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {location}");
             }
         }
     }
@@ -589,6 +592,6 @@ fn a_restart_is_asked_against_the_newest_incarnation_and_cures_nothing_of_the_on
     assert_eq!(rig.pass_to_due(), ["#2 restart here:arm against error state, 2"]);
 
     // Incarnation 8 is the one that is in error.
-    let said = rig.outcome(2, works(8));
-    assert_eq!(said, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
+    let outputs = rig.outcome(2, works(8));
+    assert_eq!(outputs, ["1 recovered #8", "#3 reset here:arm against error state, 1"]);
 }

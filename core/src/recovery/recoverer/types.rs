@@ -1,15 +1,15 @@
-//! What a recoverer orders, is told, and is bounded by.
+//! Outputs, inputs and limits of a recoverer.
 
 use super::RecoveryAction;
 use crate::{Fault, FaultId, FaultLocation, Incarnation};
 use std::time::Duration;
 
-/// One measure to be carried out.
+/// An order to execute one recovery action.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecoveryOrder {
     /// The order's number at its recoverer.
     pub number: u64,
-    /// What is to be done.
+    /// The action to execute.
     pub measure: RecoveryAction,
     /// Against what. Of several faults of one place it is one of the newest incarnation: the one
     /// that says that it does not answer, or else the first.
@@ -47,7 +47,7 @@ impl<T: Into<String>> From<T> for RecoveryFailed {
     }
 }
 
-/// What became of a fault.
+/// The result of the treatment of a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FaultResolution {
@@ -58,7 +58,7 @@ pub enum FaultResolution {
         /// The how-manieth attempt, from 1.
         attempt: u32,
     },
-    /// What was done about it has not helped; the next attempt, or the next step, follows.
+    /// The action has failed; the next attempt, or the next step, follows.
     Failed {
         /// What.
         measure: RecoveryAction,
@@ -89,7 +89,7 @@ pub enum FaultResolution {
     RootSettled,
 }
 
-/// What a recoverer wants done.
+/// An output of a recoverer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecovererOutput {
     /// Have this order carried out, by the strategy of the measure's name.
@@ -99,7 +99,7 @@ pub enum RecovererOutput {
         /// The fault's number in its finder's record.
         fault: FaultId,
         /// Where it is.
-        place: FaultLocation,
+        location: FaultLocation,
         /// What became of it.
         settled: FaultResolution,
     },
@@ -115,7 +115,7 @@ pub enum RecovererOutput {
         /// Its hang.
         fault: Fault,
     },
-    /// Not even safe stop could be carried out: the whole node is to come to rest.
+    /// Not even safe stop could be carried out: the whole node enters the safe state.
     LastResort {
         /// What could not be contained.
         fault: Fault,

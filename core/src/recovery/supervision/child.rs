@@ -1,18 +1,17 @@
-//! What a supervisor knows of one child.
+//! A supervisor's record of one child.
 
 use super::CallId;
-use crate::recovery::{ChildRules, Restart, RestartWindow, SupervisorRules};
+use crate::recovery::{ChildRules, Restart, RestartWindow};
 use crate::{Fault, FaultKind, Incarnation, Instant, ObjectName};
 use serde::{Deserialize, Serialize};
 
-/// What is known of the incarnation that is to be replaced. It decides how that incarnation is
-/// ended.
+/// The state of the incarnation to be replaced. It decides how that incarnation is ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplacementCause {
     /// It has ended already: there is nothing to stop. Whether that was an orderly end, the child's
     /// guard has said.
     Died,
-    /// It does not answer: it is given up without being asked.
+    /// The child does not answer: its incarnation is abandoned without an order to stop.
     Stuck,
     /// It waits behind another component that hangs: it is abandoned, too, and its replacement
     /// counts neither against it nor against its supervisor.
@@ -44,19 +43,19 @@ impl ReplacementCause {
 pub enum ChildState {
     /// It has no incarnation, and waits for its turn or for its supervisor to begin.
     Waiting,
-    /// It was told to start.
+    /// The child was ordered to start.
     Starting,
-    /// It is at work.
+    /// The child is active.
     Running,
     /// Something that it needs, such as its device, is not there yet: it tries again by itself.
     Unavailable,
-    /// It was told to reset itself.
+    /// The child was ordered to reset itself.
     Resetting,
-    /// It was told to stop.
+    /// The child was ordered to stop.
     Stopping,
-    /// Its incarnation has ended, and the recoverer has not yet said what is to be done.
+    /// The incarnation has ended, and the recoverer has not decided yet.
     Failed,
-    /// It was put in safe state.
+    /// The child was put into the safe state.
     Resting,
     /// Its end was final, as its rules say.
     Finished,
@@ -123,13 +122,12 @@ pub(super) struct SupervisedChild {
     /// Its guard holds a standing order.
     pub(super) ordered: bool,
     /// When its guard restarted it by itself, as far back as it counts; never more than the
-    /// intensity allows, and one.
-    pub(super) on_the_spot: RestartWindow,
+    /// intensity allows, and one. There only where it has.
+    pub(super) on_the_spot: Option<Box<RestartWindow>>,
 }
 
 impl SupervisedChild {
-    pub(super) fn new(name: ObjectName, rules: ChildRules, keeper: &SupervisorRules) -> Self {
-        let counted = keeper.intensity.saturating_add(1);
+    pub(super) fn new(name: ObjectName, rules: ChildRules) -> Self {
         SupervisedChild {
             name,
             rules,
@@ -141,7 +139,7 @@ impl SupervisedChild {
             restarts: 0,
             isolated: false,
             ordered: false,
-            on_the_spot: RestartWindow::new(counted, keeper.period),
+            on_the_spot: None,
         }
     }
 

@@ -159,7 +159,7 @@ impl Supervisor {
         let key = self.next_key;
         self.next_key += 1;
         self.index.insert(name.clone(), key);
-        let child = SupervisedChild::new(name.clone(), rules, &self.rules);
+        let child = SupervisedChild::new(name.clone(), rules);
         self.children.insert(key, Box::new(child));
         if self.at_work() {
             self.coming.insert(key);
@@ -184,6 +184,9 @@ impl Supervisor {
         self.incarnation = incarnation;
         self.phase = Phase::Starting;
         self.budget.clear();
+        // Maps that grow child by child have nodes that are half empty.
+        self.index = std::mem::take(&mut self.index).into_iter().collect();
+        self.children = std::mem::take(&mut self.children).into_iter().collect();
         let keys: Vec<ChildKey> = self.children.keys().copied().collect();
         for key in keys {
             let child = self.kept(key);
@@ -246,24 +249,24 @@ impl Supervisor {
         }
     }
 
-    /// A restart is wanted: by the recoverer for a fault of the incarnation `struck`, or, without
+    /// A restart is wanted: by the recoverer for a fault of the incarnation `faulty`, or, without
     /// one, by a person, whose wish no budget counts.
     pub fn handle_restart(
         &mut self,
         name: &ObjectName,
         call: CallId,
         cause: ReplacementCause,
-        struck: Option<Incarnation>,
+        faulty: Option<Incarnation>,
         now: Instant,
     ) {
         let Some(key) = self.admit(name, call, Wish::Work) else { return };
         match &self.phase {
             Phase::Starting | Phase::Serving => {}
             // What becomes of it shows in the supervisor's next incarnation, if there is one.
-            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if struck.is_some() => {
+            Phase::Leaving | Phase::Ending { .. } | Phase::Escalated { .. } if faulty.is_some() => {
                 let child = self.kept(key);
                 child.failed = None;
-                let present = child.is_alive() && struck >= Some(child.incarnation);
+                let present = child.is_alive() && faulty >= Some(child.incarnation);
                 if present && matches!(cause, ReplacementCause::Stuck | ReplacementCause::Behind) {
                     self.end_now(key, cause);
                     self.after_end(key, now);
@@ -276,7 +279,7 @@ impl Supervisor {
             }
         }
         let child = self.kept(key);
-        match struck {
+        match faulty {
             None => {
                 if child.goal != ChildTarget::Leave {
                     child.goal = ChildTarget::Run;
@@ -313,12 +316,12 @@ impl Supervisor {
         self.outputs.push_back(SupervisorOutput::Reset { child: name });
     }
 
-    /// The child is to be cut off, or let in again. For a fault of the incarnation `struck`, one
+    /// The child is to be cut off, or let in again. For a fault of the incarnation `faulty`, one
     /// that has followed it is left alone.
     pub fn handle_isolate(
         &mut self,
         name: &ObjectName,
-        struck: Option<Incarnation>,
+        faulty: Option<Incarnation>,
         isolated: bool,
         call: CallId,
         now: Instant,
@@ -327,7 +330,7 @@ impl Supervisor {
             return self.answer_gave_up(call, name.clone(), GiveUpReason::Unknown);
         };
         let present = self.kept(key).incarnation;
-        if struck.is_some_and(|struck| struck < present) {
+        if faulty.is_some_and(|faulty| faulty < present) {
             let (child, incarnation) = (name.clone(), Some(present));
             return self.outputs.push_back(SupervisorOutput::Recovered {
                 call,
@@ -350,7 +353,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child is to be put in safe state.
+    /// The child is to be put in the safe state.
     pub fn handle_rest(
         &mut self,
         name: &ObjectName,

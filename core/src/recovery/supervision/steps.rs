@@ -4,7 +4,7 @@ use super::child::{ChildKey, ChildPhase, ChildTarget, ReplacementCause, Supervis
 use super::{
     CallId, GiveUpReason, PENDING_LIMIT, Pending, Phase, Supervisor, SupervisorOutput, Wish,
 };
-use crate::recovery::{Restart, RestartGrant, Strategy};
+use crate::recovery::{Restart, RestartGrant, RestartWindow, Strategy};
 use crate::{Incarnation, Instant, ObjectName};
 
 impl Supervisor {
@@ -366,7 +366,7 @@ impl Supervisor {
         child.incarnation = child.incarnation.next();
         child.worked = false;
         // A new guard begins to count.
-        child.on_the_spot.clear();
+        child.on_the_spot = None;
         let (name, incarnation) = (child.name.clone(), child.incarnation);
         let due = now + child.rules.ready_within;
         self.set_state(key, ChildPhase::Starting { due });
@@ -440,10 +440,12 @@ impl Supervisor {
     }
 
     pub(super) fn restarted_on_the_spot(&mut self, key: ChildKey, next: Incarnation, now: Instant) {
+        let (counted, period) = (self.rules.intensity.saturating_add(1), self.rules.period);
         let child = self.kept(key);
         child.incarnation = next;
         child.restarts += 1;
-        child.on_the_spot.add(now);
+        let window = || Box::new(RestartWindow::new(counted, period));
+        child.on_the_spot.get_or_insert_with(window).add(now);
         if let ChildPhase::Resetting { .. } = child.state {
             self.set_state(key, ChildPhase::Down);
             self.set_state(key, ChildPhase::Running);
@@ -494,9 +496,10 @@ impl Supervisor {
             && !going;
         if allowed && willing {
             child.ordered = true;
-            let times = left.saturating_add(child.on_the_spot.recent(now));
+            let recent = child.on_the_spot.as_ref().map_or(0, |window| window.recent(now));
+            let times = left.saturating_add(recent);
             let (child, order) = (child.name.clone(), Some(RestartGrant { times, period }));
-            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order });
+            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order });
         }
     }
 
@@ -511,7 +514,7 @@ impl Supervisor {
         let child = self.kept(key);
         if std::mem::take(&mut child.ordered) {
             let child = child.name.clone();
-            self.outputs.push_back(SupervisorOutput::StandingOrder { child, order: None });
+            self.outputs.push_back(SupervisorOutput::RestartGrant { child, order: None });
         }
     }
 

@@ -67,10 +67,10 @@ impl Rig {
         rig
     }
 
-    fn said(&mut self) -> Vec<String> {
-        let mut said = Vec::new();
+    fn outputs(&mut self) -> Vec<String> {
+        let mut outputs = Vec::new();
         while let Some(action) = self.machine.poll_output() {
-            said.push(match action {
+            outputs.push(match action {
                 SupervisorOutput::Start { child, incarnation } => {
                     format!("start {child} {incarnation}")
                 }
@@ -80,10 +80,10 @@ impl Rig {
                 SupervisorOutput::Reset { child } => format!("reset {child}"),
                 SupervisorOutput::Isolate { child, isolated: true } => format!("isolate {child}"),
                 SupervisorOutput::Isolate { child, isolated: false } => format!("admit {child}"),
-                SupervisorOutput::StandingOrder { child, order: Some(order) } => {
+                SupervisorOutput::RestartGrant { child, order: Some(order) } => {
                     format!("order {child} x{}", order.times)
                 }
-                SupervisorOutput::StandingOrder { child, order: None } => {
+                SupervisorOutput::RestartGrant { child, order: None } => {
                     format!("withdraw {child}")
                 }
                 SupervisorOutput::Recovered { call, child, incarnation: Some(incarnation) } => {
@@ -111,7 +111,7 @@ impl Rig {
                 SupervisorOutput::AllStopped => "all stopped".into(),
             });
         }
-        said
+        outputs
     }
 
     fn call(&mut self) -> CallId {
@@ -121,31 +121,31 @@ impl Rig {
 
     fn begin(&mut self) -> Vec<String> {
         self.machine.handle_begin(Incarnation::FIRST, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn end(&mut self) -> Vec<String> {
         self.machine.handle_end(self.now);
-        self.said()
+        self.outputs()
     }
 
     fn restart(&mut self, child: &str, cause: ReplacementCause, incarnation: u64) -> Vec<String> {
         let call = self.call();
-        let struck = Some(Incarnation(incarnation));
-        self.machine.handle_restart(&name(child), call, cause, struck, self.now);
-        self.said()
+        let faulty = Some(Incarnation(incarnation));
+        self.machine.handle_restart(&name(child), call, cause, faulty, self.now);
+        self.outputs()
     }
 
     fn restart_by_hand(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
         self.machine.handle_restart(&name(child), call, ReplacementCause::Asked, None, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn reset(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
         self.machine.handle_reset(&name(child), call, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn reset_done(
@@ -156,81 +156,81 @@ impl Rig {
     ) -> Vec<String> {
         let outcome = outcome.map_err(Into::into);
         self.machine.handle_reset_done(&name(child), Incarnation(incarnation), outcome);
-        self.said()
+        self.outputs()
     }
 
     fn rest(&mut self, child: &str, cause: ReplacementCause) -> Vec<String> {
         let call = self.call();
         self.machine.handle_rest(&name(child), call, cause, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn isolate(&mut self, child: &str, isolated: bool) -> Vec<String> {
         let call = self.call();
         self.machine.handle_isolate(&name(child), None, isolated, call, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn isolate_struck(&mut self, child: &str, incarnation: u64) -> Vec<String> {
-        let (call, struck) = (self.call(), Some(Incarnation(incarnation)));
-        self.machine.handle_isolate(&name(child), struck, true, call, self.now);
-        self.said()
+        let (call, faulty) = (self.call(), Some(Incarnation(incarnation)));
+        self.machine.handle_isolate(&name(child), faulty, true, call, self.now);
+        self.outputs()
     }
 
     fn remove(&mut self, child: &str) -> Vec<String> {
         let call = self.call();
         self.machine.handle_remove(&name(child), call, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn started(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         self.machine.handle_started(&name(child), Incarnation(incarnation), self.now);
-        self.said()
+        self.outputs()
     }
 
     fn unavailable(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
         self.machine.handle_unavailable(&name(child), Incarnation(incarnation), reason, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn start_failed(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
         self.machine.handle_start_failed(&name(child), Incarnation(incarnation), reason, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn stopped(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         self.machine.handle_stopped(&name(child), Incarnation(incarnation), self.now);
-        self.said()
+        self.outputs()
     }
 
     fn died(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         self.machine.handle_died(&name(child), Incarnation(incarnation), false, None, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn returned(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         self.machine.handle_died(&name(child), Incarnation(incarnation), true, None, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn died_on_the_spot(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let next = Some(Incarnation(incarnation + 1));
         self.machine.handle_died(&name(child), Incarnation(incarnation), false, next, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn escalated(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "too much".into();
         self.machine.handle_escalated(&name(child), Incarnation(incarnation), reason, self.now);
-        self.said()
+        self.outputs()
     }
 
     fn pass(&mut self, seconds: u64) -> Vec<String> {
         self.now = self.now + Duration::from_secs(seconds);
         self.machine.handle_timeout(self.now);
-        self.said()
+        self.outputs()
     }
 
     fn state(&self, child: &str) -> ChildState {

@@ -12,7 +12,7 @@ pub struct CallId(pub u64);
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GiveUpReason {
-    /// It keeps no child of this name.
+    /// The supervisor has no child of this name.
     #[error("no such child")]
     Unknown,
     /// The supervisor itself was stopped or has not begun.
@@ -33,19 +33,19 @@ pub enum GiveUpReason {
     /// A reset needs an incarnation at work, and there is none.
     #[error("it has no incarnation that could be reset")]
     NoLife,
-    /// It did not answer in time.
+    /// The child did not answer in time.
     #[error("it did not answer within {limit:?}")]
     Overdue {
         /// The deadline of its rules.
         limit: Duration,
     },
-    /// It is in safe state; a person, not a fault, brings it back.
-    #[error("it is in safe state")]
+    /// The child is in the safe state; only a person restarts it, no recovery.
+    #[error("it is in the safe state")]
     Resting,
     /// Its end was final.
     #[error("it is not restarted: its end was final, as its rules say")]
     Finished,
-    /// It needs more restarts than the intensity allows; its siblings go on.
+    /// The child needs more restarts than the intensity allows; its siblings continue.
     #[error("it is not restarted any more: {reason}")]
     IntensityExceeded {
         /// Which limit was exceeded.
@@ -71,7 +71,7 @@ pub enum GiveUpReason {
     Forgotten,
 }
 
-/// What a supervisor wants done.
+/// An output of a supervisor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SupervisorOutput {
     /// Begin the child's next incarnation.
@@ -112,7 +112,7 @@ pub enum SupervisorOutput {
         isolated: bool,
     },
     /// Leave a decision with the child's guard, or withdraw it.
-    StandingOrder {
+    RestartGrant {
         /// The child.
         child: ObjectName,
         /// The decision.
@@ -194,6 +194,6 @@ pub enum SupervisorOutput {
     },
     /// All children are at work for the first time in this incarnation.
     AllStarted,
-    /// All children have ended, as it was told.
+    /// All children have ended, as ordered.
     AllStopped,
 }

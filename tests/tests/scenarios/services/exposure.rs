@@ -27,7 +27,7 @@ async fn a_hot_service_says_that_only_its_primary_has_the_state_and_later_that_i
     robot.asker.advance(200 * MS).await;
 
     let told = standing(&robot.members[first], &FaultKind::Unreplicated).await.expect("it is told");
-    assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
+    assert_eq!(told.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
     assert!(told.detail.contains("service counter: no standby holds its state"), "{}", told.detail);
     assert_eq!(robot.add(1).await, Ok(6), "it goes on");
     robot.members[others[0]].restart().await.unwrap();

@@ -17,7 +17,7 @@ async fn nodes_without_a_majority_say_that_nobody_serves_and_who_is_missing_unti
     }
     let told = standing(&robot.members[first], &FaultKind::ServiceUnavailable).await;
     let told = told.expect("a node that is cut off sees no primary");
-    assert_eq!(told.place.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
+    assert_eq!(told.location.to_string(), format!("{}:counter/replica/body", MEMBERS[first]));
     assert!(told.detail.contains("service counter: nobody is known here"), "{}", told.detail);
 
     (0..3).for_each(|member| robot.cut(member));

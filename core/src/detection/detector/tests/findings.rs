@@ -1,4 +1,4 @@
-//! What is a fault and what is none, and how often it is told.
+//! Which findings are faults, and how often a fault is reported.
 
 use super::*;
 
@@ -26,19 +26,23 @@ fn everything_on_the_list_is_found_under_its_kind() {
             FaultKind::LinkDegraded,
         ),
         ("@n", lost(), FaultKind::NodeLost),
-        ("@n", Finding::Node(NodeCondition::AtRest { reason: reason() }), FaultKind::NodeAtRest),
+        (
+            "@n",
+            Finding::Node(NodeCondition::InSafeState { reason: reason() }),
+            FaultKind::NodeInSafeState,
+        ),
         (
             "arm",
             Finding::Declared { kind: FaultKind::Custom("X1".into()), detail: reason() },
             FaultKind::Custom("X1".into()),
         ),
     ];
-    for (place, finding, kind) in cases {
+    for (location, finding, kind) in cases {
         let mut bench = Bench::new();
 
-        bench.see(place, ONE, finding.clone());
+        bench.see(location, ONE, finding.clone());
 
-        assert_eq!(bench.said(), ["Found 1", "+1"], "{finding:?}");
+        assert_eq!(bench.outputs(), ["Found 1", "+1"], "{finding:?}");
         let fault = bench.fault(1);
         assert_eq!((fault.kind.clone(), fault.count, fault.symptom_of), (kind, 1, None));
         assert!(!fault.detail.is_empty(), "{finding:?} says nothing");
@@ -53,7 +57,7 @@ fn a_fault_that_is_found_again_is_told_in_its_newest_words() {
     bench.see("-eth-n", ONE, down("the adapter does not answer"));
     bench.see("-eth-n", ONE, down("node a has the address"));
 
-    assert_eq!(bench.said(), ["Found 1", "Repeated 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Repeated 1", "+1"]);
     assert_eq!(
         (bench.fault(1).detail.as_str(), bench.fault(1).count),
         ("node a has the address", 2)
@@ -74,12 +78,12 @@ fn what_is_no_fault_is_not_recorded() {
         ("-eth-n", Finding::Link(LinkCondition::Up)),
         ("@n", Finding::Node(NodeCondition::Reachable)),
     ];
-    for (place, finding) in harmless {
+    for (location, finding) in harmless {
         let mut bench = Bench::new();
 
-        bench.see(place, ONE, finding.clone());
+        bench.see(location, ONE, finding.clone());
 
-        assert_eq!(bench.said(), [""; 0], "{finding:?}");
+        assert_eq!(bench.outputs(), [""; 0], "{finding:?}");
     }
 }
 
@@ -96,7 +100,7 @@ fn an_incarnation_that_ends_itself_is_missed_unless_it_was_known_to_end() {
 
         bench.see("arm", ONE, exited(ExitReason::Returned));
 
-        assert_eq!(bench.said(), ["Found 1", "+1"], "{states:?}");
+        assert_eq!(bench.outputs(), ["Found 1", "+1"], "{states:?}");
         assert_eq!(bench.fault(1).kind, kind);
     }
 }
@@ -120,16 +124,16 @@ fn each_fault_that_goes_by_itself_is_cleared_by_what_says_so() {
         ),
         ("@n", lost(), Finding::Node(NodeCondition::Reachable)),
     ];
-    for (place, fault, end) in cases {
+    for (location, fault, end) in cases {
         let mut bench = Bench::new();
-        bench.see(place, ONE, fault.clone());
-        bench.said();
+        bench.see(location, ONE, fault.clone());
+        bench.outputs();
 
-        bench.see(place, ONE, end);
+        bench.see(location, ONE, end);
 
-        assert_eq!(bench.said(), ["Cleared 1", "-1"], "{fault:?}");
-        bench.see(place, ONE, fault.clone());
-        assert_eq!(bench.said(), ["Found 2", "+2"], "{fault:?}");
+        assert_eq!(bench.outputs(), ["Cleared 1", "-1"], "{fault:?}");
+        bench.see(location, ONE, fault.clone());
+        assert_eq!(bench.outputs(), ["Found 2", "+2"], "{fault:?}");
     }
 }
 
@@ -141,7 +145,7 @@ fn a_fault_that_is_over_before_it_was_handed_over_is_handed_to_nobody() {
 
     bench.see("b", ONE, Finding::Spoke);
 
-    assert_eq!(bench.said(), ["Found 1", "Found 2", "Cleared 2", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Found 2", "Cleared 2", "+1"]);
 }
 
 #[test]
@@ -152,7 +156,7 @@ fn the_same_fault_again_is_counted_and_told_at_powers_of_two() {
     }
 
     assert_eq!(bench.fault(1).count, 9);
-    assert_eq!(bench.said(), ["Found 1", "Repeated 1", "Repeated 1", "Repeated 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Repeated 1", "Repeated 1", "Repeated 1", "+1"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Faults of incarnations that end, begin, and were mended.
+//! Faults of incarnations that end, begin, and were restored.
 
 use super::*;
 
@@ -7,13 +7,13 @@ fn an_incarnation_that_becomes_active_ends_the_faults_of_the_incarnations_before
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     bench.see("arm", ONE, declared());
-    bench.said();
+    bench.outputs();
 
     bench.see("arm", TWO, state(Lifecycle::Initialized));
-    assert_eq!(bench.said(), [""; 0]);
+    assert_eq!(bench.outputs(), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
 
-    assert_eq!(bench.said(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
+    assert_eq!(bench.outputs(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
 }
 
 #[test]
@@ -33,11 +33,11 @@ fn a_component_that_was_reset_is_recovered_when_it_is_active_again() {
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, state(Lifecycle::Error));
     bench.see("arm", ONE, state(Lifecycle::Initialized));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
 
     bench.see("arm", ONE, state(Lifecycle::Active));
 
-    assert_eq!(bench.said(), ["Recovered 1", "-1"]);
+    assert_eq!(bench.outputs(), ["Recovered 1", "-1"]);
 }
 
 #[test]
@@ -48,11 +48,11 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
 
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
-    assert_eq!(bench.said(), ["Found 1"], "the next incarnation has not started yet");
+    assert_eq!(bench.outputs(), ["Found 1"], "the next incarnation has not started yet");
     assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
     assert_eq!(bench.run_until(5), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
-    assert_eq!(bench.said(), ["Recovered 1"]);
+    assert_eq!(bench.outputs(), ["Recovered 1"]);
     assert_eq!(bench.entries()[0].recovered_after(), Some(Duration::from_millis(5)));
     assert_eq!(bench.run_until(60_000), [""; 0]);
 }
@@ -61,11 +61,11 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
 fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next_incarnation() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
-    assert_eq!(bench.said(), ["Found 1"]);
+    assert_eq!(bench.outputs(), ["Found 1"]);
 
     bench.see("arm", TWO, exited(panicked()));
 
-    assert_eq!(bench.said(), ["Repeated 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Repeated 1", "+1"]);
 }
 
 /// What the detector of a node says when incarnation 1 of `arm` has panicked and was restarted.
@@ -73,7 +73,7 @@ fn restarted_on_the_spot() -> Bench {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
-    assert_eq!(bench.said(), ["Found 1"]);
+    assert_eq!(bench.outputs(), ["Found 1"]);
     bench
 }
 
@@ -87,18 +87,18 @@ fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the
     for failure in [state(Lifecycle::Fatal), state(Lifecycle::Error), hangs(&[]), silent()] {
         let mut bench = restarted_on_the_spot();
         bench.see("arm", TWO, failure);
-        assert_eq!(bench.said(), ["Found 2", "+2"]);
+        assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 
         let measure = RecoveryOutcome::Decided { measure: "restart".into() };
         bench.detector.handle_outcome(FaultId(2), at(5), measure);
-        assert_eq!(bench.said(), ["Decided 2", "Decided 1"]);
+        assert_eq!(bench.outputs(), ["Decided 2", "Decided 1"]);
         bench.detector.handle_outcome(FaultId(2), at(9), gave_up());
 
-        assert_eq!(bench.said(), ["GaveUp 2", "GaveUp 1"]);
+        assert_eq!(bench.outputs(), ["GaveUp 2", "GaveUp 1"]);
         let status: Vec<_> = bench.entries().iter().map(|entry| entry.status()).collect();
         assert_eq!(status, [FaultStatus::GivenUp; 2]);
         bench.see("arm", Incarnation(3), state(Lifecycle::Active));
-        assert_eq!(bench.said().len(), 3, "both are recovered, and 2 is withdrawn");
+        assert_eq!(bench.outputs().len(), 3, "both are recovered, and 2 is withdrawn");
         assert!(bench.entries().iter().all(|entry| entry.status() == FaultStatus::Closed));
     }
 }
@@ -108,41 +108,41 @@ fn a_death_that_the_guard_could_not_mend_is_given_up_where_no_recoverer_decides(
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, state(Lifecycle::Fatal));
 
-    let said = bench.run_until(60_000);
+    let outputs = bench.run_until(60_000);
 
-    assert_eq!(said, ["Found 2", "+2", "+2", "+2", "+2", "GaveUp 2", "GaveUp 1"]);
+    assert_eq!(outputs, ["Found 2", "+2", "+2", "+2", "+2", "GaveUp 2", "GaveUp 1"]);
 }
 
 #[test]
 fn a_fault_that_only_the_next_incarnation_could_end_is_cleared_when_that_one_ends_in_order() {
-    let told = |bench: &mut Bench| {
+    let reported = |bench: &mut Bench| {
         assert_eq!(bench.run_until(999), [""; 0], "another incarnation may follow");
-        let said = bench.run_until(2000);
-        assert_eq!(said[0], "Cleared 1");
+        let outputs = bench.run_until(2000);
+        assert_eq!(outputs[0], "Cleared 1");
         assert_eq!(bench.entries()[0].status(), FaultStatus::Closed);
     };
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, exited(ExitReason::Stopped));
-    told(&mut bench);
+    reported(&mut bench);
 
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, Finding::Enrolled { may_end: true, depends_on: Arc::new([]) });
     bench.see("arm", TWO, exited(ExitReason::Returned));
-    told(&mut bench);
+    reported(&mut bench);
 
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     bench.see("arm", TWO, exited(ExitReason::Stopped));
     bench.detector.handle_outcome(FaultId(1), at(5), RecoveryOutcome::Waits);
-    told(&mut bench);
+    reported(&mut bench);
 
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, exited(ExitReason::Stopped));
     bench.see("arm", Incarnation(3), state(Lifecycle::Initialized));
     assert_eq!(bench.run_until(60_000), [""; 0], "it was replaced");
     bench.see("arm", Incarnation(3), state(Lifecycle::Active));
-    assert_eq!(bench.said(), ["Recovered 1"]);
+    assert_eq!(bench.outputs(), ["Recovered 1"]);
 }
 
 #[test]
@@ -154,25 +154,25 @@ fn a_panic_that_is_told_after_the_next_incarnation_was_ended_or_given_up_ends_li
 
     let mut bench = Bench::new();
     bench.see("arm", TWO, hangs(&[]));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     bench.detector.handle_outcome(FaultId(1), at(5), gave_up());
-    assert_eq!(bench.said(), ["GaveUp 1"]);
+    assert_eq!(bench.outputs(), ["GaveUp 1"]);
     bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 2", "GaveUp 2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "GaveUp 2"]);
 }
 
 #[test]
 fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
-    bench.said();
+    bench.outputs();
 
     bench.see("arm", TWO, exited(panicked()));
 
-    assert_eq!(bench.said(), ["Repeated 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Repeated 1", "+1"]);
     assert_eq!(bench.run_until(60_000), ["+1", "+1", "+1", "GaveUp 1"]);
 }
 
@@ -180,23 +180,23 @@ fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_
 fn a_fault_whose_restart_came_to_wait_stands_until_the_incarnation_is_at_work() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     bench.see("arm", TWO, unavailable());
-    assert_eq!(bench.said(), ["Found 2", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 
     bench.detector.handle_outcome(FaultId(1), at(0), RecoveryOutcome::Waits);
 
-    let said = bench.run_until(60_000);
-    assert_eq!(said, ["+2", "+2", "+2", "GaveUp 2", "GaveUp 1"], "1 is not in treatment");
+    let outputs = bench.run_until(60_000);
+    assert_eq!(outputs, ["+2", "+2", "+2", "GaveUp 2", "GaveUp 1"], "1 is not in treatment");
     assert!(bench.entries()[0].stands());
     bench.see("arm", TWO, state(Lifecycle::Active));
-    assert_eq!(bench.said(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
+    assert_eq!(bench.outputs(), ["Recovered 1", "Recovered 2", "-1", "-2"]);
 
     bench.see("arm", TWO, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 3", "+3"]);
+    assert_eq!(bench.outputs(), ["Found 3", "+3"]);
     bench.detector.handle_outcome(FaultId(3), at(60_000), RecoveryOutcome::Waits);
     bench.see("arm", Incarnation(3), exited(panicked()));
-    assert_eq!(bench.said(), ["Repeated 3", "+3"], "its treatment had ended");
+    assert_eq!(bench.outputs(), ["Repeated 3", "+3"], "its treatment had ended");
 }
 
 #[test]
@@ -205,17 +205,17 @@ fn a_fault_whose_reset_came_to_wait_is_recovered_when_the_incarnation_is_active_
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, declared());
     bench.see("arm", ONE, state(Lifecycle::Error));
-    assert_eq!(bench.said(), ["Found 1", "Found 2", "+1", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Found 2", "+1", "+2"]);
 
     bench.see("arm", ONE, unavailable());
     for id in [1, 2] {
         bench.detector.handle_outcome(FaultId(id), at(0), RecoveryOutcome::Waits);
     }
-    assert_eq!(bench.said(), ["Found 3", "+3"]);
+    assert_eq!(bench.outputs(), ["Found 3", "+3"]);
 
     bench.see("arm", ONE, state(Lifecycle::Active));
-    let said = bench.said();
-    assert_eq!(said[..3], ["Recovered 2", "Recovered 1", "Recovered 3"]);
+    let outputs = bench.outputs();
+    assert_eq!(outputs[..3], ["Recovered 2", "Recovered 1", "Recovered 3"]);
 }
 
 #[test]
@@ -235,15 +235,15 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
     for (incarnation, end, follows) in ends {
         let mut bench = Bench::new();
         bench.see("arm", ONE, unavailable());
-        assert_eq!(bench.said(), ["Found 1", "+1"]);
+        assert_eq!(bench.outputs(), ["Found 1", "+1"]);
 
         bench.see("arm", incarnation, end);
 
-        let standing = bench.entries().into_iter().filter(|entry| entry.stands());
-        let standing: Vec<String> = standing.map(|e| format!("{:?}", e.fault.kind)).collect();
-        assert_eq!(standing.join(" "), follows);
-        let said = bench.said();
-        assert!(said.contains(&"Cleared 1".to_owned()), "{said:?}");
+        let open_fault = bench.entries().into_iter().filter(|entry| entry.stands());
+        let open_fault: Vec<String> = open_fault.map(|e| format!("{:?}", e.fault.kind)).collect();
+        assert_eq!(open_fault.join(" "), follows);
+        let outputs = bench.outputs();
+        assert!(outputs.contains(&"Cleared 1".to_owned()), "{outputs:?}");
     }
 }
 
@@ -251,14 +251,14 @@ fn what_waits_no_more_is_not_unavailable_any_more() {
 fn what_stands_when_the_node_ends_is_not_repaired_by_the_end_of_its_component() {
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, unavailable());
-    bench.said();
+    bench.outputs();
 
     bench.detector.handle_node_end();
     bench.see("arm", TWO, state(Lifecycle::Finalized));
     bench.see("arm", TWO, exited(ExitReason::Stopped));
 
-    let said = bench.run_until(60_000);
-    assert!(!said.iter().any(|step| step.starts_with("Cleared")), "{said:?}");
+    let outputs = bench.run_until(60_000);
+    assert!(!outputs.iter().any(|step| step.starts_with("Cleared")), "{outputs:?}");
     assert!(bench.entries().iter().all(|entry| entry.stands()));
 }
 
@@ -266,13 +266,13 @@ fn what_stands_when_the_node_ends_is_not_repaired_by_the_end_of_its_component() 
 fn a_hang_of_the_incarnation_that_was_to_end_a_hang_is_handed_over_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, hangs(&[]));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     bench.see("arm", ONE, hangs(&[]));
-    assert_eq!(bench.said(), ["Repeated 1"]);
+    assert_eq!(bench.outputs(), ["Repeated 1"]);
 
     bench.see("arm", TWO, hangs(&[]));
 
-    assert_eq!(bench.said(), ["+1"]);
+    assert_eq!(bench.outputs(), ["+1"]);
     assert_eq!(bench.fault(1).incarnation, TWO);
 }
 
@@ -286,7 +286,7 @@ fn what_is_seen_of_an_older_incarnation_is_ignored_and_counted() {
 
         bench.see("arm", ONE, finding);
 
-        assert_eq!(bench.said(), [""; 0]);
+        assert_eq!(bench.outputs(), [""; 0]);
         assert_eq!(bench.detector.stale(), 1);
     }
 }
@@ -296,18 +296,18 @@ fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
     let mut bench = Bench::new();
     bench.see("arm", TWO, state(Lifecycle::Active));
     bench.see("arm", ONE, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 1", "Recovered 1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
     assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Active)));
 
     let mut bench = Bench::new();
     bench.see("arm", TWO, hangs(&[]));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
-    assert_eq!(bench.said(), ["Found 2"]);
+    assert_eq!(bench.outputs(), ["Found 2"]);
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.fault(2).count, 2);
     bench.see("arm", Incarnation(3), state(Lifecycle::Active));
-    assert_eq!(bench.said(), ["Recovered 2", "Recovered 1", "-1"]);
+    assert_eq!(bench.outputs(), ["Recovered 2", "Recovered 1", "-1"]);
 }
 
 #[test]
@@ -329,14 +329,14 @@ fn a_hook_that_fails_while_an_incarnation_ends_is_recorded_and_not_handed_over()
     let failed = |state, why: &str| Finding::State { state, reason: Some(why.to_owned()) };
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
-    bench.said();
+    bench.outputs();
 
     bench.see("arm", ONE, failed(Lifecycle::Initialized, "on_deactivated failed: jammed"));
-    assert_eq!(bench.said(), ["Found 1", "Cleared 1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Cleared 1"]);
     bench.see("arm", ONE, failed(Lifecycle::Initialized, "on_shutdown was cut off"));
-    assert_eq!(bench.said(), ["Found 2", "Cleared 2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "Cleared 2"]);
     bench.see("arm", ONE, failed(Lifecycle::Finalized, "on_finalize failed: bent"));
-    assert_eq!(bench.said(), ["Found 3", "Cleared 3"]);
+    assert_eq!(bench.outputs(), ["Found 3", "Cleared 3"]);
     bench.see("arm", ONE, exited(ExitReason::Stopped));
 
     assert!(bench.run_until(60_000).is_empty());
@@ -351,11 +351,11 @@ fn a_hook_that_fails_in_error_is_counted_with_that_error() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, state(Lifecycle::Error));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
 
     let reason = Some("on_aborting failed: jammed".to_owned());
     bench.see("arm", ONE, Finding::State { state: Lifecycle::Error, reason });
 
-    assert_eq!(bench.said(), ["Repeated 1"]);
+    assert_eq!(bench.outputs(), ["Repeated 1"]);
     assert_eq!((bench.fault(1).count, &*bench.fault(1).detail), (2, "on_aborting failed: jammed"));
 }

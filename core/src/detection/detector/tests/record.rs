@@ -1,4 +1,4 @@
-//! What becomes of faults that stand, and what the record says of them.
+//! The treatment of open faults, and their record.
 
 use super::*;
 use proptest::prelude::*;
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 fn the_recoverer_s_word_is_recorded_and_told() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
-    bench.said();
+    bench.outputs();
 
     let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
@@ -21,12 +21,12 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     );
     bench.detector.handle_outcome(FaultId(7), at(9), RecoveryOutcome::Recovered);
 
-    assert_eq!(bench.said(), ["Decided 1", "Failed 1", "Recovered 1"]);
+    assert_eq!(bench.outputs(), ["Decided 1", "Failed 1", "Recovered 1"]);
     let entry = &bench.entries()[0];
     assert_eq!(entry.decided, Some((at(3), "restart".into())));
     assert_eq!(entry.recovered_after(), Some(Duration::from_millis(8)));
     bench.see("arm", TWO, exited(panicked()));
-    assert_eq!(bench.said(), ["Found 2", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 }
 
 #[test]
@@ -38,12 +38,12 @@ fn what_was_given_up_stays_latched_for_that_incarnation_and_is_new_in_the_next()
         at(3),
         RecoveryOutcome::GaveUp { reason: "no".into() },
     );
-    bench.said();
+    bench.outputs();
 
     bench.see("arm", ONE, declared());
-    assert_eq!(bench.said(), ["Repeated 1"]);
+    assert_eq!(bench.outputs(), ["Repeated 1"]);
     bench.see("arm", TWO, declared());
-    assert_eq!(bench.said(), ["Cleared 1", "Found 2", "-1", "+2"]);
+    assert_eq!(bench.outputs(), ["Cleared 1", "Found 2", "-1", "+2"]);
 }
 
 #[test]
@@ -52,14 +52,14 @@ fn what_isolation_contains_is_not_over_with_the_next_incarnation_while_that_is_i
     let works = |bench: &mut Bench, incarnation| {
         bench.see("arm", incarnation, state(Lifecycle::Initialized));
         bench.see("arm", incarnation, state(Lifecycle::Active));
-        bench.said()
+        bench.outputs()
     };
     bench.see("arm", ONE, silent());
     bench.see("arm", ONE, Finding::Isolated { isolated: true });
     let contained = RecoveryOutcome::GaveUp { reason: "contained".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), contained);
     bench.see("arm", ONE, exited(panicked()));
-    bench.said();
+    bench.outputs();
 
     assert_eq!(works(&mut bench, TWO), ["Recovered 2", "-2"]);
     assert_eq!(bench.entries()[0].status(), FaultStatus::GivenUp);
@@ -75,7 +75,7 @@ fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_route
     let decided = RecoveryOutcome::Decided { measure: "re-route".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
-    assert_eq!(bench.said(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
 
     let entry = &bench.entries()[0];
     assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), None));
@@ -83,12 +83,12 @@ fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_route
     assert!(bench.run_until(60_000).is_empty(), "nothing more is decided about it");
 
     bench.see("-eth-n", Incarnation(0), Finding::Link(LinkCondition::Up));
-    assert_eq!(bench.said(), ["Cleared 1"]);
+    assert_eq!(bench.outputs(), ["Cleared 1"]);
     let entry = &bench.entries()[0];
     assert_eq!((entry.recovered_at, entry.repaired_at), (Some(at(8)), Some(at(60_000))));
     assert_eq!(entry.repaired_after(), Some(Duration::from_secs(60)));
     bench.see("-eth-n", Incarnation(0), down());
-    assert_eq!(bench.said(), ["Found 2", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 }
 
 #[test]
@@ -107,11 +107,11 @@ fn a_node_that_leaves_in_order_takes_the_faults_of_its_links_along() {
     let mut bench = Bench::new();
     bench.see("-eth-n", Incarnation(0), down());
     bench.see("-can-o", Incarnation(0), down());
-    bench.said();
+    bench.outputs();
 
     bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Left));
 
-    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+    assert_eq!(bench.outputs(), ["Cleared 1", "-1"]);
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
             bench.see("@n", Incarnation(incarnation), lost());
         }
         bench.see("@n", Incarnation(incarnation + 1), Finding::Node(NodeCondition::Restarted));
-        bench.said();
+        bench.outputs();
     }
     let of_kind = |bench: &Bench, kind| {
         bench.entries().into_iter().filter(|entry| entry.fault.kind == kind).collect::<Vec<_>>()
@@ -139,7 +139,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
     let id = loops[0].fault.id.0;
     let observed = RecoveryOutcome::Decided { measure: "observe".into() };
     bench.detector.handle_outcome(FaultId(id), bench.now, observed);
-    assert_eq!(bench.said(), [format!("Decided {id}")]);
+    assert_eq!(bench.outputs(), [format!("Decided {id}")]);
     assert!(bench.run_until(222_000 + 59_999).is_empty());
     assert_eq!(bench.run_until(222_000 + 60_000), [format!("Cleared {id}"), format!("-{id}")]);
 }
@@ -149,9 +149,9 @@ fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
 
-    let said = bench.run_until(60_000);
+    let outputs = bench.run_until(60_000);
 
-    assert_eq!(said, ["Found 1", "+1", "+1", "+1", "+1", "GaveUp 1"]);
+    assert_eq!(outputs, ["Found 1", "+1", "+1", "+1", "+1", "GaveUp 1"]);
 }
 
 fn decided() -> RecoveryOutcome {
@@ -164,12 +164,12 @@ fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
     for name in 1..=20 {
         bench.see(&format!("arm{name}"), ONE, exited(panicked()));
     }
-    bench.said();
+    bench.outputs();
 
     for id in 1..20 {
         assert_eq!(bench.run_until(id * 900), [""; 0]);
         bench.detector.handle_outcome(FaultId(id), at(id * 900), decided());
-        assert_eq!(bench.said(), [format!("Decided {id}")]);
+        assert_eq!(bench.outputs(), [format!("Decided {id}")]);
     }
 
     assert_eq!(
@@ -183,16 +183,16 @@ fn a_fault_whose_turn_comes_is_not_given_up_however_long_the_queue_is() {
 fn a_fault_that_others_have_overtaken_is_given_up_while_they_are_decided() {
     let mut bench = Bench::new();
     bench.see("lost", ONE, exited(panicked()));
-    bench.said();
+    bench.outputs();
 
-    let mut said = Vec::new();
+    let mut outputs = Vec::new();
     for id in 2..10 {
         bench.see(&format!("arm{id}"), ONE, exited(panicked()));
         bench.detector.handle_outcome(FaultId(id), bench.now, decided());
-        said.extend(bench.run_until(id * 900).into_iter().filter(|step| step.ends_with(" 1")));
+        outputs.extend(bench.run_until(id * 900).into_iter().filter(|step| step.ends_with(" 1")));
     }
 
-    assert_eq!(said, ["GaveUp 1"]);
+    assert_eq!(outputs, ["GaveUp 1"]);
 }
 
 #[test]
@@ -200,24 +200,24 @@ fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
     let mut bench = Bench::new();
 
     bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Restarted));
-    assert_eq!(bench.said(), ["Found 1", "Recovered 1", "Cleared 1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "Recovered 1", "Cleared 1"]);
 
     bench.see("@n", Incarnation(9), lost());
     bench.see("@n", Incarnation(10), Finding::Node(NodeCondition::Restarted));
-    assert_eq!(bench.said(), ["Found 2", "Recovered 2", "Cleared 2", "+2", "-2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "Recovered 2", "Cleared 2", "+2", "-2"]);
 }
 
 #[test]
 fn that_a_node_is_at_rest_stands_until_it_works_again_leaves_or_begins_anew() {
     for over in [NodeCondition::AtWork, NodeCondition::Left, NodeCondition::Restarted] {
         let mut bench = Bench::new();
-        let rest = || Finding::Node(NodeCondition::AtRest { reason: "it panics".into() });
+        let rest = || Finding::Node(NodeCondition::InSafeState { reason: "it panics".into() });
         bench.see("@n", Incarnation(9), rest());
         bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Reachable));
-        assert_eq!(bench.said(), ["Found 1", "+1"], "{over:?}");
+        assert_eq!(bench.outputs(), ["Found 1", "+1"], "{over:?}");
 
         bench.see("@n", Incarnation(9), Finding::Node(over.clone()));
-        let ended = bench.said();
+        let ended = bench.outputs();
         assert_eq!(ended[0], "Cleared 1", "{over:?}: {ended:?}");
     }
 }
@@ -228,11 +228,11 @@ fn a_detector_that_was_struck_keeps_its_record_and_hands_over_again() {
     bench.see("arm", ONE, exited(panicked()));
     while bench.detector.poll_output().is_some() {}
 
-    bench.detector = bench.detector.clone().reborn(at(1));
+    bench.detector = bench.detector.clone().restarted(at(1));
 
-    assert_eq!(bench.said(), ["+1"]);
+    assert_eq!(bench.outputs(), ["+1"]);
     bench.see("arm", ONE, declared());
-    assert_eq!(bench.said(), ["Found 2", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 }
 
 fn any_finding() -> impl Strategy<Value = Finding> {
@@ -278,20 +278,20 @@ proptest! {
 
             let entries = bench.entries();
             prop_assert!(entries.len() <= 16);
-            let mut standing = SortedSet::new();
+            let mut open_fault = SortedSet::new();
             let mut passed = SortedSet::new();
             for entry in &entries {
                 let fault = &entry.fault;
-                prop_assert_eq!(entry.stands(), bench.detector.chronicle.stands(fault.id));
+                prop_assert_eq!(entry.stands(), bench.detector.fault_log.stands(fault.id));
                 if entry.stands() {
                     let kind = fault.kind.clone();
-                    prop_assert!(standing.insert((fault.place.clone(), kind)));
+                    prop_assert!(open_fault.insert((fault.location.clone(), kind)));
                 }
                 if let Some(root) = fault.symptom_of {
                     prop_assert_ne!(root, fault.id);
-                    prop_assert_ne!(bench.detector.chronicle.root(root), fault.id);
-                    let known = bench.detector.chronicle.entry(root).is_some();
-                    prop_assert!(!known || passed.contains(&bench.detector.chronicle.root(root)));
+                    prop_assert_ne!(bench.detector.fault_log.root(root), fault.id);
+                    let known = bench.detector.fault_log.entry(root).is_some();
+                    prop_assert!(!known || passed.contains(&bench.detector.fault_log.root(root)));
                 }
                 passed.insert(fault.id);
             }

@@ -34,12 +34,12 @@ fn a_root_that_is_found_shortly_after_its_symptom_explains_it() {
     let mut bench = Bench::new();
     bench.depend("planner", &["laser"]);
     bench.see("planner", ONE, silent());
-    bench.said();
+    bench.outputs();
 
     bench.now = at(1900);
     bench.see("laser", ONE, exited(panicked()));
 
-    assert_eq!(bench.said(), ["Found 2", "Explained 1", "+2"]);
+    assert_eq!(bench.outputs(), ["Found 2", "Explained 1", "+2"]);
     assert_eq!(bench.fault(1).symptom_of, Some(FaultId(2)));
     let order: Vec<u64> = bench.entries().iter().map(|entry| entry.fault.id.0).collect();
     assert_eq!(order, [2, 1]);
@@ -150,7 +150,7 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
     let decided = RecoveryOutcome::Decided { measure: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.see("map", ONE, silent());
-    bench.said();
+    bench.outputs();
     assert_eq!(bench.run_until(30_500), [""; 0]);
 
     bench.detector.handle_outcome(FaultId(1), at(30_500), RecoveryOutcome::Recovered);
@@ -163,14 +163,14 @@ fn who_is_silent_behind_an_overload_is_told_and_nothing_is_done_about_it_while_t
     let mut bench = Bench::new();
     ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
     bench.see("planner", ONE, overloaded(&["safety"]));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
 
     bench.see("safety", ONE, silent());
 
-    assert_eq!(bench.said(), ["Found 2"], "it is not handed over");
+    assert_eq!(bench.outputs(), ["Found 2"], "it is not handed over");
     assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
     bench.see("safety", ONE, Finding::Spoke);
-    assert_eq!(bench.said(), ["Cleared 2"]);
+    assert_eq!(bench.outputs(), ["Cleared 2"]);
 }
 
 #[test]
@@ -180,17 +180,17 @@ fn who_is_silent_because_the_computer_has_no_time_is_a_symptom_of_the_node() {
     let (figures, victims) = (OverloadFigures::default(), [object("safety")].into());
     let overloaded = NodeCondition::Overloaded { waited_percent: 83, figures, victims };
     bench.see("@m", ONE, Finding::Node(overloaded));
-    assert_eq!(bench.said(), ["Found 1", "+1"]);
+    assert_eq!(bench.outputs(), ["Found 1", "+1"]);
     let fault = bench.fault(1);
-    assert_eq!((fault.kind, fault.place), (FaultKind::Overload, place("@m")));
+    assert_eq!((fault.kind, fault.location), (FaultKind::Overload, location("@m")));
     assert!(fault.detail.contains("83 %"), "{}", fault.detail);
 
     bench.see("safety", ONE, silent());
-    assert_eq!(bench.said(), ["Found 2"], "it is not handed over");
+    assert_eq!(bench.outputs(), ["Found 2"], "it is not handed over");
     assert_eq!(bench.fault(2).symptom_of, Some(FaultId(1)));
 
     bench.see("@m", ONE, Finding::Node(NodeCondition::Relieved));
-    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+    assert_eq!(bench.outputs(), ["Cleared 1", "-1"]);
     bench.see("safety", ONE, silent());
     assert_eq!(bench.fault(2).symptom_of, None);
 }
@@ -201,16 +201,16 @@ fn who_is_still_silent_when_the_overload_is_over_is_a_fault_of_its_own() {
     ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
     bench.see("planner", ONE, overloaded(&["safety"]));
     bench.see("safety", ONE, silent());
-    bench.said();
+    bench.outputs();
 
     bench.see("planner", ONE, Finding::Flows);
-    assert_eq!(bench.said(), ["Cleared 1", "-1"]);
+    assert_eq!(bench.outputs(), ["Cleared 1", "-1"]);
     bench.see("safety", ONE, silent());
 
-    assert_eq!(bench.said(), ["Repeated 2", "Explained 2", "+2"]);
+    assert_eq!(bench.outputs(), ["Repeated 2", "Explained 2", "+2"]);
     assert_eq!(bench.fault(2).symptom_of, None);
     bench.see("safety", ONE, Finding::Spoke);
-    assert_eq!(bench.said(), ["Cleared 2", "-2"]);
+    assert_eq!(bench.outputs(), ["Cleared 2", "-2"]);
 }
 
 fn paused() -> Finding {
@@ -224,10 +224,10 @@ fn what_links_and_nodes_suffer_from_a_pause_of_this_node_is_its_symptom() {
     bench.see("-old-k", ONE, down());
     bench.now = at(10_000);
     bench.see("-eth-n", ONE, down()); // its thread ran before that of the watch
-    bench.said();
+    bench.outputs();
 
     bench.see("@m", ONE, paused());
-    assert_eq!(bench.said(), ["Found 4", "Recovered 4", "Explained 3"]);
+    assert_eq!(bench.outputs(), ["Found 4", "Recovered 4", "Explained 3"]);
     bench.see("@n", ONE, lost());
     bench.see("map", ONE, exited(panicked()));
 
@@ -238,7 +238,7 @@ fn what_links_and_nodes_suffer_from_a_pause_of_this_node_is_its_symptom() {
     assert_eq!(kind(4), (FaultKind::NodePaused, None));
     assert_eq!(kind(5), (FaultKind::NodeLost, of_pause));
     assert_eq!(kind(6), (FaultKind::Panic, None), "a panic is its own cause");
-    assert!(bench.detector.chronicle.stands(FaultId(4)));
+    assert!(bench.detector.fault_log.stands(FaultId(4)));
 }
 
 #[test]
@@ -262,7 +262,7 @@ fn a_short_pause_of_this_node_is_a_fault_only_if_links_or_nodes_suffer_from_it()
 
     bench.see("-eth-n", ONE, Finding::Link(LinkCondition::Up));
     bench.run_until(10_500);
-    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+    assert!(!bench.detector.fault_log.stands(FaultId(1)));
     assert_eq!(bench.fault(3).symptom_of, None, "the node is lost all the same");
     bench.see("-usb-k", ONE, down());
     bench.see("@m", ONE, short());
@@ -277,8 +277,8 @@ fn what_outlives_the_time_after_a_pause_is_a_fault_of_its_own() {
     bench.see("-usb-k", ONE, down());
     bench.see("-usb-k", ONE, Finding::Link(LinkCondition::Up));
 
-    let said = bench.run_until(6_000);
-    assert!(said.ends_with(&["Cleared 1".into(), "Explained 2".into()]), "{said:?}");
+    let outputs = bench.run_until(6_000);
+    assert!(outputs.ends_with(&["Cleared 1".into(), "Explained 2".into()]), "{outputs:?}");
     bench.see("@n", ONE, lost());
 
     let roots = [2, 4].map(|id| (bench.fault(id).kind, bench.fault(id).symptom_of));
@@ -293,10 +293,10 @@ fn a_second_pause_soon_after_the_first_is_counted() {
     bench.run_until(4_000);
     bench.see("@m", ONE, paused());
     bench.run_until(8_000);
-    assert!(bench.detector.chronicle.stands(FaultId(1)));
+    assert!(bench.detector.fault_log.stands(FaultId(1)));
 
     bench.run_until(9_000);
 
     assert_eq!((bench.entries().len(), bench.fault(1).count), (1, 2));
-    assert!(!bench.detector.chronicle.stands(FaultId(1)));
+    assert!(!bench.detector.fault_log.stands(FaultId(1)));
 }

@@ -21,10 +21,10 @@ impl Road {
     fn new(kept: u64, rounds: u64) -> Self {
         let mut world = World::new();
         world.every = 10;
-        world.eyes.stamps[2].interval = ms(20);
-        world.eyes.stamps[2].speaks = true;
+        world.samples.activities[2].interval = ms(20);
+        world.samples.activities[2].speaks = true;
         // The planner is not expected to give signs of life.
-        world.eyes.stamps[0].speaks = true;
+        world.samples.activities[0].speaks = true;
         world
             .scanner
             .handle_enter(0, judged_by("culprit", HangLimits { max_silence: None, ..limits() }));
@@ -36,28 +36,28 @@ impl Road {
         for _ in 0..millis / 10 {
             let look = self.world.now / 10;
             let runs = look % 10 < self.kept;
-            self.world.pulse.running = runs.then_some(0);
+            self.world.heartbeat.running = runs.then_some(0);
             // Each handler ends within 30 ms, so that no beat stands for long.
-            self.world.eyes.stamps[0].turn += if runs { 2 } else { 0 };
-            self.world.eyes.stamps[0].alive += u64::from(runs && self.planner_speaks);
+            self.world.samples.activities[0].turn += if runs { 2 } else { 0 };
+            self.world.samples.activities[0].alive += u64::from(runs && self.planner_speaks);
             if self.rounds > 0 && look.is_multiple_of(self.rounds) {
-                self.world.eyes.stamps[2].turn += 2;
-                self.world.eyes.stamps[2].rounds += 1;
-                self.world.eyes.stamps[2].alive += 1;
+                self.world.samples.activities[2].turn += 2;
+                self.world.samples.activities[2].rounds += 1;
+                self.world.samples.activities[2].alive += 1;
             }
             if let Some((used, waited)) = self.processor {
                 let time = self.world.processor.get_or_insert_default();
                 (time.used, time.waited) = (time.used + ms(used), time.waited + ms(waited));
             }
-            let told = self.world.pass(10, look.is_multiple_of(self.beats));
-            seen.extend(told.into_iter().map(|sighting| (self.world.now, sighting)));
+            let reported = self.world.pass(10, look.is_multiple_of(self.beats));
+            seen.extend(reported.into_iter().map(|event| (self.world.now, event)));
         }
         seen
     }
 }
 
 fn names(seen: &[(u64, LivenessEvent)]) -> Vec<String> {
-    let text = |sighting: &LivenessEvent| match sighting {
+    let text = |event: &LivenessEvent| match event {
         LivenessEvent::Overloaded { object, victims, .. } => {
             format!("{object} overloads {victims:?}")
         }
@@ -70,7 +70,7 @@ fn names(seen: &[(u64, LivenessEvent)]) -> Vec<String> {
         LivenessEvent::Stuck { object, .. } => format!("{object} is stuck"),
         other => format!("{other:?}"),
     };
-    seen.iter().map(|(_, sighting)| text(sighting)).collect()
+    seen.iter().map(|(_, event)| text(event)).collect()
 }
 
 fn overloads() -> String {
@@ -80,7 +80,7 @@ fn overloads() -> String {
 #[test]
 fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_the_root() {
     let mut road = Road::new(10, 3);
-    road.world.eyes.queues[0] = QueueReading { queued: 7, oldest: ms(400) };
+    road.world.samples.queues[0] = QueueReading { queued: 7, oldest: ms(400) };
 
     let seen = road.pass(10_000);
 
@@ -94,17 +94,17 @@ fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_th
 #[test]
 fn an_overload_that_grows_is_told_again_with_its_worst_figures_each_time_one_has_doubled() {
     let mut road = Road::new(10, 3);
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for oldest in [400, 450, 500, 790, 800, 300, 1700] {
-        road.world.eyes.queues[0] = QueueReading { queued: 7, oldest: ms(oldest) };
-        told.extend(road.pass(3000));
+        road.world.samples.queues[0] = QueueReading { queued: 7, oldest: ms(oldest) };
+        reported.extend(road.pass(3000));
     }
 
     let ages = |(_, seen): &(u64, LivenessEvent)| match seen {
         LivenessEvent::Overloaded { figures, .. } => figures.oldest,
         other => panic!("{other:?}"),
     };
-    assert_eq!(told.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
+    assert_eq!(reported.iter().map(ages).collect::<Vec<_>>(), [ms(400), ms(800), ms(1700)]);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn a_load_about_the_limit_is_one_overload_with_one_root() {
 fn a_neighbour_that_misses_rounds_on_a_thread_that_gets_no_processor_is_the_computers_victim() {
     let mut road = Road::new(10, 3);
     road.processor = Some((2, 8));
-    road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
+    road.world.samples.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
 
     let seen = road.pass(20_000);
 
@@ -192,9 +192,9 @@ fn timers_that_miss_their_ticks_are_an_overload_and_counted_as_rounds() {
     let mut world = World::new();
     let mut seen = Vec::new();
     for _ in 0..50 {
-        let stamp = &mut world.eyes.stamps[0];
-        (stamp.ticks, stamp.missed_ticks) = (stamp.ticks + 70, stamp.missed_ticks + 30);
-        stamp.turn += 2;
+        let activity = &mut world.samples.activities[0];
+        (activity.ticks, activity.missed_ticks) = (activity.ticks + 70, activity.missed_ticks + 30);
+        activity.turn += 2;
         seen.extend(world.pass(100, true).into_iter().map(|seen| (0, seen)));
     }
     assert_eq!(names(&seen), ["culprit overloads []"]);
@@ -202,12 +202,12 @@ fn timers_that_miss_their_ticks_are_an_overload_and_counted_as_rounds() {
     assert!(matches!(missed[..], [(0, 1200..=1500)]), "{missed:?}");
 
     let mut world = World::new();
-    world.eyes.stamps[0].ticks = u32::MAX - 100;
+    world.samples.activities[0].ticks = u32::MAX - 100;
     for _ in 0..50 {
-        let stamp = &mut world.eyes.stamps[0];
-        stamp.ticks = stamp.ticks.wrapping_add(80);
-        stamp.missed_ticks += 20;
-        stamp.turn += 2;
+        let activity = &mut world.samples.activities[0];
+        activity.ticks = activity.ticks.wrapping_add(80);
+        activity.missed_ticks += 20;
+        activity.turn += 2;
         assert_eq!(world.pass(100, true), [], "a fifth may be missed");
     }
 }
@@ -273,14 +273,14 @@ fn a_victim_that_says_nothing_after_the_overload_is_silent_of_itself() {
 #[test]
 fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
     let mut world = World::new();
-    world.eyes.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
-    world.eyes.stamps[2].alive += 1;
+    world.samples.activities[2].alive += 1;
     world.pass(100, true);
     let patient = judged_by("culprit", HangLimits { max_block: ms(10_000), ..limits() });
     world.scanner.handle_enter(0, patient);
-    world.pulse.running = Some(0);
-    world.eyes.stamps[0].turn = 1;
+    world.heartbeat.running = Some(0);
+    world.samples.activities[0].turn = 1;
     world.look();
 
     let seen: Vec<_> = world.pass(1000, false).into_iter().map(|seen| (0, seen)).collect();
@@ -291,12 +291,12 @@ fn a_victim_is_silent_behind_one_long_handler_too_before_that_is_a_hang() {
 #[test]
 fn messages_that_wait_for_a_component_that_is_not_at_work_are_no_overload() {
     let mut road = Road::new(3, 2);
-    road.world.eyes.stamps[0].speaks = false;
-    road.world.eyes.queues[0] = QueueReading { queued: 1, oldest: ms(1500) };
+    road.world.samples.activities[0].speaks = false;
+    road.world.samples.queues[0] = QueueReading { queued: 1, oldest: ms(1500) };
 
     assert_eq!(names(&road.pass(5000)), [""; 0]);
 
-    road.world.eyes.stamps[0].speaks = true;
+    road.world.samples.activities[0].speaks = true;
     assert_eq!(names(&road.pass(5000)), ["culprit overloads []"]);
 }
 
@@ -306,10 +306,10 @@ fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
     let limits = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("culprit", limits);
     road.world.scanner.handle_enter(0, asked);
-    road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
+    road.world.samples.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
 
     assert_eq!(names(&road.pass(10_000)), ["culprit overloads []"]);
-    road.world.eyes.queues[0] = QueueReading::default();
+    road.world.samples.queues[0] = QueueReading::default();
     assert_eq!(names(&road.pass(5000)), ["culprit flows"]);
 }
 
@@ -317,7 +317,7 @@ fn a_flooded_component_that_is_asked_is_alive_and_overloaded() {
 fn messages_that_wait_are_seen_also_while_a_turn_of_many_holds_the_beat_up() {
     let mut road = Road::new(10, 2);
     road.beats = 200;
-    road.world.eyes.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
+    road.world.samples.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
     assert_eq!(names(&road.pass(3000)), ["culprit overloads []"]);
 }
 
@@ -327,16 +327,16 @@ fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not
     let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked);
-    world.eyes.stamps[2].speaks = true;
+    world.samples.activities[2].speaks = true;
     world.look();
-    world.eyes.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(1100, true);
-    world.eyes.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
+    world.samples.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
 
     let seen: Vec<_> = world.pass(5000, true).into_iter().map(|seen| (0, seen)).collect();
     assert_eq!(names(&seen), ["victim is stuck"]);
 
-    world.eyes.queues[2] = QueueReading::default();
+    world.samples.queues[2] = QueueReading::default();
     let seen: Vec<_> = world.pass(100, true).into_iter().map(|seen| (0, seen)).collect();
     assert_eq!(names(&seen), ["victim flows"]);
 }
@@ -347,11 +347,11 @@ fn a_stuck_component_misses_its_rounds_by_that_and_is_not_overloaded_as_well() {
     let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
     world.scanner.handle_enter(2, asked);
-    (world.eyes.stamps[2].speaks, world.eyes.stamps[2].interval) = (true, ms(20));
+    (world.samples.activities[2].speaks, world.samples.activities[2].interval) = (true, ms(20));
     world.look();
-    world.eyes.stamps[2].turn = 1;
+    world.samples.activities[2].turn = 1;
     world.pass(500, true);
-    world.eyes.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
+    world.samples.queues[2] = QueueReading { queued: 5, oldest: ms(1050) };
 
     let mut seen = Vec::new();
     seen.extend(world.pass(2000, true).into_iter().map(|seen| (0, seen)));
@@ -377,7 +377,7 @@ fn messages_that_nobody_waits_for_any_more_are_an_overload() {
     let mut world = World::new();
     let mut seen = Vec::new();
     for _ in 0..50 {
-        world.eyes.stamps[0].expired += 1;
+        world.samples.activities[0].expired += 1;
         seen.extend(world.pass(100, true).into_iter().map(|seen| (0, seen)));
     }
     assert_eq!(names(&seen), ["culprit overloads []"]);
@@ -411,11 +411,11 @@ fn looks_that_come_late(world: &mut World, rounds: u64) -> Vec<LivenessEvent> {
     let mut seen = Vec::new();
     for _ in 0..200 {
         world.now += 60;
-        world.pulse.beat += 1;
-        let stamp = &mut world.eyes.stamps[2];
-        (stamp.rounds, stamp.turn) = (stamp.rounds + rounds, stamp.turn + 2 * rounds);
-        stamp.alive += 1;
-        stamp.expired += 1;
+        world.heartbeat.beat += 1;
+        let activity = &mut world.samples.activities[2];
+        (activity.rounds, activity.turn) = (activity.rounds + rounds, activity.turn + 2 * rounds);
+        activity.alive += 1;
+        activity.expired += 1;
         seen.extend(world.look());
     }
     seen
@@ -423,8 +423,8 @@ fn looks_that_come_late(world: &mut World, rounds: u64) -> Vec<LivenessEvent> {
 
 fn fast_component() -> World {
     let mut world = World::new();
-    world.eyes.stamps[2].interval = ms(20);
-    world.eyes.stamps[2].speaks = true;
+    world.samples.activities[2].interval = ms(20);
+    world.samples.activities[2].speaks = true;
     world
 }
 
@@ -444,9 +444,9 @@ fn rounds_that_were_run_between_late_looks_are_no_credit() {
     let mut seen = Vec::new();
     for look in 0..400 {
         let runs = u64::from(look % 8 == 0);
-        let stamp = &mut world.eyes.stamps[2];
-        (stamp.rounds, stamp.turn, stamp.alive) =
-            (stamp.rounds + runs, stamp.turn + 2 * runs, stamp.alive + runs);
+        let activity = &mut world.samples.activities[2];
+        (activity.rounds, activity.turn, activity.alive) =
+            (activity.rounds + runs, activity.turn + 2 * runs, activity.alive + runs);
         seen.extend(world.pass(10, true).into_iter().map(|seen| (0, seen)));
     }
 

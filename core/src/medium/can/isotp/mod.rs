@@ -6,7 +6,7 @@
 //!   │◄──── flow: go on, 8 at a time, 1 ms ─┤
 //!   ├─ consecutive 1 ─────────────────────►│
 //!   ├─ … 8 ───────────────────────────────►│
-//!   │◄──────── flow: wait (no room yet) ───┤
+//!   │◄──────── flow: wait (no has_buffer yet) ───┤
 //!   │◄──────── flow: go on ────────────────┤
 //!   ├─ consecutive 9 …  ──────────────────►│
 //! ```
@@ -134,7 +134,7 @@ pub struct IsoTp {
     incoming: SortedMap<(BusAddress, bool), Reception>,
     /// Whose frame went out last.
     last: BusAddress,
-    room: bool,
+    has_buffer: bool,
     refusals: IsoTpErrorCounts,
     outputs: VecDeque<IsoTpOutput>,
 }
@@ -158,7 +158,7 @@ impl IsoTp {
             outgoing: SortedMap::new(),
             incoming: SortedMap::new(),
             last: BusAddress::ALL,
-            room: true,
+            has_buffer: true,
             refusals: IsoTpErrorCounts::default(),
             outputs: VecDeque::new(),
         })
@@ -260,9 +260,9 @@ impl IsoTp {
         let audience = if to_all { TargetType::All } else { TargetType::One };
         let admitted =
             self.incoming.contains_key(&key) || self.incoming.len() < self.config.receptions_max;
-        let terms = ReceptionContext { config: &self.config, room: self.room, now };
+        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
         let reception = self.incoming.entry(key).or_insert_with(|| Reception::new(audience));
-        let heard = match pdu {
+        let result = match pdu {
             Pdu::Single(data) => reception.handle_single(data),
             Pdu::First { length, data } => reception.handle_first(length, data, admitted, terms),
             Pdu::Consecutive { sequence, data } => {
@@ -273,7 +273,7 @@ impl IsoTp {
         if reception.is_idle() {
             self.incoming.remove(&key);
         }
-        let FrameResult { failed, message } = heard;
+        let FrameResult { failed, message } = result;
         if let Some(error) = failed {
             self.fail(from, error);
         }
@@ -284,12 +284,12 @@ impl IsoTp {
 
     /// Whether the receiver of the messages can take more. While not, senders are told to wait;
     /// what is in a single frame or under way already comes nevertheless.
-    pub fn handle_room(&mut self, room: bool, now: Instant) {
-        if room && !self.room {
-            let terms = ReceptionContext { config: &self.config, room, now };
-            self.incoming.values_mut().for_each(|reception| reception.handle_room(terms));
+    pub fn handle_buffer(&mut self, has_buffer: bool, now: Instant) {
+        if has_buffer && !self.has_buffer {
+            let terms = ReceptionContext { config: &self.config, has_buffer, now };
+            self.incoming.values_mut().for_each(|reception| reception.handle_buffer(terms));
         }
-        self.room = room;
+        self.has_buffer = has_buffer;
     }
 
     /// The bus is gone: nothing that waits or is under way will arrive. The answer is how many
@@ -321,7 +321,7 @@ impl IsoTp {
         let id = self.addressing.id(AddressInfo { source: self.own, target: source });
         let id = id.expect("this node and the sender have addresses of this bus");
         let writer = PduWriter { id, format: self.config.format, padding: self.config.padding };
-        let terms = ReceptionContext { config: &self.config, room: self.room, now };
+        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
         let frame = reception.poll_frame(&writer, terms);
         if reception.is_idle() {
             self.incoming.remove(&(source, to_all));
@@ -410,7 +410,7 @@ impl Machine for IsoTp {
             }
             self.settle(to, now);
         }
-        let terms = ReceptionContext { config: &self.config, room: self.room, now };
+        let terms = ReceptionContext { config: &self.config, has_buffer: self.has_buffer, now };
         let mut failed = Vec::new();
         self.incoming.retain(|(from, _), reception| {
             failed.extend(reception.handle_timeout(terms).map(|error| (*from, error)));

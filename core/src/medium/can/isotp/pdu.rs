@@ -1,4 +1,4 @@
-//! What one CAN frame says in ISO 15765-2.
+//! The protocol data unit of ISO 15765-2 in one CAN frame.
 //!
 //! ```text
 //! byte            0         1         2       …

@@ -44,7 +44,7 @@ pub enum ReceptionError {
     TooMany,
     /// There was no room for it for too long.
     #[error("there was no room for the message")]
-    NoRoom,
+    NoBuffer,
     /// The bus did not take our word on how to go on.
     #[error("the bus takes no frames")]
     BusStuck,
@@ -76,7 +76,7 @@ impl FrameResult {
 pub(super) struct ReceptionContext<'a> {
     pub(super) config: &'a IsoTpConfig,
     /// Whether the receiver of the message could take one.
-    pub(super) room: bool,
+    pub(super) has_buffer: bool,
     pub(super) now: Instant,
 }
 
@@ -215,7 +215,7 @@ impl Reception {
     }
 
     /// There is room again: a sender that waits need not wait any longer.
-    pub(super) fn handle_room(&mut self, terms: ReceptionContext<'_>) {
+    pub(super) fn handle_buffer(&mut self, terms: ReceptionContext<'_>) {
         self.state = match std::mem::replace(&mut self.state, State::Idle) {
             State::Holding { partial, waits, .. } => answer(partial, waits, terms),
             other => other,
@@ -274,8 +274,8 @@ impl Reception {
             State::Idle => None,
             State::Answering { .. } | State::Refusing { .. } => Some(ReceptionError::BusStuck),
             State::Receiving { .. } => Some(ReceptionError::Silent),
-            State::Holding { waits, .. } if !terms.room && waits >= config.waits_max => {
-                Some(ReceptionError::NoRoom)
+            State::Holding { waits, .. } if !terms.has_buffer && waits >= config.waits_max => {
+                Some(ReceptionError::NoBuffer)
             }
             State::Holding { partial, waits, .. } => {
                 self.state = answer(partial, waits, terms);
@@ -295,7 +295,7 @@ impl Reception {
 }
 
 fn answer(partial: Partial, waits: u8, terms: ReceptionContext<'_>) -> State {
-    let status = if terms.room { FlowStatus::Continue } else { FlowStatus::Wait };
+    let status = if terms.has_buffer { FlowStatus::Continue } else { FlowStatus::Wait };
     State::Answering { partial, status, waits, until: terms.now + terms.config.bus_timeout }
 }
 

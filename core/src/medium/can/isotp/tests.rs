@@ -217,7 +217,7 @@ fn what_cannot_be_sent_is_refused_with_the_reason() {
 fn a_receiver_without_room_lets_its_sender_wait_and_go_on() {
     let config = large(Format::Classic);
     let mut bus = Bus::new(vec![node(1, config), node(2, config)]);
-    bus.nodes[1].handle_room(false, bus.now);
+    bus.nodes[1].handle_buffer(false, bus.now);
     assert_eq!(bus.nodes[0].handle_message(BusAddress(2), message(100, 0), bus.now), Ok(()));
     let first = bus.nodes[0].poll_frame(bus.now).unwrap();
     bus.nodes[1].handle_frame(&first, bus.now);
@@ -226,7 +226,7 @@ fn a_receiver_without_room_lets_its_sender_wait_and_go_on() {
     bus.nodes[0].handle_frame(&wait, bus.now);
     assert!(!bus.nodes[0].has_frame());
 
-    bus.nodes[1].handle_room(true, bus.now);
+    bus.nodes[1].handle_buffer(true, bus.now);
     bus.run();
 
     assert_eq!(bus.received(1).len(), 1);

@@ -97,7 +97,7 @@ enum Alarm {
     Quiet,
     /// It is to be told.
     New,
-    Told,
+    Reported,
 }
 
 impl AdapterControl {
@@ -120,7 +120,7 @@ impl AdapterControl {
     pub fn poll_trouble(&mut self) -> bool {
         let is_new = self.alarm == Alarm::New;
         if is_new {
-            self.alarm = Alarm::Told;
+            self.alarm = Alarm::Reported;
         }
         is_new
     }
@@ -309,17 +309,17 @@ mod tests {
     #[test]
     fn an_adapter_that_answers_is_open_after_three_commands() {
         let mut dialogue = AdapterControl::new(rate(), None);
-        let mut said = vec![];
+        let mut sent = vec![];
 
         while !dialogue.is_open() {
-            said.extend(dialogue.poll_command(at(1)));
+            sent.extend(dialogue.poll_command(at(1)));
             assert_eq!(dialogue.poll_command(at(1)), None, "one at a time");
             dialogue.handle_reply(&AdapterReply::Done);
             dialogue.handle_timeout(at(21));
         }
 
         assert_eq!(
-            said,
+            sent,
             [AdapterCommand::Close, AdapterCommand::BitRate(rate()), AdapterCommand::Open]
         );
     }
@@ -396,11 +396,11 @@ mod tests {
             [(false, State::Open), (true, State::Failed(AdapterError::DataRate))]
         {
             let mut dialogue = AdapterControl::new(rate(), Some(DataRate::FiveMegabit));
-            let mut said = vec![];
+            let mut sent = vec![];
             for round in 0..4 {
-                said.extend(dialogue.poll_command(at(round)));
+                sent.extend(dialogue.poll_command(at(round)));
                 let refused = refuses
-                    && said.last() == Some(&AdapterCommand::DataRate(DataRate::FiveMegabit));
+                    && sent.last() == Some(&AdapterCommand::DataRate(DataRate::FiveMegabit));
                 dialogue.handle_reply(if refused {
                     &AdapterReply::Refused
                 } else {
@@ -409,7 +409,7 @@ mod tests {
                 dialogue.handle_timeout(at(30));
             }
 
-            assert_eq!(said[2], AdapterCommand::DataRate(DataRate::FiveMegabit));
+            assert_eq!(sent[2], AdapterCommand::DataRate(DataRate::FiveMegabit));
             assert_eq!(dialogue.state, expected);
         }
     }
@@ -426,9 +426,9 @@ mod tests {
     #[test]
     fn a_bus_on_which_nobody_confirms_is_told_once_until_it_is_well_again() {
         let mut dialogue = open();
-        let check = |dialogue: &mut AdapterControl, flags: &str, told: bool| {
+        let check = |dialogue: &mut AdapterControl, flags: &str, is_reported: bool| {
             status(dialogue, flags);
-            assert_eq!(dialogue.poll_trouble(), told, "{flags}");
+            assert_eq!(dialogue.poll_trouble(), is_reported, "{flags}");
         };
         check(&mut dialogue, "00", false);
         check(&mut dialogue, "20", false);

@@ -176,8 +176,8 @@ proptest! {
         let mut line = vec![END];
         came(frame).encode(&mut line);
 
-        let heard = hear(&mut listener, &line);
+        let received = hear(&mut listener, &line);
 
-        prop_assert_eq!(heard.last(), Some(&came(frame)));
+        prop_assert_eq!(received.last(), Some(&came(frame)));
     }
 }

@@ -49,7 +49,7 @@ fn of_a_link_that_is_not_used_the_word_says_nothing() {
     cable.run_until(60);
 
     assert_eq!(cable.states(), [LinkState::Up; 2]);
-    assert!(cable.told.iter().all(|(_, _, told)| {
-        !matches!(told, LinkOutput::Changed { state: LinkState::Suspect, .. })
+    assert!(cable.outputs.iter().all(|(_, _, outputs)| {
+        !matches!(outputs, LinkOutput::Changed { state: LinkState::Suspect, .. })
     }));
 }

@@ -5,13 +5,14 @@ use super::*;
 /// What has gone from one end to the other.
 pub(super) fn hellos_of(cable: &Cable, from: usize) -> Vec<Bytes> {
     let hello = |frame: &&Bytes| matches!(Frame::decode((*frame).clone()), Ok(Frame::Hello(_)));
-    let sent = cable.said.iter().filter(|(end, _)| *end == from).map(|(_, frame)| frame);
+    let sent = cable.sent.iter().filter(|(end, _)| *end == from).map(|(_, frame)| frame);
     sent.filter(hello).cloned().collect()
 }
 
 fn changes(cable: &Cable) -> usize {
-    let changed = |told: &&(u64, usize, LinkOutput)| matches!(told.2, LinkOutput::Changed { .. });
-    cable.told.iter().filter(changed).count()
+    let changed =
+        |outputs: &&(u64, usize, LinkOutput)| matches!(outputs.2, LinkOutput::Changed { .. });
+    cable.outputs.iter().filter(changed).count()
 }
 
 fn changed(frame: &Bytes, change: impl Fn(&mut Hello)) -> Bytes {
@@ -54,7 +55,7 @@ fn one_changed_bit_anywhere_in_a_hello_takes_nothing_down() {
         // stance: the next hellos put them right.
         let harmless = (8..16).contains(&bit) || bit >= 13 * 8;
         assert!(counted || harmless, "bit {bit} was believed");
-        assert_eq!(changes(&cable), 0, "bit {bit}: {:?}", cable.told);
+        assert_eq!(changes(&cable), 0, "bit {bit}: {:?}", cable.outputs);
     }
     assert_eq!(cable.states(), [LinkState::Up; 2]);
 }
@@ -69,7 +70,7 @@ fn a_hello_of_a_greater_incarnation_that_nobody_lives_cuts_nobody_off_however_of
         cable.run_until(cable.now + 10);
     }
 
-    assert_eq!(changes(&cable), 0, "{:?}", cable.told);
+    assert_eq!(changes(&cable), 0, "{:?}", cable.outputs);
     assert!(cable.ends[0].refusals().unexpected >= 99);
     assert_eq!(cable.ends[0].neighbour().unwrap().incarnation, Incarnation(1));
 }
@@ -87,8 +88,9 @@ fn a_number_far_ahead_is_not_believed_and_a_passed_one_is_once_its_end_shows_tha
     );
 
     // However it came about: the number that the other end has come to was believed to be passed.
-    let heard = cable.ends[0].neighbour.as_mut().unwrap();
-    heard.arrivals = ArrivalEstimator::new(heard.arrivals.interval(), 1_000_000, at(cable.now));
+    let received = cable.ends[0].neighbour.as_mut().unwrap();
+    received.arrivals =
+        ArrivalEstimator::new(received.arrivals.interval(), 1_000_000, at(cable.now));
     cable.run_until(cable.now + 200);
 
     assert_eq!(cable.states(), [LinkState::Up; 2]);
@@ -131,7 +133,7 @@ fn what_is_left_on_its_way_of_an_incarnation_that_is_over_is_refused_whatever_it
         cable.run_until(400);
         let late = hellos_of(&cable, 1);
         restarted(&mut cable, new, 0);
-        cable.told.clear();
+        cable.outputs.clear();
         let before = cable.ends[0].refusals().total();
 
         for hello in &late {
@@ -139,7 +141,7 @@ fn what_is_left_on_its_way_of_an_incarnation_that_is_over_is_refused_whatever_it
             cable.run_until(cable.now + 10);
         }
 
-        assert_eq!(changes(&cable), 0, "{:?}", cable.told);
+        assert_eq!(changes(&cable), 0, "{:?}", cable.outputs);
         assert_eq!(cable.ends[0].refusals().total() - before, late.len() as u64);
         assert_eq!(cable.ends[0].neighbour().unwrap().incarnation, Incarnation(new));
     }
@@ -150,13 +152,13 @@ fn of_two_incarnations_that_both_answer_the_first_has_the_link() {
     for (first, second) in [(1, 2), (2, 1)] {
         let mut cable = Cable::new(config("left", 1), config("right", first));
         cable.run_until(100);
-        cable.told.clear();
+        cable.outputs.clear();
         let mut other = Link::new(config("right", second), at(cable.now));
         for _ in 0..500 {
-            let read = cable.said.len();
+            let read = cable.sent.len();
             cable.run_until(cable.now + 1);
             // It hears all that the left end says, and speaks when the right end does not.
-            for (_, frame) in cable.said[read..].iter().filter(|(from, _)| *from == 0) {
+            for (_, frame) in cable.sent[read..].iter().filter(|(from, _)| *from == 0) {
                 other.handle_frame(frame.clone(), at(cable.now));
             }
             if other
@@ -172,7 +174,7 @@ fn of_two_incarnations_that_both_answer_the_first_has_the_link() {
             }
         }
 
-        assert_eq!(changes(&cable), 0, "{:?}", cable.told);
+        assert_eq!(changes(&cable), 0, "{:?}", cable.outputs);
         assert_eq!(cable.ends[0].neighbour().unwrap().incarnation, Incarnation(first));
     }
 }

@@ -18,10 +18,10 @@ fn healed(cable: &mut Cable, mut again: impl FnMut() -> Option<Bytes>) -> u64 {
 }
 
 fn downs(cable: &Cable) -> usize {
-    let down = |told: &&(u64, usize, LinkOutput)| {
-        matches!(told.2, LinkOutput::Changed { state: LinkState::Down, .. })
+    let down = |outputs: &&(u64, usize, LinkOutput)| {
+        matches!(outputs.2, LinkOutput::Changed { state: LinkState::Down, .. })
     };
-    cable.told.iter().filter(down).count()
+    cable.outputs.iter().filter(down).count()
 }
 
 /// The right end wants far more proof than the left one.
@@ -31,7 +31,7 @@ fn wary_on_the_right() -> Cable {
     cable.ends[1].down_at = at(cable.now);
     cable.ends[1].handle_loss(at(cable.now));
     cable.run_until(cable.now + 15);
-    cable.told.clear();
+    cable.outputs.clear();
     cable
 }
 
@@ -45,7 +45,7 @@ fn traffic_of_the_past_neither_brings_a_link_up_nor_keeps_it_down() {
 
         assert_eq!(healed(&mut cable, again), calm);
 
-        assert_eq!(downs(&cable), 0, "{:?}", cable.told);
+        assert_eq!(downs(&cable), 0, "{:?}", cable.outputs);
     }
 }
 
@@ -54,25 +54,25 @@ fn traffic_of_the_past_neither_brings_a_link_up_nor_keeps_it_down() {
 fn recorded() -> (Cable, Vec<Bytes>) {
     let mut cable = running();
     cable.run_until(20_000);
-    let said = hellos_of(&cable, 1);
-    cable.told.clear();
-    (cable, said)
+    let sent = hellos_of(&cable, 1);
+    cable.outputs.clear();
+    (cable, sent)
 }
 
 #[test]
 fn hellos_of_the_past_take_nothing_down_in_whichever_order_they_come() {
     for seed in 0..5 {
-        let (mut cable, said) = recorded();
+        let (mut cable, sent) = recorded();
         let mut random = Random::new(seed);
         for n in 0..5_000 {
             let one = match seed {
-                0 => n % said.len(),
-                _ => random.below(said.len() as u64) as usize,
+                0 => n % sent.len(),
+                _ => random.below(sent.len() as u64) as usize,
             };
-            cable.ends[0].handle_frame(said[one].clone(), at(cable.now));
+            cable.ends[0].handle_frame(sent[one].clone(), at(cable.now));
             cable.run_until(cable.now + 1);
         }
-        assert_eq!(cable.told, [], "seed {seed}");
+        assert_eq!(cable.outputs, [], "seed {seed}");
     }
 }
 
@@ -80,18 +80,18 @@ fn hellos_of_the_past_take_nothing_down_in_whichever_order_they_come() {
 fn an_end_that_begins_anew_and_hears_the_past_first_finds_the_present_all_the_same() {
     for seed in 0..10 {
         for pace in [1, 2, 10] {
-            let (mut cable, said) = recorded();
+            let (mut cable, sent) = recorded();
             let (mut random, mut n) = (Random::new(seed), 0);
             cable.ends[0] = Link::new(config("left", 2), at(cable.now));
-            cable.ends[0].handle_frame(said[100].clone(), at(cable.now));
+            cable.ends[0].handle_frame(sent[100].clone(), at(cable.now));
             let healed = healed(&mut cable, || {
                 n += 1;
                 let one = match seed {
                     // As it was said, from there on.
                     0 => 100 + n / pace,
-                    _ => random.below(said.len() as u64) as usize,
+                    _ => random.below(sent.len() as u64) as usize,
                 };
-                (n % pace == 0).then(|| said[one % said.len()].clone())
+                (n % pace == 0).then(|| sent[one % sent.len()].clone())
             });
             assert!(healed <= 110, "seed {seed}, every {pace} ms: {healed} ms");
         }
@@ -104,7 +104,7 @@ fn a_neighbour_that_begins_anew_is_found_while_its_last_incarnation_is_repeated(
         for incarnation in [2, 1_000_000] {
             let mut cable = Cable::new(config("left", 1), config("right", 1_000));
             cable.run_until(20_000);
-            let said = hellos_of(&cable, 1);
+            let sent = hellos_of(&cable, 1);
             let (mut random, mut n) = (Random::new(seed), 0);
             cable.ends[1] = Link::new(config("right", incarnation), at(cable.now));
             cable.run_until(cable.now + 50);
@@ -112,9 +112,9 @@ fn a_neighbour_that_begins_anew_is_found_while_its_last_incarnation_is_repeated(
                 n += 1;
                 let one = match seed {
                     0 => n,
-                    _ => random.below(said.len() as u64) as usize,
+                    _ => random.below(sent.len() as u64) as usize,
                 };
-                Some(said[one % said.len()].clone())
+                Some(sent[one % sent.len()].clone())
             });
             assert!(healed <= 110, "seed {seed}, incarnation {incarnation}: {healed} ms");
             let neighbour = cable.ends[0].neighbour().unwrap();

@@ -19,7 +19,7 @@ struct Net {
     cables: SortedSet<(Who, Who)>,
     numbers: SortedMap<(Who, &'static str), LinkId>,
     wire: Vec<(Who, LinkId, bytes::Bytes)>,
-    told: Vec<String>,
+    outputs: Vec<String>,
 }
 
 impl Net {
@@ -27,7 +27,7 @@ impl Net {
         let mut net = Net { now: Instant::from_millis(1_000), ..Net::default() };
         cables.iter().for_each(|(a, b)| net.plug(*a, *b));
         net.run(1_000);
-        net.told.clear();
+        net.outputs.clear();
         net
     }
 
@@ -84,16 +84,16 @@ impl Net {
                     }
                 }
                 RouterOutput::Reachable { node, incarnation, .. } => {
-                    self.told.push(format!("{who:?} reaches {node}{incarnation}"));
+                    self.outputs.push(format!("{who:?} reaches {node}{incarnation}"));
                 }
                 RouterOutput::Lost { node, incarnation } => {
-                    self.told.push(format!("{who:?} lost {node}{incarnation}"));
+                    self.outputs.push(format!("{who:?} lost {node}{incarnation}"));
                 }
                 RouterOutput::NameTaken { incarnation, first } => {
-                    self.told.push(format!("{who:?} taken by {incarnation}, first: {first}"));
+                    self.outputs.push(format!("{who:?} taken by {incarnation}, first: {first}"));
                 }
                 RouterOutput::Over(trouble) => {
-                    self.told.push(format!("{who:?} is rid of {trouble:?}"));
+                    self.outputs.push(format!("{who:?} is rid of {trouble:?}"));
                 }
                 _ => {}
             }
@@ -120,8 +120,8 @@ impl Net {
         }
     }
 
-    fn told(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.told)
+    fn outputs(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.outputs)
     }
 
     fn reached(&self, by: Who, name: &str) -> Option<u64> {
@@ -142,10 +142,10 @@ fn a_second_node_of_a_name_is_kept_out_and_both_are_told_while_nobody_else_notic
     net.plug(C, LATER);
     net.run(15_000);
 
-    let mut told = net.told();
-    told.retain(|told| told.contains("taken") || told.starts_with("(\"b"));
+    let mut outputs = net.outputs();
+    outputs.retain(|outputs| outputs.contains("taken") || outputs.starts_with("(\"b"));
     assert_eq!(
-        told,
+        outputs,
         ["(\"a\", 1) taken by #2, first: true", "(\"a\", 2) taken by #1, first: false"]
     );
     assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(1); 3]);
@@ -161,12 +161,12 @@ fn a_node_that_begins_anew_has_its_name_at_once() {
     let mut net = Net::new(&[(A, B), (A, C), (B, C), (C, D)]);
     net.kill(A);
     net.run(10);
-    net.told();
+    net.outputs();
     net.plug(B, LATER);
     net.plug(C, LATER);
     net.run(10);
     assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(2); 3]);
-    assert!(net.told().iter().all(|told| !told.contains("taken")));
+    assert!(net.outputs().iter().all(|outputs| !outputs.contains("taken")));
 
     let next = ("a", 3);
     net.routers.remove(&LATER);
@@ -178,7 +178,7 @@ fn a_node_that_begins_anew_has_its_name_at_once() {
     net.plug(C, next);
     net.run(10);
     assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(3); 3]);
-    assert!(net.told().iter().all(|told| !told.contains("taken")), "it had ended");
+    assert!(net.outputs().iter().all(|outputs| !outputs.contains("taken")), "it had ended");
 }
 
 #[test]
@@ -219,12 +219,12 @@ fn where_two_halves_meet_that_have_each_a_node_of_a_name_the_older_stays_everywh
     net.run(3_000);
 
     assert_eq!([B, C, D].map(|by| net.reached(by, "a")), [Some(1); 3]);
-    let mut told = net.told();
-    told.retain(|told| told.contains("taken") || told.starts_with("(\"b\""));
-    told.sort();
+    let mut outputs = net.outputs();
+    outputs.retain(|outputs| outputs.contains("taken") || outputs.starts_with("(\"b\""));
+    outputs.sort();
     let both = ["(\"a\", 1) taken by #2, first: true", "(\"a\", 2) taken by #1, first: false"];
-    assert_eq!(told[..2], both);
-    assert!(told[2..].iter().all(|told| !told.contains("reaches a")), "{told:?}");
+    assert_eq!(outputs[..2], both);
+    assert!(outputs[2..].iter().all(|outputs| !outputs.contains("reaches a")), "{outputs:?}");
 }
 
 #[test]
@@ -232,23 +232,23 @@ fn that_a_name_is_taken_is_over_a_minute_after_the_second_node_has_gone_and_not_
     let mut net = Net::new(&[(A, B), (B, C)]);
     net.plug(C, LATER);
     net.run(75_000);
-    assert!(!net.told().iter().any(|told| told.contains("rid")), "{:?}", net.told());
+    assert!(!net.outputs().iter().any(|outputs| outputs.contains("rid")), "{:?}", net.outputs());
 
     net.kill(LATER);
     net.run(75_000);
-    assert_eq!(net.told().iter().filter(|told| told.contains("rid")).count(), 1);
+    assert_eq!(net.outputs().iter().filter(|outputs| outputs.contains("rid")).count(), 1);
     net.plug(C, LATER);
     net.run(1_000);
     let again = "(\"a\", 1) taken by #2, first: true";
-    let told = net.told();
-    assert!(told.iter().any(|told| told == again), "{told:?}");
+    let outputs = net.outputs();
+    assert!(outputs.iter().any(|outputs| outputs == again), "{outputs:?}");
 
     // The older one ends instead.
     net.kill(A);
     net.run(75_000);
-    let mut told = net.told();
-    told.retain(|told| told.contains("rid"));
-    assert_eq!(told, ["(\"a\", 2) is rid of NameTaken"]);
+    let mut outputs = net.outputs();
+    outputs.retain(|outputs| outputs.contains("rid"));
+    assert_eq!(outputs, ["(\"a\", 2) is rid of NameTaken"]);
 }
 
 #[test]
@@ -256,16 +256,16 @@ fn whoever_disputes_and_defends_all_the_time_is_not_answered_each_time() {
     let mut net = Net::new(&[(A, B)]);
     let node = NodeName::new("a").unwrap();
     let link = net.number(A, "b");
-    let mut said = 0;
+    let mut sent = 0;
     for n in 0..1_000_u64 {
         let contender =
             AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(9), sequence: 0 };
         let dispute = RoutingMessage::Dispute { contender, node: node.clone() }.encode();
         let router = net.routers.get_mut(&A).unwrap();
         router.handle_routing(link, dispute, net.now + MS * (n as u32 / 10));
-        said += std::iter::from_fn(|| router.poll_output()).count();
+        sent += std::iter::from_fn(|| router.poll_output()).count();
     }
-    assert!(said <= 5, "{said}");
+    assert!(sent <= 5, "{sent}");
 
     let router = net.routers.get_mut(&B).unwrap();
     for n in 0..1_000 {

@@ -3,16 +3,17 @@
 use super::*;
 
 fn given_up(router: &mut Router, now: u64) -> Vec<LinkId> {
-    let told = outputs(router, now).into_iter();
-    told.filter_map(|told| match told {
-        RouterOutput::GivenUp { link } => Some(link),
-        _ => None,
-    })
-    .collect()
+    let reported = outputs(router, now).into_iter();
+    reported
+        .filter_map(|reported| match reported {
+            RouterOutput::GivenUp { link } => Some(link),
+            _ => None,
+        })
+        .collect()
 }
 
-fn say(router: &mut Router, link: LinkId, said: &RoutingMessage) {
-    router.handle_routing(link, said.encode(), at(1020));
+fn say(router: &mut Router, link: LinkId, sent: &RoutingMessage) {
+    router.handle_routing(link, sent.encode(), at(1020));
 }
 
 #[test]
@@ -45,9 +46,9 @@ fn what_is_not_announced_yet_was_not_given_up_and_neither_is_what_there_was_no_r
     // of.
     tell(&mut router, FIRST, advertisement("right", 1, &[("own", 1)]), 1030);
     tell(&mut router, FIRST, advertisement("left", 4, &[]), 1030);
-    let mut reborn = advertisement("left", 9, &[]);
-    reborn.stamp.incarnation = Incarnation(2);
-    tell(&mut router, SECOND, reborn, 1030);
+    let mut restarted = advertisement("left", 9, &[]);
+    restarted.id.incarnation = Incarnation(2);
+    tell(&mut router, SECOND, restarted, 1030);
     let many: Vec<_> = (0..64).map(|n| format!("n{n}")).collect();
     let many: Vec<_> = many.iter().map(|name| (name.as_str(), 1)).collect();
     tell(&mut router, SECOND, advertisement("left", 6, &many), 1030);
@@ -61,10 +62,13 @@ fn of_several_links_to_one_neighbour_the_one_that_it_names_is_given_up() {
     for (link, node) in [(FIRST, "left"), (SECOND, "left"), (LinkId(2), "right")] {
         router.handle_link(link, up(node, 1), at(1000));
     }
-    let told = outputs(&mut router, 1010);
+    let reported = outputs(&mut router, 1010);
     for link in [FIRST, SECOND] {
         let bytes = RoutingMessage::Numbered(link).encode();
-        assert!(told.contains(&RouterOutput::Routing { link, bytes }), "we say what we call it");
+        assert!(
+            reported.contains(&RouterOutput::Routing { link, bytes }),
+            "we say what we call it"
+        );
     }
 
     say(&mut router, SECOND, &RoutingMessage::GaveUp(FIRST));
@@ -89,11 +93,12 @@ fn a_link_that_is_down_is_named_as_the_neighbour_calls_it() {
     router.handle_link(FIRST, LinkStatus { health: LinkHealth::Down, ..up("left", 1) }, at(1030));
 
     let bytes = RoutingMessage::GaveUp(LinkId(77)).encode();
-    let said = outputs(&mut router, 1030).into_iter();
-    let said =
-        said.filter(|told| matches!(told, RouterOutput::Routing { bytes: b, .. } if *b == bytes));
+    let sent = outputs(&mut router, 1030).into_iter();
+    let sent = sent.filter(
+        |reported| matches!(reported, RouterOutput::Routing { bytes: b, .. } if *b == bytes),
+    );
     assert_eq!(
-        said.collect::<Vec<_>>(),
+        sent.collect::<Vec<_>>(),
         [RouterOutput::Routing { link: SECOND, bytes: bytes.clone() }]
     );
 }

@@ -84,9 +84,9 @@ fn control_overtakes_data_that_waits() {
 
     pair.run(200);
 
-    let told = pair.take(1);
-    assert!(matches!(told[0], SessionOutput::Message { stream: Stream::Control, .. }));
-    assert_eq!(told.len(), 2);
+    let outputs = pair.take(1);
+    assert!(matches!(outputs[0], SessionOutput::Message { stream: Stream::Control, .. }));
+    assert_eq!(outputs.len(), 2);
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn a_full_stream_says_so_then_refuses_then_has_room_again() {
     pair.lose = Box::new(|_, _| false);
     pair.run(200);
 
-    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
+    assert_eq!(pair.take(0), [SessionOutput::Ready { stream, load }]);
     assert_eq!(pair.take(1).len(), 9, "opened, and eight messages");
 }
 
@@ -132,7 +132,7 @@ fn bulk_that_fills_its_room_leaves_what_is_small_its_own_and_all_arrive_in_order
     pair.lose = Box::new(|_, _| false);
     pair.run(5000);
 
-    assert_eq!(pair.take(0), [SessionOutput::Room { stream, load }]);
+    assert_eq!(pair.take(0), [SessionOutput::Ready { stream, load }]);
     let all = [vec![message(image); 8], vec![message(order); 200]].concat();
     assert!(pair.take(1) == all, "in the order in which they were sent");
 }
@@ -148,13 +148,13 @@ fn bulk_has_room_again_while_two_of_the_largest_still_wait() {
     pair.drain();
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
-    let told = (0..1000).map(|_| {
+    let outputs = (0..1000).map(|_| {
         pair.run(0);
-        (pair.take(0), pair.ends[0].standing().unacknowledged)
+        (pair.take(0), pair.ends[0].status().unacknowledged)
     });
-    let told: Vec<_> = told.filter(|(told, _)| !told.is_empty()).collect();
+    let outputs: Vec<_> = outputs.filter(|(outputs, _)| !outputs.is_empty()).collect();
 
-    assert_eq!(told, [(vec![SessionOutput::Room { stream, load }], 2)]);
+    assert_eq!(outputs, [(vec![SessionOutput::Ready { stream, load }], 2)]);
 }
 
 #[test]
@@ -171,13 +171,13 @@ fn bulk_has_room_again_although_small_messages_never_end() {
     pair.drain();
     assert_eq!(pair.take(0), [SessionOutput::Full { stream, load }]);
 
-    let mut told = (0..1000).map(|_| {
+    let mut outputs = (0..1000).map(|_| {
         pair.run(0);
-        (pair.take(0), pair.ends[0].standing().unacknowledged)
+        (pair.take(0), pair.ends[0].status().unacknowledged)
     });
-    let told = told.find(|(told, _)| !told.is_empty());
+    let outputs = outputs.find(|(outputs, _)| !outputs.is_empty());
 
-    assert_eq!(told, Some((vec![SessionOutput::Room { stream, load }], 3002)));
+    assert_eq!(outputs, Some((vec![SessionOutput::Ready { stream, load }], 3002)));
 }
 
 #[test]
@@ -226,11 +226,11 @@ fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges(
     pair.ends[0].handle_send(Stream::Control, text("now"), at(pair.now)).unwrap();
     pair.run(3);
 
-    let told = pair.take(1);
-    let place = told.iter().position(|output| {
+    let outputs = pair.take(1);
+    let place = outputs.iter().position(|output| {
         matches!(output, SessionOutput::Message { stream: Stream::Control, .. })
     });
-    assert_eq!(place, Some(0), "of {}", told.len());
+    assert_eq!(place, Some(0), "of {}", outputs.len());
 
     // A full window of data is lost; control does not wait until that is noticed.
     pair.lose = Box::new(|end, segment| {
@@ -239,9 +239,9 @@ fn control_goes_before_data_that_waits_and_before_data_that_nobody_acknowledges(
     pair.run(1);
     pair.ends[0].handle_send(Stream::Control, text("again"), at(pair.now)).unwrap();
     pair.run(3);
-    let told = pair.take(1);
+    let outputs = pair.take(1);
     let control = SessionOutput::Message { stream: Stream::Control, message: text("again") };
-    assert!(told.contains(&control), "{told:?}");
+    assert!(outputs.contains(&control), "{outputs:?}");
 }
 
 #[test]

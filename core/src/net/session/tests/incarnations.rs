@@ -91,8 +91,8 @@ fn a_session_that_lost_its_memory_makes_both_ends_begin_anew() {
     pair.run(30);
 
     for end in 0..2 {
-        let told = pair.take(end);
-        assert!(matches!(told[..], [SessionOutput::Ended { .. }, SessionOutput::Opened { .. }]));
+        let outputs = pair.take(end);
+        assert!(matches!(outputs[..], [SessionOutput::Ended { .. }, SessionOutput::Opened { .. }]));
     }
 }
 
@@ -107,9 +107,9 @@ fn a_machine_built_anew_is_found_out_by_its_peers_next_word() {
     pair.ends[1].handle_path(1389, at(pair.now));
     pair.run(50);
 
-    let told = pair.take(0);
-    assert!(told.contains(&returned(text("a"), &unreachable("right"))), "{told:?}");
-    assert_eq!(told.last(), Some(&opened(1)));
+    let outputs = pair.take(0);
+    assert!(outputs.contains(&returned(text("a"), &unreachable("right"))), "{outputs:?}");
+    assert_eq!(outputs.last(), Some(&opened(1)));
     assert_eq!(pair.take(1), [opened(1)]);
 }
 
@@ -154,10 +154,10 @@ fn another_version_is_told_once_and_nothing_opens() {
         session.handle_segment(Segment::Open(open).encode(), at(1));
     }
 
-    let told: Vec<_> = std::iter::from_fn(|| session.poll_output())
+    let outputs: Vec<_> = std::iter::from_fn(|| session.poll_output())
         .filter(|output| !matches!(output, SessionOutput::Transmit { .. }))
         .collect();
-    assert_eq!(told, [SessionOutput::Incompatible { theirs: 1 }]);
+    assert_eq!(outputs, [SessionOutput::Incompatible { theirs: 1 }]);
     assert_eq!(session.refusals().version, 3);
 }
 
@@ -174,8 +174,8 @@ fn what_comes_back_from_a_peer_that_breaks_the_protocol_was_good_itself() {
     pair.ends[0].handle_segment(Segment::Data(broken).encode(), at(pair.now));
     pair.drain();
 
-    let told = pair.take(0);
-    let Some(SessionOutput::Returned { why, .. }) = told.first() else { panic!("{told:?}") };
+    let outputs = pair.take(0);
+    let Some(SessionOutput::Returned { why, .. }) = outputs.first() else { panic!("{outputs:?}") };
     assert_eq!(DeadReason::from(why), DeadReason::Unreachable, "{why}");
     assert!(why.to_string().contains("a message without a start"), "{why}");
 }

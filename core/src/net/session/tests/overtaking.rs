@@ -25,7 +25,7 @@ fn what_is_small_and_for_another_object_enters_between_the_parts_of_what_is_larg
 
     let all = [text("a"), text("b"), image, text("shutter")].map(message);
     assert!(pair.take(1) == all, "of one object nothing is overtaken");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+    assert_eq!(pair.ends[0].status().unacknowledged, 0);
 }
 
 #[test]
@@ -39,9 +39,9 @@ fn what_is_large_has_every_second_part_however_much_is_small() {
 
     pair.run(500);
 
-    let told = pair.take(1);
-    let place = told.iter().position(|told| *told == message(image.clone())).unwrap();
-    assert_eq!(told.len(), 1001);
+    let outputs = pair.take(1);
+    let place = outputs.iter().position(|outputs| *outputs == message(image.clone())).unwrap();
+    assert_eq!(outputs.len(), 1001);
     assert!((70..80).contains(&place), "a part for each small one: {place}");
 }
 
@@ -61,27 +61,27 @@ fn whatever_is_lost_each_object_gets_everything_once_and_in_order() {
 
     pair.run(20_000);
 
-    let told: Vec<_> = pair
+    let outputs: Vec<_> = pair
         .take(1)
         .into_iter()
-        .map(|told| match told {
+        .map(|outputs| match outputs {
             SessionOutput::Message { message, .. } => message[0],
             other => panic!("{other:?}"),
         })
         .collect();
-    assert_eq!(told.len(), 90);
+    assert_eq!(outputs.len(), 90);
     for object in 0..3 {
-        let of_it = || told.iter().filter(|n| **n % 3 == object);
-        assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {told:?}");
+        let of_it = || outputs.iter().filter(|n| **n % 3 == object);
+        assert!(of_it().is_sorted() && of_it().count() == 30, "{object}: {outputs:?}");
     }
-    assert!(!told.is_sorted(), "some were quicker");
-    assert_eq!(pair.ends[0].standing().unacknowledged, 0);
+    assert!(!outputs.is_sorted(), "some were quicker");
+    assert_eq!(pair.ends[0].status().unacknowledged, 0);
 }
 
 /// Takes out parts of so much until one of the messages of this text is in it. Answers with how
 /// many that were.
-fn parts_until(outbound: &mut Outbound, room: usize, text: &str) -> usize {
-    let mut parts = (1..).map(|n| (n, outbound.transmit(room, n as u64, at(0)).unwrap().1));
+fn parts_until(outbound: &mut Outbound, capacity: usize, text: &str) -> usize {
+    let mut parts = (1..).map(|n| (n, outbound.transmit(capacity, n as u64, at(0)).unwrap().1));
     let found = parts.find(|(_, part)| {
         part.first && part.last && part.payload.clone().into_bytes().ends_with(text.as_bytes())
     });
@@ -139,8 +139,8 @@ fn what_was_not_cut_when_the_session_ends_was_not_sent_and_all_come_back_in_orde
     let all: Vec<_> = outbound.take_all().collect();
 
     let expected = [("stop", true), ("map", true), ("after", false), ("go", false)];
-    let told = all
+    let outputs = all
         .iter()
         .map(|(bytes, sent)| (if bytes.len() == 3000 { b"map" } else { &bytes[..] }, *sent));
-    assert!(told.eq(expected.map(|(text, sent)| (text.as_bytes(), sent))), "{all:?}");
+    assert!(outputs.eq(expected.map(|(text, sent)| (text.as_bytes(), sent))), "{all:?}");
 }

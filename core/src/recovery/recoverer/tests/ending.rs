@@ -7,12 +7,12 @@ fn incarnations_that_hang_as_the_node_ends_are_given_up_and_not_restarted() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("arm"), 1));
     rig.machine.handle_node_end(rig.now);
-    let told = |id| format!("{id} given up: the node ends, and restarts nothing");
-    assert_eq!(rig.said(), ["give up here:arm #1".to_owned(), told(1)]);
+    let expected = |id| format!("{id} given up: the node ends, and restarts nothing");
+    assert_eq!(rig.outputs(), ["give up here:arm #1".to_owned(), expected(1)]);
 
     let leg = fault(2, FaultKind::Hang, at("leg"), 3);
-    assert_eq!(rig.find(leg), ["give up here:leg #3".to_owned(), told(2)]);
-    assert_eq!(rig.find(panic_of(3, "leg", 3)), [told(3)], "it has ended");
+    assert_eq!(rig.find(leg), ["give up here:leg #3".to_owned(), expected(2)]);
+    assert_eq!(rig.find(panic_of(3, "leg", 3)), [expected(3)], "it has ended");
     assert_eq!(rig.machine.open_cases(), 0);
 }
 
@@ -23,7 +23,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     rig.find(panic_of(1, "laser", 1));
     rig.find(symptom(2, "map", 1));
     rig.machine.handle_rest(rig.now);
-    assert_eq!(rig.said(), ["2 may pass".to_owned(), format!("1 {given_up}")]);
+    assert_eq!(rig.outputs(), ["2 may pass".to_owned(), format!("1 {given_up}")]);
 
     assert_eq!(rig.outcome(1, fails()), [""; 0], "what was under way is over");
     assert_eq!(rig.find(panic_of(3, "lamp", 1)), [format!("3 {given_up}")]);
@@ -37,7 +37,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     assert_eq!(rig.machine.open_cases(), 1);
 
     rig.machine = rig.machine.begun_anew(rig.now);
-    rig.said();
+    rig.outputs();
     assert_eq!(rig.find(panic_of(6, "lamp", 1)), [format!("6 {given_up}")]);
     rig.machine.handle_work();
     let again = rig.find(panic_of(7, "lamp", 2));

@@ -201,7 +201,7 @@ fn who_waits_for_a_supervisor_that_does_not_return_is_told() {
     assert_eq!(rig.end(), ["all stopped"]);
     rig.machine.handle_retired();
 
-    assert_eq!(rig.said(), ["1 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.outputs(), ["1 gave a up: its supervisor is not at work"]);
     assert_eq!(
         rig.restart("a", ReplacementCause::Died, 1),
         ["2 gave a up: its supervisor is not at work"]

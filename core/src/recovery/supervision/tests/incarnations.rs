@@ -1,4 +1,4 @@
-//! How one incarnation begins, ends, and is told of.
+//! The start, the end and the reports of one incarnation.
 
 use super::*;
 
@@ -169,25 +169,25 @@ fn a_reset_is_passed_on_and_answered() {
 
 #[test]
 fn a_child_is_told_whether_another_incarnation_follows() {
-    let told = |rig: &mut Rig| {
-        let mut told = Vec::new();
+    let reported = |rig: &mut Rig| {
+        let mut reported = Vec::new();
         while let Some(action) = rig.machine.poll_output() {
             if let SupervisorOutput::Stop { child, again } = action {
-                told.push((child.to_string(), again));
+                reported.push((child.to_string(), again));
             }
         }
-        told
+        reported
     };
     let mut rig = Rig::serving(Strategy::OneForAll);
     let (now, calls) = (rig.now, [CallId(1), CallId(2)]);
 
     rig.machine.handle_restart(&name("a"), calls[0], ReplacementCause::Died, None, now);
-    assert_eq!(told(&mut rig), [("c".into(), true)]);
+    assert_eq!(reported(&mut rig), [("c".into(), true)]);
 
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.machine.handle_rest(&name("b"), calls[1], ReplacementCause::Faulty, now);
-    assert_eq!(told(&mut rig), [("b".into(), false)]);
+    assert_eq!(reported(&mut rig), [("b".into(), false)]);
     rig.machine.handle_end(now);
     rig.machine.handle_stopped(&name("b"), Incarnation::FIRST, now);
-    assert_eq!(told(&mut rig), [("c".into(), false)]);
+    assert_eq!(reported(&mut rig), [("c".into(), false)]);
 }

@@ -8,7 +8,10 @@ fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
 
     assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
     assert_eq!(rig.stopped("b", 1), ["1 let b go"]);
-    assert_eq!(rig.restart("b", ReplacementCause::Stuck, 1), ["2 gave b up: it is in safe state"]);
+    assert_eq!(
+        rig.restart("b", ReplacementCause::Stuck, 1),
+        ["2 gave b up: it is in the safe state"]
+    );
     assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
     assert_eq!(rig.stopped("c", 1), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start c #2"]);
@@ -73,7 +76,7 @@ fn isolating_all_reaches_every_child_once() {
     rig.isolate("b", true);
 
     rig.machine.handle_isolate_all(true, rig.now);
-    assert_eq!(rig.said(), ["isolate a", "isolate c"]);
+    assert_eq!(rig.outputs(), ["isolate a", "isolate c"]);
     rig.machine.handle_isolate_all(false, rig.now);
-    assert_eq!(rig.said(), ["admit a", "admit b", "admit c"]);
+    assert_eq!(rig.outputs(), ["admit a", "admit b", "admit c"]);
 }

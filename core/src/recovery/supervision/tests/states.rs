@@ -7,14 +7,17 @@ fn children_come_and_go_while_it_is_at_work() {
     let mut rig = Rig::serving(Strategy::OneForOne);
 
     rig.machine.add_child(name("d"), permanent(), rig.now).expect("a free name");
-    assert_eq!(rig.said(), ["start d #1"]);
+    assert_eq!(rig.outputs(), ["start d #1"]);
     assert_eq!(rig.started("d", 1), [""; 0]);
     assert_eq!(
         rig.machine.add_child(name("d"), permanent(), rig.now),
         Err(GiveUpReason::NameTaken)
     );
     assert_eq!(rig.remove("b"), ["stop b"]);
-    assert_eq!(rig.restart("b", ReplacementCause::Died, 1), ["2 gave b up: it is in safe state"]);
+    assert_eq!(
+        rig.restart("b", ReplacementCause::Died, 1),
+        ["2 gave b up: it is in the safe state"]
+    );
     assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go"]);
     assert_eq!(rig.remove("b"), ["3 gave b up: no such child"]);
     assert_eq!(rig.end(), ["stop d"]);
@@ -31,7 +34,7 @@ fn a_child_that_is_added_after_the_end_is_retired_until_the_next_beginning() {
 
     rig.machine.add_child(name("b"), permanent(), rig.now).expect("a free name");
 
-    assert_eq!(rig.said(), ["retire b"]);
+    assert_eq!(rig.outputs(), ["retire b"]);
     assert_eq!(rig.begin(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #1"]);
 }
@@ -51,7 +54,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
     assert_eq!(rig.restart("a", ReplacementCause::Faulty, 1), [""; 0], "its next incarnation says");
     assert_eq!(rig.stopped("a", 1), ["all stopped"]);
     rig.machine.handle_retired();
-    assert_eq!(rig.said(), ["3 gave a up: its supervisor is not at work"]);
+    assert_eq!(rig.outputs(), ["3 gave a up: its supervisor is not at work"]);
     assert_eq!(rig.remove("a"), ["left a", "4 let a go"]);
 }
 
@@ -62,7 +65,7 @@ fn being_forsaken_gives_every_incarnation_up_and_a_new_beginning_starts_all() {
     rig.remove("c");
 
     rig.machine.handle_forsake(rig.now);
-    assert_eq!(rig.said(), ["abandon c", "left c", "abandon b", "abandon a", "2 let c go"]);
+    assert_eq!(rig.outputs(), ["abandon c", "left c", "abandon b", "abandon a", "2 let c go"]);
 
     assert_eq!(rig.begin(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2"]);
@@ -84,7 +87,7 @@ fn after_a_restart_of_its_own_children_at_work_stay_and_the_others_start_again()
 
     rig.machine.handle_own_restart(rig.now);
 
-    assert_eq!(rig.said(), ["abandon b", "abandon c", "start b #2"]);
+    assert_eq!(rig.outputs(), ["abandon b", "abandon c", "start b #2"]);
     assert_eq!(rig.started("b", 2), ["start c #3"]);
     assert_eq!(rig.state("a"), ChildState::Running);
 }
@@ -145,7 +148,7 @@ fn every_state_takes_every_input_and_comes_to_an_end() {
 /// Answers whatever is asked for, decides whatever failed, until nothing moves any more.
 fn finish(rig: &mut Rig, case: &str) {
     for _ in 0..100 {
-        rig.said();
+        rig.outputs();
         let table: Vec<ChildStatus> = rig.machine.children().collect();
         let open = table.iter().find(|child| {
             !matches!(child.state, ChildState::Running | ChildState::Resting | ChildState::Finished)

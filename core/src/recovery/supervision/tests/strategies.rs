@@ -211,7 +211,7 @@ fn one_that_is_about_to_end_starts_nothing_and_answers_in_its_next_incarnation()
     assert_eq!(rig.restart("c", ReplacementCause::Behind, 1), ["abandon c", "all stopped"]);
 
     rig.machine.handle_begin(Incarnation(2), rig.now);
-    assert_eq!(rig.said(), ["start a #2"]);
+    assert_eq!(rig.outputs(), ["start a #2"]);
     assert_eq!(rig.started("a", 2), ["start b #2", "1 recovered a #2"]);
     assert_eq!(rig.started("b", 2), ["start c #2", "2 recovered b #2"]);
     assert_eq!(rig.started("c", 2), ["all started", "3 recovered c #2"]);

@@ -10,38 +10,38 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-fn with(room: bool, millis: u64, test: impl FnOnce(ReceptionContext<'_>)) {
-    test(ReceptionContext { config: &config(), room, now: at(millis) });
+fn with(has_buffer: bool, millis: u64, test: impl FnOnce(ReceptionContext<'_>)) {
+    test(ReceptionContext { config: &config(), has_buffer, now: at(millis) });
 }
 
-fn poll(reception: &mut Reception, room: bool, millis: u64) -> Option<FlowStatus> {
+fn poll(reception: &mut Reception, has_buffer: bool, millis: u64) -> Option<FlowStatus> {
     let id = CanId::standard(1).unwrap();
     let writer = PduWriter { id, format: Format::Classic, padding: None };
-    let mut said = None;
-    with(room, millis, |terms| {
-        said = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
+    let mut sent = None;
+    with(has_buffer, millis, |terms| {
+        sent = reception.poll_frame(&writer, terms).map(|frame| match Pdu::decode(frame.data()) {
             Ok(Pdu::Flow(flow)) => flow.status,
             other => panic!("{other:?} is no word on how to go on"),
         });
     });
-    said
+    sent
 }
 
-fn first(reception: &mut Reception, length: u32, room: bool) -> FrameResult {
-    let mut heard = FrameResult::default();
-    with(room, 0, |terms| heard = reception.handle_first(length, b"abcdef", true, terms));
-    heard
+fn first(reception: &mut Reception, length: u32, has_buffer: bool) -> FrameResult {
+    let mut result = FrameResult::default();
+    with(has_buffer, 0, |terms| result = reception.handle_first(length, b"abcdef", true, terms));
+    result
 }
 
 fn next(reception: &mut Reception, sequence: u8, data: &[u8]) -> FrameResult {
-    let mut heard = FrameResult::default();
-    with(true, 0, |terms| heard = reception.handle_consecutive(sequence, data, terms));
-    heard
+    let mut result = FrameResult::default();
+    with(true, 0, |terms| result = reception.handle_consecutive(sequence, data, terms));
+    result
 }
 
-fn time_out(reception: &mut Reception, room: bool, millis: u64) -> Option<ReceptionError> {
+fn time_out(reception: &mut Reception, has_buffer: bool, millis: u64) -> Option<ReceptionError> {
     let mut failed = None;
-    with(room, millis, |terms| failed = reception.handle_timeout(terms));
+    with(has_buffer, millis, |terms| failed = reception.handle_timeout(terms));
     failed
 }
 
@@ -96,10 +96,10 @@ fn a_message_comes_in_blocks_each_of_which_is_asked_for() {
     assert_eq!(kind(&reception), "answering");
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
     assert_eq!(next(&mut reception, 3, b"uvwxyzA"), FrameResult::default());
-    let heard = next(&mut reception, 4, b"BCD\xcc\xcc\xcc\xcc");
+    let result = next(&mut reception, 4, b"BCD\xcc\xcc\xcc\xcc");
 
     let message = Some(Bytes::from("abcdefghijklmnopqrstuvwxyzABCD"));
-    assert_eq!(heard, FrameResult { failed: None, message });
+    assert_eq!(result, FrameResult { failed: None, message });
     assert!(reception.is_idle());
 }
 
@@ -109,9 +109,9 @@ fn a_whole_message_is_taken_in_every_state_and_ends_what_was_under_way() {
         let mut reception = state();
         let failed = interrupts.then_some(ReceptionError::Interrupted);
 
-        let heard = reception.handle_single(b"hi");
+        let result = reception.handle_single(b"hi");
 
-        assert_eq!(heard, FrameResult { failed, message: Some(Bytes::from("hi")) });
+        assert_eq!(result, FrameResult { failed, message: Some(Bytes::from("hi")) });
         assert!(reception.is_idle());
     }
 }
@@ -122,9 +122,9 @@ fn a_beginning_is_taken_in_every_state_and_ends_what_was_under_way() {
         let mut reception = state();
         let failed = interrupts.then_some(ReceptionError::Interrupted);
 
-        let heard = first(&mut reception, 40, true);
+        let result = first(&mut reception, 40, true);
 
-        assert_eq!(heard, FrameResult { failed, message: None });
+        assert_eq!(result, FrameResult { failed, message: None });
         assert_eq!(kind(&reception), "answering");
     }
 }
@@ -135,9 +135,9 @@ fn more_is_taken_only_where_it_was_asked_for() {
         let mut reception = state();
         let before = kind(&reception);
 
-        let heard = next(&mut reception, 1, b"ghijklm");
+        let result = next(&mut reception, 1, b"ghijklm");
 
-        assert_eq!(heard, FrameResult::failure(ReceptionError::Unexpected));
+        assert_eq!(result, FrameResult::failure(ReceptionError::Unexpected));
         assert_eq!(kind(&reception), before);
     }
 }
@@ -147,9 +147,9 @@ fn a_number_out_of_turn_ends_the_message() {
     for found in [0, 2, 15] {
         let mut reception = receiving();
 
-        let heard = next(&mut reception, found, b"ghijklm");
+        let result = next(&mut reception, found, b"ghijklm");
 
-        assert_eq!(heard, FrameResult::failure(ReceptionError::Sequence { expected: 1, found }));
+        assert_eq!(result, FrameResult::failure(ReceptionError::Sequence { expected: 1, found }));
         assert!(reception.is_idle());
     }
 }
@@ -165,14 +165,14 @@ fn a_frame_that_is_too_short_and_not_the_last_ends_the_message() {
 #[test]
 fn what_is_too_long_or_one_too_many_is_refused_by_a_word() {
     let mut reception = idle();
-    let heard = first(&mut reception, 101, true);
-    assert_eq!(heard, FrameResult::failure(ReceptionError::TooLong { length: 101 }));
+    let result = first(&mut reception, 101, true);
+    assert_eq!(result, FrameResult::failure(ReceptionError::TooLong { length: 101 }));
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
     assert!(reception.is_idle());
 
     with(true, 0, |terms| {
-        let heard = reception.handle_first(50, b"abcdef", false, terms);
-        assert_eq!(heard, FrameResult::failure(ReceptionError::TooMany));
+        let result = reception.handle_first(50, b"abcdef", false, terms);
+        assert_eq!(result, FrameResult::failure(ReceptionError::TooMany));
     });
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Overflow));
 }
@@ -185,8 +185,8 @@ fn what_goes_to_all_is_never_answered() {
     assert!(reception.is_idle());
     first(&mut reception, 10, true);
     assert_eq!((kind(&reception), poll(&mut reception, true, 0)), ("receiving", None));
-    let heard = next(&mut reception, 1, b"ghij");
-    assert_eq!(heard.message, Some(Bytes::from("abcdefghij")));
+    let result = next(&mut reception, 1, b"ghij");
+    assert_eq!(result.message, Some(Bytes::from("abcdefghij")));
 }
 
 #[test]
@@ -222,28 +222,28 @@ fn room_lets_only_the_one_who_waits_go_on() {
         ALL.into_iter().zip(["idle", "answering", "refusing", "answering", "receiving"])
     {
         let mut reception = state();
-        with(true, 0, |terms| reception.handle_room(terms));
+        with(true, 0, |terms| reception.handle_buffer(terms));
         assert_eq!(kind(&reception), expected);
     }
     let mut reception = holding();
-    with(true, 0, |terms| reception.handle_room(terms));
+    with(true, 0, |terms| reception.handle_buffer(terms));
     assert_eq!(poll(&mut reception, true, 0), Some(FlowStatus::Continue));
 }
 
 #[test]
 fn nobody_is_told_to_wait_for_ever() {
     let mut reception = holding();
-    let mut told = 1;
+    let mut count = 1;
 
     let failed = loop {
-        let failed = time_out(&mut reception, false, 100 * told);
+        let failed = time_out(&mut reception, false, 100 * count);
         if failed.is_some() {
             break failed;
         }
-        assert_eq!(poll(&mut reception, false, 100 * told), Some(FlowStatus::Wait));
-        told += 1;
+        assert_eq!(poll(&mut reception, false, 100 * count), Some(FlowStatus::Wait));
+        count += 1;
     };
 
-    assert_eq!((failed, told), (Some(ReceptionError::NoRoom), u64::from(config().waits_max)));
+    assert_eq!((failed, count), (Some(ReceptionError::NoBuffer), u64::from(config().waits_max)));
     assert!(reception.is_idle());
 }

@@ -182,12 +182,12 @@ fn only_what_is_ready_gives_a_frame() {
 #[test]
 fn nobody_can_make_us_wait_for_ever() {
     let mut transmission = asking();
-    let mut told = 0;
+    let mut count = 0;
 
-    while transmission.handle_flow(word(FlowStatus::Wait, 0, 0), &config(), at(told)) {
-        told += 1;
+    while transmission.handle_flow(word(FlowStatus::Wait, 0, 0), &config(), at(count)) {
+        count += 1;
     }
 
-    assert_eq!(told, u64::from(config().waits_max) + 1);
+    assert_eq!(count, u64::from(config().waits_max) + 1);
     assert_eq!(transmission.ended(), Some(Err(TransmissionError::WaitedTooLong)));
 }

@@ -50,7 +50,7 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
         .collect();
     let known: Vec<_> = (1..nodes)
         .map(|node| {
-            let stamp =
+            let advertisement_id =
                 AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
             let edges = at_end(node).map(|(_, (far, cost))| Announced {
                 to: id(far),
@@ -59,10 +59,10 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
                 mtu: 1400,
             });
             let edges = edges.collect();
-            Advertisement { stamp, node: name(node), edges, withdrawn: false }
+            Advertisement { id: advertisement_id, node: name(node), edges, withdrawn: false }
         })
         .collect();
-    let known = known.iter().map(|known| (known.stamp.origin, known));
+    let known = known.iter().map(|known| (known.id.origin, known));
     let ways = Topology::new(id(0), &links, known).ways(id(1));
     let index = |relay: &NodeId| (0..nodes).find(|node| id(*node) == *relay).unwrap();
     ways.iter()

@@ -1,4 +1,4 @@
-//! The stamp: one thread writes, and what others read of it belongs together.
+//! The activity record: one thread writes, and what others read of it belongs together.
 
 use crate::Model;
 use crate::liveness::activity::ActivityRecord;
@@ -11,17 +11,17 @@ pub(crate) const MODELS: [Model; 2] = [
 ];
 
 fn turn_and_label() {
-    let stamp = Arc::new(ActivityRecord::default());
+    let activity = Arc::new(ActivityRecord::default());
     let worker = {
-        let stamp = stamp.clone();
+        let activity = activity.clone();
         thread::spawn(move || {
-            stamp.begin(7);
-            stamp.step();
-            stamp.begin(8);
+            activity.begin(7);
+            activity.step();
+            activity.begin(8);
         })
     };
 
-    let reading = stamp.read();
+    let reading = activity.read();
 
     match reading.turn {
         0 => {}
@@ -32,21 +32,21 @@ fn turn_and_label() {
 }
 
 fn never_back() {
-    let stamp = Arc::new(ActivityRecord::default());
+    let activity = Arc::new(ActivityRecord::default());
     let worker = {
-        let stamp = stamp.clone();
+        let activity = activity.clone();
         thread::spawn(move || {
-            stamp.begin_incarnation(1);
-            stamp.begin(7);
-            stamp.give_sign();
-            stamp.step();
+            activity.begin_incarnation(1);
+            activity.begin(7);
+            activity.give_sign();
+            activity.step();
         })
     };
 
-    let (first, second) = (stamp.read(), stamp.read());
+    let (first, second) = (activity.read(), activity.read());
 
     assert!(first.turn <= second.turn && first.alive <= second.alive, "{first:?} {second:?}");
     worker.join().expect("it does not panic");
-    let last = stamp.read();
+    let last = activity.read();
     assert_eq!((last.turn, last.alive, last.incarnation, last.during), (2, 1, 1, 7));
 }
