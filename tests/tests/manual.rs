@@ -80,7 +80,7 @@ fn the_limits_are_those_of_the_code() {
     check(&page, "faults handed to the recoverer", format!("{local} a second, {remote} to other"));
     check(
         &page,
-        "places that are treated at one time",
+        "locations that are treated at one time",
         RecovererLimits::default().cases.to_string(),
     );
     let letters = DeadLetterLimits::default();

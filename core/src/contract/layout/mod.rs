@@ -142,7 +142,7 @@ pub struct Variant<R: Clone + 'static> {
     label = "not allowed in a message",
     note = "derive it for a type of your own: `#[derive(Structure)]`",
     note = "types that differ between platforms or runs are left out on purpose: write `u32` or \
-            `u64` for `usize`, `SortedMap` for `HashMap`, `SortedSet` for `HashSet`, and a \
+            `u64` for `usize`, `BTreeMap` for `HashMap`, `BTreeSet` for `HashSet`, and a \
             `Duration` since a stated event for `Instant`",
     note = "an array of more than 32 elements stands in a field of its own, not in a `Vec` or `Option`: \
             put it into a structure",
