@@ -2,11 +2,18 @@
 
 #[cfg(feature = "ip")]
 mod beacons;
-mod checks;
+pub(in crate::node) mod checks;
+mod claims;
+mod connections;
+pub(in crate::node) mod description;
+mod isolation;
+pub(in crate::node) mod services;
+pub(in crate::node) mod signs;
+mod snapshot;
 pub(crate) mod start;
 
 use crate::net::Interface;
-use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL};
+use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
 use blastema_contract::transport::{
     Cut, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults, Restore,
@@ -22,12 +29,16 @@ use std::time::Duration;
 pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
+pub use isolation::IsolateError;
+pub use snapshot::NetworkSnapshot;
 
 /// One network that a node is on: a medium, and the neighbours that it leads to.
 ///
 /// Several networks, or several links of one network, may lead to the same neighbour: the cheapest
 /// that is up is used, and the next takes over when it fails, without loss or duplicates for what
 /// is sent reliably. Nodes that are no neighbours reach each other through those that are.
+///
+/// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
 ///
 /// ```
 /// use blastema::{Link, Network};

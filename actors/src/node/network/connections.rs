@@ -1,7 +1,7 @@
 //! What a node says of its networks.
 
-use super::Node;
-use super::network::Cable;
+use super::Cable;
+use crate::node::Node;
 use blastema_contract::link::LinkRow;
 use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
@@ -10,6 +10,7 @@ use blastema_core::NodeName;
 use blastema_core::net::Route;
 use std::time::Duration;
 
+/// Links, routes and sessions; with the feature `network`.
 impl Node {
     /// Waits until messages can be sent to the node of this name and a path leads there, and says
     /// whether that came to be within the time. A link needs a few hellos to come up, also after
