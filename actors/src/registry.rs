@@ -5,7 +5,7 @@
 
 pub(crate) mod encoding;
 #[cfg(feature = "network")]
-mod lookup;
+pub(crate) mod lookup;
 #[cfg(feature = "network")]
 pub(crate) mod remote;
 #[cfg(feature = "network")]

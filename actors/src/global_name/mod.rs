@@ -15,7 +15,7 @@ pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
 
 pub(crate) use table::{ClaimCommand, GlobalNameTable};
 
-use crate::registry::remote::NameResolver;
+use crate::registry::lookup::NameResolver;
 use blastema_core::global_name::{ClaimRefused, ClaimRequest};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
 use std::fmt;

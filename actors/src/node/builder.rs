@@ -1,5 +1,8 @@
 //! How a node is described.
 
+#[cfg(feature = "network")]
+mod networks;
+
 use super::controller::NodeState;
 use super::faults::{FaultEvents, FaultListener};
 #[cfg(feature = "network")]

@@ -34,10 +34,10 @@ pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
 #[cfg(feature = "network")]
-pub use network::{
-    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkSnapshot,
-};
+pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network};
 pub use restart::{RestartError, RestartedChild};
+#[cfg(feature = "network")]
+pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
 pub use tree::SupervisorSpec;
 

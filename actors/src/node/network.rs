@@ -9,7 +9,6 @@ pub(in crate::node) mod description;
 mod isolation;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
-mod snapshot;
 pub(crate) mod start;
 
 use crate::net::Interface;
@@ -30,7 +29,6 @@ pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
 pub use isolation::IsolateError;
-pub use snapshot::NetworkSnapshot;
 
 /// One network that a node is on: a medium, and the neighbours that it leads to.
 ///

@@ -1,7 +1,11 @@
 //! Everything that a node knows of itself at one moment, for people and for their tools.
 
 #[cfg(feature = "network")]
-use super::network::NetworkSnapshot;
+mod network;
+
+#[cfg(feature = "network")]
+pub use network::NetworkSnapshot;
+
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;
 use crate::liveness::threads::{ThreadRow, ThreadState};

@@ -1,7 +1,7 @@
 //! Objects of other nodes: their names, and the way to them.
 
 use super::encoding::encoding;
-use super::lookup::GlobalNameSender;
+use super::lookup::{GlobalNameSender, NameResolver};
 use super::{Inner, Registry};
 use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::reply::{ReplyFuture, Responder};
@@ -10,7 +10,6 @@ use crate::messaging::sink::MessageSink;
 use crate::platform::panics;
 use crate::registry::ReplyTo;
 use blastema_core::contract::codec;
-use blastema_core::global_name::Holder;
 use blastema_core::{
     Contract, ContractIdentity, DeliveryError, GatherBuffer, MessageId, ObjectAddress, ObjectName,
 };
@@ -19,7 +18,6 @@ use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::watch;
 use tracing::error;
 
 /// Before a name that is claimed, in the place of a node: whichever holds it.
@@ -54,14 +52,6 @@ pub(crate) trait RemoteStub: Send + Sync {
     /// Completes when there may be room for a message that was refused so.
     fn room<'a>(&'a self, refused: &DeliveryError)
     -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
-}
-
-/// Finds who holds a name of the whole robot.
-pub(crate) trait NameResolver: Send + Sync {
-    /// Who holds the name now.
-    fn holder(&self, name: &ObjectName) -> Option<Holder>;
-    /// Changes whenever another object holds some name.
-    fn revision(&self) -> watch::Receiver<u64>;
 }
 
 /// The ways to what this node does not have itself.
@@ -107,7 +97,7 @@ impl Inner {
 pub(super) enum RemoteWay {
     /// To an object of another node.
     Stub(ObjectAddress, Arc<dyn StubFactory>),
-    /// To whichever object holds a name.
+    /// To the holder of a name.
     Claimed(ObjectName, Arc<dyn NameResolver>),
 }
 

@@ -2,7 +2,7 @@
 
 use crate::global_name::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::node::Node;
-use crate::registry::remote::NameResolver;
+use crate::registry::lookup::NameResolver;
 use blastema_core::global_name::ClaimRequest;
 use blastema_core::{NameError, ObjectName};
 
