@@ -76,6 +76,21 @@
 //! The [prelude] has what an application usually needs. Tests are written with the crate
 //! `blastema-testkit`.
 
+//! # Cargo features
+//!
+//! | feature | brings |
+//! | --- | --- |
+//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
+//! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
+//! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
+//! | `journal` | [`journal`] and [`NodeBuilder::journal`], by SQLite: needs a C compiler |
+//!
+//! The default is all media. A robot of one process needs none of it: with
+//! `default-features = false` no code of a network is compiled.
+
+// What the other modules have for the network alone is not used without it.
+#![cfg_attr(not(feature = "network"), expect(dead_code))]
+
 // The derives write `::blastema`, also where they are used within it.
 #[cfg(test)]
 extern crate self as blastema;
@@ -86,15 +101,18 @@ mod actuator;
 mod arbiter;
 mod component;
 mod fault_chain;
+#[cfg(feature = "network")]
 mod global_name;
 mod host;
 mod liveness;
 mod messaging;
+#[cfg(feature = "network")]
 mod net;
 mod node;
 mod parameters;
 mod registry;
 mod runtime;
+#[cfg(feature = "network")]
 mod service;
 mod settings;
 mod sync;
@@ -147,6 +165,7 @@ pub use blastema_core::lease::{CommanderId, LeaseStatus};
 pub use blastema_core::{
     DeliveryError, Incarnation, NodeName, ObjectAddress, ObjectName, Outcome, RetryPolicy,
 };
+#[cfg(feature = "network")]
 pub use service::{
     OnPartition, Role, ServiceRef, ServiceRow, ServiceSpec, ServiceState, StandbyKind, Stateful,
 };
@@ -159,22 +178,33 @@ pub use variable::{
 };
 
 // Names of the whole robot.
+#[cfg(feature = "network")]
 pub use crate::global_name::{
     Claim, ClaimError, ClaimPolicy, ClaimRow, ClaimState, Holder, NameHeld, NameWatch,
 };
 
 // Nodes, their trees and their networks.
+#[cfg(feature = "network")]
 pub use blastema_contract::link::LinkRow;
+#[cfg(feature = "network")]
 pub use blastema_contract::naming::NodeRow;
+#[cfg(feature = "network")]
 pub use blastema_contract::session::SessionRow;
 pub use blastema_contract::supervisor::SupervisionTree;
+#[cfg(feature = "network")]
 pub use blastema_core::net::session::{SessionCounters, SessionState, SessionStatus};
+#[cfg(feature = "network")]
 pub use blastema_core::net::{LinkState, Refusals, Route};
 pub use blastema_macros::main;
+#[cfg(feature = "network")]
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
+#[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, FaultEvents, Impairment, IsolateError, Link, MemoryMedium, Network, Node,
-    NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild, StartError, SupervisorSpec,
+    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkSnapshot,
+};
+pub use node::{
+    FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,
+    StartError, SupervisorSpec,
 };
 
 // Faults: found, shown, recovered.
@@ -187,6 +217,7 @@ pub use blastema_core::detection::{
 pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifecycle, Severity};
 
 /// Types to implement a medium of one's own, which is passed to [`Network::own`].
+#[cfg(feature = "network")]
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
     pub use blastema_transports::frame_medium::{

@@ -4,19 +4,18 @@
 //! but not the type behind it. Both compare the contract's identity first.
 
 pub(crate) mod encoding;
+#[cfg(feature = "network")]
 pub(crate) mod lookup;
+#[cfg(feature = "network")]
+pub(crate) mod remote;
+#[cfg(feature = "network")]
 pub(crate) mod remote_watch;
 pub(crate) mod service_fn;
 
 use crate::messaging::death_watch::{Deaths, Down, DownReason, Watchable, Watcher};
-use crate::messaging::error::{Receiver, RequestError, SendError};
 use crate::messaging::injection::Injection;
-use crate::messaging::reply::{ReplyFuture, Responder};
 use crate::messaging::sender::Sender;
-use crate::messaging::sink::MessageSink;
-use crate::platform::panics;
-use blastema_core::contract::codec;
-use blastema_core::global_name::Holder;
+#[cfg(feature = "network")]
 use blastema_core::net::NodeId;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{
@@ -24,19 +23,13 @@ use blastema_core::{
     MessageId, NodeName, ObjectAddress, ObjectName, PeerIdentity, suggestion,
 };
 use bytes::Bytes;
-use encoding::encoding;
-use lookup::GlobalNameSender;
+#[cfg(feature = "network")]
+use remote::RemoteNames;
 use std::any::{Any, type_name};
 use std::future::Future;
-use std::marker::PhantomData;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::watch;
-use tracing::error;
-
-/// Before a name that is claimed, in the place of a node: whichever holds it.
-pub(crate) const ANY_NODE: &str = "*";
 
 /// Gets the encoded reply, or the reason why there is none. Called once, on any thread.
 pub(crate) type ReplyTo = Box<dyn FnOnce(Result<GatherBuffer, DeliveryError>) + Send>;
@@ -50,14 +43,8 @@ pub(crate) struct MessageMetadata {
     /// A request is not to be begun after this.
     pub(crate) until: Option<Instant>,
     /// The node that it comes from, if it is another.
+    #[cfg(feature = "network")]
     pub(crate) from: Option<NodeId>,
-}
-
-/// A request for an object of another node, beside its contents.
-pub(crate) struct OutgoingRequest {
-    pub(crate) id: Option<MessageId>,
-    pub(crate) within: Option<Duration>,
-    pub(crate) reply_to: ReplyTo,
 }
 
 /// Waits for room.
@@ -102,32 +89,6 @@ pub(crate) trait Skeleton: Send + Sync {
     }
 }
 
-/// The ways to objects of other nodes, provided by the network.
-pub(crate) trait StubFactory: Send + Sync {
-    /// A way to this object for this contract. What stands in its way is found when it is used.
-    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub>;
-}
-
-/// The way to one object of another node, for one contract.
-pub(crate) trait RemoteStub: Send + Sync {
-    /// Ships one encoded message. Where it is a request and was taken, its `reply_to` is called
-    /// once. Never waits.
-    ///
-    /// # Errors
-    /// Why the message was not taken.
-    fn send(
-        &self,
-        message: GatherBuffer,
-        asked: Option<OutgoingRequest>,
-    ) -> Result<(), DeliveryError>;
-
-    /// Completes when there may be room for a message that was refused so.
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
-}
-
 /// One contract that one object takes.
 pub(crate) struct ContractPort {
     pub(crate) identity: ContractIdentity,
@@ -162,96 +123,6 @@ impl ContractPort {
     /// The way from outside.
     pub(crate) fn into_skeleton(self) -> Arc<dyn Skeleton> {
         self.skeleton
-    }
-}
-
-/// Finds who holds a name of the whole robot.
-pub(crate) trait NameResolver: Send + Sync {
-    /// Who holds the name now.
-    fn holder(&self, name: &ObjectName) -> Option<Holder>;
-    /// Changes whenever another object holds some name.
-    fn revision(&self) -> watch::Receiver<u64>;
-}
-
-/// Messages of one contract to an object of another node.
-struct Outlet<M: Contract> {
-    stub: Arc<dyn RemoteStub>,
-    to: ObjectAddress,
-    sends: PhantomData<fn(M)>,
-}
-
-impl<M: Contract> Outlet<M> {
-    /// The message is as it was where it is refused.
-    fn send(&self, message: &mut M, asked: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
-        if let Some(why) = crate::arbiter::heartbeat::send_refusal() {
-            return Err(why);
-        }
-        let encoded = codec::encode_out_of(message);
-        let (parcel, taken) = encoded.map_err(|error| encoding(error, M::MAX_SIZE))?;
-        let sent = self.stub.send(parcel, asked);
-        if sent.is_err() {
-            taken.put_back(message);
-        }
-        sent
-    }
-}
-
-impl<M: Contract> MessageSink<M> for Outlet<M> {
-    fn tell(&self, message: M) -> Result<(), SendError<M>> {
-        self.offer(message)
-    }
-
-    fn offer(&self, mut message: M) -> Result<(), SendError<M>> {
-        self.send(&mut message, None).map_err(|why| SendError::new(why, message))
-    }
-
-    fn receiver(&self) -> Option<Receiver> {
-        let ObjectAddress { node, object } = self.to.clone();
-        let (node, contract) = (Some(node), M::NAME);
-        Some(Receiver { node, object, contract, queue: None, unavailable: None, deadline: None })
-    }
-
-    fn space<'a>(
-        &'a self,
-        refused: &DeliveryError,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        self.stub.space(refused)
-    }
-
-    fn ask(
-        &self,
-        mut message: M,
-        id: Option<MessageId>,
-        within: Option<Duration>,
-    ) -> Result<ReplyFuture<M>, RequestError<M>> {
-        let (answer, reply) = Responder::awaited();
-        // Only what may come twice needs to be known again.
-        let id = id.or_else(|| M::IDEMPOTENT.then(crate::messaging::message_id::next_id));
-        let reply_to = move |result: Result<GatherBuffer, DeliveryError>| {
-            let decode = |reply: GatherBuffer| codec::decode_shared_reply::<M>(&reply.into_bytes());
-            let decoded = result.and_then(|reply| {
-                let read = panics::caught(|| decode(reply));
-                let read = read.and_then(|read| read.map_err(|error| error.to_string()));
-                read.map_err(|reason| DeliveryError::Undecodable { reason })
-            });
-            // If the caller has stopped waiting, the reply is dropped here, on the network's
-            // thread.
-            let given = panics::caught(|| match decoded {
-                Ok(reply) => answer.give(reply),
-                Err(why) => answer.refuse(why, None),
-            });
-            if let Err(panicked) = given {
-                error!(
-                    contract = M::NAME,
-                    "the Drop of a reply whose caller has stopped waiting {panicked}"
-                );
-            }
-        };
-        let asked = OutgoingRequest { id, within, reply_to: Box::new(reply_to) };
-        match self.send(&mut message, Some(asked)) {
-            Ok(()) => Ok(reply),
-            Err(why) => Err(RequestError::new(why, Some(message))),
-        }
     }
 }
 
@@ -299,9 +170,8 @@ struct Inner {
     node: Option<NodeName>,
     /// The node was shut down.
     is_shut_down: bool,
-    remote: Option<Arc<dyn StubFactory>>,
-    /// The names of the whole robot.
-    names: Option<Arc<dyn NameResolver>>,
+    #[cfg(feature = "network")]
+    remote: RemoteNames,
     /// Where objects that are not components can be watched.
     deaths: Deaths,
 }
@@ -329,6 +199,19 @@ impl Inner {
         Some(DeliveryError::ShutDown { node: node.to_string() })
     }
 
+    /// The object of this node that is called so, also with the node's name in front.
+    fn own(&self, name: &str) -> Result<ObjectName, DeliveryError> {
+        if !name.contains(':') {
+            return ObjectName::new(name).map_err(|_| self.misspelt(name));
+        }
+        let unknown = |_| DeliveryError::Unknown { name: name.to_owned() };
+        let address: ObjectAddress = name.parse().map_err(unknown)?;
+        match self.node.as_ref() == Some(&address.node) {
+            true => Ok(address.object),
+            false => Err(self.out_of_reach(&address)),
+        }
+    }
+
     /// What to say of an object of another node where there is no network.
     fn out_of_reach(&self, to: &ObjectAddress) -> DeliveryError {
         let own = suggestion::nearest(to.node.as_str(), self.node.iter().map(NodeName::as_str));
@@ -352,16 +235,9 @@ impl Registry {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Names of this node may be written with `node` in front; those of others lead to `remote`.
-    pub(crate) fn connect(&self, node: NodeName, remote: Option<Arc<dyn StubFactory>>) {
-        let mut inner = self.lock();
-        inner.node = Some(node);
-        inner.remote = remote;
-    }
-
-    /// Names of the whole robot, such as `*:map`, are looked up there.
-    pub(crate) fn set_name_resolver(&self, names: Arc<dyn NameResolver>) {
-        self.lock().names = Some(names);
+    /// Names of this node may be written with `node` in front.
+    pub(crate) fn set_node(&self, node: NodeName) {
+        self.lock().node = Some(node);
     }
 
     /// Objects that are not components are watched there.
@@ -419,31 +295,16 @@ impl Registry {
 
     /// Where messages of contract `M` can be sent to the object of this name.
     pub(crate) fn sender<M: Contract>(&self, name: &str) -> Result<Sender<M>, DeliveryError> {
-        let unknown = || DeliveryError::Unknown { name: name.to_owned() };
         let inner = self.lock();
         if let Some(why) = inner.refusal() {
             return Err(why);
         }
-        let object = match name.split_once(':') {
-            None => ObjectName::new(name).map_err(|_| inner.misspelt(name))?,
-            Some((ANY_NODE, claimed)) => {
-                let name = ObjectName::new(claimed).map_err(|_| unknown())?;
-                let names = inner.names.clone().ok_or_else(unknown)?;
-                return Ok(Sender(Arc::new(GlobalNameSender::<M>::new(name, self.clone(), names))));
-            }
-            Some(_) => {
-                let address: ObjectAddress = name.parse().map_err(|_| unknown())?;
-                if inner.node.as_ref() != Some(&address.node) {
-                    let remote = inner.remote.clone();
-                    let remote = remote.ok_or_else(|| inner.out_of_reach(&address))?;
-                    drop(inner);
-                    let stub = remote.stub(address.clone(), ContractIdentity::of::<M>());
-                    let outlet = Outlet::<M> { stub, to: address, sends: PhantomData };
-                    return Ok(Sender(Arc::new(outlet)));
-                }
-                address.object
-            }
-        };
+        #[cfg(feature = "network")]
+        if let Some(way) = inner.way_elsewhere(name)? {
+            drop(inner);
+            return Ok(way.sender(self));
+        }
+        let object = inner.own(name)?;
         let entry = inner.objects.get(&object).ok_or_else(|| inner.misspelt(name))?;
         let port = entry.ports.get(M::NAME).ok_or_else(|| entry.not_served(&object, M::NAME))?;
         match port.sender.downcast_ref::<Sender<M>>() {

@@ -3,6 +3,9 @@
 //! Nothing here performs IO, reads a clock or knows an actor. Time, randomness and identity are
 //! arguments; collections iterate in a fixed order, so that one seed gives one run, bit for bit.
 
+// What the network alone uses of other modules is not used without it.
+#![cfg_attr(not(feature = "network"), expect(dead_code))]
+
 mod backoff;
 mod hash;
 mod timer;
@@ -11,19 +14,25 @@ pub mod contract;
 pub mod delivery;
 pub mod detection;
 pub mod fault;
+#[cfg(feature = "network")]
 pub mod global_name;
 pub mod incarnation;
 pub mod lease;
 pub mod lifecycle;
 pub mod machine;
+#[cfg(feature = "network")]
 pub mod machine_set;
+#[cfg(feature = "network")]
 pub mod medium;
 pub mod name;
+#[cfg(feature = "network")]
 pub mod net;
 pub mod parameters;
 pub mod random;
 pub mod recovery;
+#[cfg(feature = "network")]
 pub mod service;
+#[cfg(feature = "network")]
 pub mod snapshot_server;
 pub mod sorted;
 pub mod suggestion;

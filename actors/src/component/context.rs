@@ -2,21 +2,24 @@
 
 use crate::arbiter::heartbeat;
 use crate::component::cell::ComponentCell;
+#[cfg(feature = "network")]
+use crate::component::far_watch::FarWatches;
 use crate::component::incarnation::{IncarnationState, TimerId, TimerMode};
 use crate::component::long_operation::LongOperation;
 use crate::component::{Component, Failure, Handle};
+#[cfg(not(feature = "network"))]
+use crate::messaging::death_watch::DownReason;
 use crate::messaging::death_watch::{Down, Watcher};
 use crate::messaging::sender::{DetachedSender, Sender};
 use crate::messaging::sink::MessageSink;
 use crate::platform;
-use crate::registry::remote_watch;
 use blastema_contract::reports::FaultDeclared;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, NameError, ObjectAddress,
     ObjectName,
 };
 use std::any::{Any, TypeId};
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::fmt::Debug;
 use std::future::Future;
 use std::ops::RangeBounds;
@@ -24,9 +27,6 @@ use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
-
-/// Objects of other nodes that are watched, and whether they still are.
-type FarWatches = Vec<(ObjectAddress, Rc<Cell<bool>>)>;
 
 /// A component's way to its host, lent to every hook and handler.
 ///
@@ -38,12 +38,19 @@ pub struct Context<C: Component> {
     /// Topics under their contract's own name, looked up once.
     pub(crate) publishers: RefCell<Vec<(TypeId, Rc<dyn Any>)>>,
     /// Boxed, since few components watch others.
-    far_watches: Option<Box<FarWatches>>,
+    #[cfg(feature = "network")]
+    pub(super) far_watches: Option<Box<FarWatches>>,
 }
 
 impl<C: Component> Context<C> {
     pub(crate) fn new(cell: Arc<ComponentCell<C>>, state: Rc<IncarnationState<C>>) -> Self {
-        Context { cell, state, publishers: RefCell::default(), far_watches: None }
+        Context {
+            cell,
+            state,
+            publishers: RefCell::default(),
+            #[cfg(feature = "network")]
+            far_watches: None,
+        }
     }
 
     /// The component's name.
@@ -301,19 +308,13 @@ impl<C: Component> Context<C> {
                 let (who, incarnation) = (self.name().clone(), self.state.token.clone());
                 registry.watch(object, Watcher { who, incarnation, tell: Box::new(tell) });
             }
+            #[cfg(feature = "network")]
+            Some(node) => self.watch_elsewhere(ObjectAddress { node, object }, Box::new(tell)),
+            #[cfg(not(feature = "network"))]
             Some(node) => {
-                let address = ObjectAddress { node, object };
-                let watches = self.far_watches.get_or_insert_default();
-                watches.retain(|(_, goes_on)| goes_on.get());
-                if watches.iter().all(|(known, _)| *known != address) {
-                    let goes_on = Rc::new(Cell::new(true));
-                    watches.push((address.clone(), goes_on.clone()));
-                    let follow = remote_watch::follow(registry, address, tell);
-                    self.spawn(async move {
-                        follow.await;
-                        goes_on.set(false);
-                    });
-                }
+                let reason = DeliveryError::Unreachable { node: node.to_string() }.to_string();
+                let (node, ending) = (Some(node), DownReason::NodeLost { reason });
+                tell(Down { object, node, incarnation: Incarnation(0), ending });
             }
         }
         Ok(())

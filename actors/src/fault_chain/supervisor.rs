@@ -10,6 +10,7 @@ use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian;
 use crate::runtime::guardian::Guardian;
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
 use blastema_contract::monitor::IsolationReported;
@@ -135,14 +136,14 @@ impl SupervisorActor {
         context: &mut Context<Self>,
         object: ObjectName,
         input: impl FnOnce(&mut Supervisor, &ObjectName, CallId, Instant),
-    ) -> ResponseFuture<RecoveryResult> {
+    ) -> PendingAnswer<RecoveryResult> {
         self.calls += 1;
         let call = CallId(self.calls);
         let (answer, outcome) = oneshot::channel();
         self.waiting.insert(call, answer);
         input(&mut self.machine, &object, call, platform::now());
         self.drive(context);
-        Box::pin(async move {
+        PendingAnswer::new(async move {
             outcome.await.unwrap_or(Err(GaveUp { object, why: GiveUpReason::Forgotten }))
         })
     }
@@ -456,7 +457,7 @@ fn in_order(exit: &ExitReason) -> bool {
 }
 
 impl Handler<RestartChild> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: RestartChild, context: &mut Context<Self>) -> Self::Result {
         let RestartChild { object, fault } = message;
@@ -469,7 +470,7 @@ impl Handler<RestartChild> for SupervisorActor {
 }
 
 impl Handler<ResetChild> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: ResetChild, context: &mut Context<Self>) -> Self::Result {
         let ResetChild { object } = message;
@@ -478,7 +479,7 @@ impl Handler<ResetChild> for SupervisorActor {
 }
 
 impl Handler<IsolateChild> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: IsolateChild, context: &mut Context<Self>) -> Self::Result {
         let IsolateChild { object, faulty, isolated } = message;
@@ -489,7 +490,7 @@ impl Handler<IsolateChild> for SupervisorActor {
 }
 
 impl Handler<RemoveChild> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: RemoveChild, context: &mut Context<Self>) -> Self::Result {
         let RemoveChild { object } = message;

@@ -396,7 +396,7 @@ impl Handler<InjectPanic> for GlobalNamesActor {
 mod tests {
     use super::*;
     use crate::global_name::Claim;
-    use crate::registry::NameResolver;
+    use crate::registry::lookup::NameResolver;
     use blastema_core::global_name::ClaimPolicy;
     use blastema_doubles::{Probe, advance, paused, settle};
 

@@ -15,7 +15,7 @@ pub use blastema_core::global_name::{ClaimPolicy, Holder, NameHeld};
 
 pub(crate) use table::{ClaimCommand, GlobalNameTable};
 
-use crate::registry::NameResolver;
+use crate::registry::lookup::NameResolver;
 use blastema_core::global_name::{ClaimRefused, ClaimRequest};
 use blastema_core::{Incarnation, NameError, NodeName, ObjectName};
 use std::fmt;
@@ -78,7 +78,8 @@ pub enum ClaimState {
 }
 
 /// A name of the whole robot that an object of this node claims. From
-/// [`Node::claim`](crate::Node::claim). It is given back when this is dropped.
+/// [`Node::claim`](crate::Node::claim). It is given back when this is dropped. Needs the feature
+/// `network`.
 pub struct Claim {
     name: ObjectName,
     number: u64,

@@ -2,7 +2,7 @@
 
 use super::{ClaimRow, ClaimState};
 use crate::platform;
-use crate::registry::NameResolver;
+use crate::registry::lookup::NameResolver;
 use actix::{Message, Recipient};
 use blastema_core::global_name::{ClaimRequest, Holder};
 use blastema_core::sorted::SortedMap;

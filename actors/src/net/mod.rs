@@ -41,7 +41,8 @@ pub(crate) use discovery::DiscoverySpec;
 use self::fault_reporter::FaultReporter;
 use crate::messaging::dead_letters::DeadLetterLog;
 use crate::platform;
-use crate::registry::{Registry, StubFactory, remote_watch};
+use crate::registry::remote::StubFactory;
+use crate::registry::{Registry, remote_watch};
 use crate::runtime::guardian::Guardian;
 use crate::topic::Topics;
 use actix::prelude::*;
@@ -262,7 +263,7 @@ pub(crate) fn start(
     stubs.connect(gateway.clone().recipient());
     sessions.do_send(AddGateway(gateway.clone().recipient()));
     let remote: Arc<dyn StubFactory> = stubs.clone();
-    environment.registry.connect(node, Some(remote));
+    environment.registry.connect(remote);
     remote_watch::serve(&environment.registry);
 
     let (mut watched, mut domains) = (Vec::new(), Vec::new());

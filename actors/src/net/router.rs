@@ -5,6 +5,7 @@ use super::own_isolation::OwnIsolation;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::link::{
     AddLinks, LinkChanged, LinkPayload, ReceivedOnLink, RemoteLinkDown, ReportLinks, TransmitOnLink,
@@ -334,7 +335,7 @@ impl Handler<InjectPanic> for RouterActor {
 /// one. Where the only one may have failed as well, the answer waits until its link says so or
 /// recovers.
 impl Handler<Reroute> for RouterActor {
-    type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
+    type Result = PendingAnswer<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: Reroute, context: &mut Context<Self>) -> Self::Result {
         let Reroute { location } = message;
@@ -342,13 +343,15 @@ impl Handler<Reroute> for RouterActor {
             FaultLocation::Link { neighbour: Some(node), .. } | FaultLocation::Node(node) => node,
             other => {
                 let error = format!("the node behind {other} is not known");
-                return Box::pin(async { Err(error.into()) });
+                return PendingAnswer::new(async { Err(error.into()) });
             }
         };
         let (answer, verdict) = oneshot::channel();
         self.inquirers.retain(|(_, inquirer)| !inquirer.is_closed());
         self.inquirers.push((node, answer));
         self.answer_inquirers(context);
-        Box::pin(async { verdict.await.unwrap_or_else(|_| Err("the router was restarted".into())) })
+        PendingAnswer::new(async {
+            verdict.await.unwrap_or_else(|_| Err("the router was restarted".into()))
+        })
     }
 }

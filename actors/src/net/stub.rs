@@ -4,7 +4,7 @@ use super::credit::{CreditClass, SendCredits};
 use super::gateway::SendToPeer;
 use super::own_isolation::OwnIsolation;
 use crate::platform;
-use crate::registry::{OutgoingRequest, RemoteStub, StubFactory};
+use crate::registry::remote::{OutgoingRequest, RemoteStub, StubFactory};
 use actix::Recipient;
 use blastema_contract::session::Credit;
 use blastema_core::delivery::dead_letters::DeadReason;

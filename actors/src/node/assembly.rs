@@ -3,24 +3,22 @@
 mod chain;
 #[cfg(feature = "journal")]
 mod journal;
+#[cfg(feature = "network")]
 mod networks;
 
 pub(super) use self::chain::FaultChain;
+#[cfg(feature = "network")]
 pub(super) use self::networks::Networks;
 
 use self::chain::{FaultChainParts, callbacks_of, make_chain, reports};
-use self::networks::{claims_setup, make_networks};
 use super::builder::{ActorPlacement, Configuration, NodeBuilder};
-use super::checks::{
-    check_names, check_networks, check_service, check_service_order, check_settings, dependencies,
-};
+use super::checks::{check_names, check_settings, dependencies};
 use super::controller::{NodeController, StartRoot};
 use super::error::StartError;
 #[cfg(feature = "unix")]
 use super::inspection::InspectionActor;
 #[cfg(feature = "unix")]
 use super::inspection::StartInspection;
-use super::network::Network;
 use super::tree::{PreparedTree, SupervisorSpec, TreeEnvironment};
 use super::watchdogs::ProcessWatchdogs;
 use super::{Node, Root, Shared};
@@ -31,8 +29,8 @@ use crate::component::extension::Extensions;
 use crate::component::spec_error::SpecError;
 use crate::fault_chain::strategy::StrategyTable;
 use crate::fault_chain::supervisor::SupervisorChild;
+#[cfg(feature = "network")]
 use crate::global_name::GlobalNameTable;
-use crate::global_name::actor::GlobalNamesActor;
 use crate::liveness::sampler;
 use crate::parameters::Configured;
 use crate::platform;
@@ -41,7 +39,8 @@ use crate::platform::file_lock::{FileLock, LockError, without_links};
 use crate::platform::file_lock::{PREDECESSOR_TIMEOUT, released_here};
 use crate::platform::panics;
 use crate::platform::systemd::Systemd;
-use crate::service::{Carried, ReplicaBody, Roster, ServiceSpecError};
+#[cfg(feature = "network")]
+use crate::service::Roster;
 use crate::topic::Topics;
 use crate::variable::VariableStore;
 use crate::variable::ports::KEPT_VARIABLES;
@@ -52,7 +51,6 @@ use blastema_contract::strategy::EnterSafeState;
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::{Liveness, ObjectKind, Registration};
-use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::recovery::{Plan, Restart};
 use blastema_core::{
     Fault, FaultKind, Incarnation, NameError, NodeName, ObjectAddress, ObjectName,
@@ -90,11 +88,13 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     assembly.keep_journal(builder.journal).await?;
     assembly.keep_variables(builder.kept_in).await?;
     assembly.read_parameters(builder.parameters)?;
-    assembly.start_networks(builder.networks)?;
+    #[cfg(feature = "network")]
+    assembly.start_networks(&mut builder.networks)?;
     let preparation = assembly.prepare(builder.root, &builder.own_kinds, &builder.strategies)?;
     let unused = assembly.environment.configured().check();
     unused.map_err(|reason| StartError::Parameters { file: None, reason })?;
-    assembly.carry_services(builder.services)?;
+    #[cfg(feature = "network")]
+    assembly.carry_services(builder.networks.services)?;
     assembly.keep_leases();
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
@@ -114,12 +114,11 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
 struct NodeAssembly {
     node: NodeName,
     incarnation: Incarnation,
-    judges: IsolationAuthority,
-    session_timeout: Duration,
     placement: ActorPlacement,
     plan: Arc<Plan>,
     parts: FaultChainParts,
     environment: Arc<ComponentEnvironment>,
+    #[cfg(feature = "network")]
     networks: Option<Networks>,
     /// All that is to be watched.
     enrolments: Vec<Register>,
@@ -141,10 +140,9 @@ impl NodeAssembly {
         let named_so = StartError::name_of("the name of the node");
         let node = NodeName::new(&builder.name).map_err(named_so)?;
         let incarnation = platform::node_incarnation();
-        let judges = judges(&builder.wardens)
-            .map_err(StartError::name_of("the name of a node that isolates others"))?;
         check_settings(builder)?;
-        check_networks(&builder.networks, &node)?;
+        #[cfg(feature = "network")]
+        builder.networks.check(&node)?;
         let arbiters = match builder.placement {
             ActorPlacement::Threads { shared } => ArbiterPool::pool(shared),
             ActorPlacement::ComponentsHere | ActorPlacement::Here => ArbiterPool::here(),
@@ -162,13 +160,12 @@ impl NodeAssembly {
             }),
             undone: StopOnFailure { arbiters, own, kept: false },
             placement: builder.placement,
+            #[cfg(feature = "network")]
             networks: None,
             enrolments: callbacks_of(builder),
             node,
             incarnation,
             held: Vec::new(),
-            judges,
-            session_timeout: builder.session_timeout,
             plan,
             parts,
         })
@@ -215,26 +212,6 @@ impl NodeAssembly {
         Ok(())
     }
 
-    /// What a node without networks claims, it claims of itself.
-    fn start_networks(&mut self, networks: Vec<Network>) -> Result<(), StartError> {
-        let who = (&self.node, self.incarnation);
-        if networks.is_empty() {
-            let setup = claims_setup(who, &self.parts, &self.environment);
-            let arbiter = self.parts.chain.arbiter.as_ref();
-            let claims = GlobalNamesActor::start(setup, &self.parts.guardian, arbiter);
-            self.enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
-            return Ok(());
-        }
-        let networks = (networks, self.judges.clone(), self.session_timeout);
-        let (networks, enrolments) =
-            make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
-        self.undone.own.extend(networks.arbiter.clone());
-        self.environment.services().find_by(networks.handle.finder());
-        self.enrolments.extend(enrolments);
-        self.networks = Some(networks);
-        Ok(())
-    }
-
     /// The supervisors and their children. Nothing of them is started yet.
     fn prepare(
         &self,
@@ -257,30 +234,6 @@ impl NodeAssembly {
         let dependencies = dependencies(&self.node, &tree);
         dependencies.check()?;
         Ok(TreePreparation { root, tree, dependencies })
-    }
-
-    fn carry_services(
-        &mut self,
-        services: Vec<Result<Carried, ServiceSpecError>>,
-    ) -> Result<(), StartError> {
-        let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
-        services.iter().try_for_each(check_service)?;
-        check_service_order(&services)?;
-        for carried in services {
-            let name = carried.body.clone();
-            let roster = self.environment.services();
-            if let Some(networks) = &mut self.networks {
-                networks.described.extend(carried.config.members.iter().cloned());
-            }
-            roster.enter(carried.name.clone(), &carried.config);
-            let arbiter = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
-            let arbiter = arbiter.or(self.parts.chain.arbiter.as_ref());
-            let body =
-                ReplicaBody::start(carried, &self.environment, &self.parts.guardian, arbiter);
-            let body = body.map_err(SpecError::from)?;
-            self.enrolments.push(middleware(name, Some(body)));
-        }
-        Ok(())
     }
 
     fn keep_leases(&mut self) {
@@ -379,6 +332,7 @@ impl NodeAssembly {
             incarnation: self.incarnation,
             environment: self.environment,
             chain,
+            #[cfg(feature = "network")]
             networks: self.networks,
             root,
             shutdown: controller.clone().recipient(),
@@ -436,9 +390,9 @@ pub(crate) fn with_features(
         .with(topics)
         .with(actuators)
         .with(VariableStore::default())
-        .with(Configured::default())
-        .with(Roster::default())
-        .with(GlobalNameTable::default());
+        .with(Configured::default());
+    #[cfg(feature = "network")]
+    let extensions = extensions.with(Roster::default()).with(GlobalNameTable::default());
     ComponentEnvironment { extensions, ..environment }
 }
 
@@ -452,7 +406,7 @@ fn environment(
     let reports = reports(&parts.monitor);
     let (registry, actuators) = (parts.registry.clone(), parts.actuators.clone());
     // Its own objects may be named in full, with or without a network.
-    registry.connect(node.clone(), None);
+    registry.set_node(node.clone());
     let fault_codes = Arc::new(plan.codes());
     let general = with_features(ComponentEnvironment::new(arbiters, reports), actuators);
     let callbacks = parts.chain.callbacks.clone();
@@ -529,13 +483,4 @@ impl Drop for StopOnFailure {
             }
         }
     }
-}
-
-/// Whose word isolates a node.
-fn judges(wardens: &[String]) -> Result<IsolationAuthority, NameError> {
-    if wardens.is_empty() {
-        return Ok(IsolationAuthority::Majority);
-    }
-    let wardens = wardens.iter().map(|name| NodeName::new(name));
-    Ok(IsolationAuthority::Named(wardens.collect::<Result<_, _>>()?))
 }

@@ -1,16 +1,19 @@
 //! How a node is described.
 
+#[cfg(feature = "network")]
+mod networks;
+
 use super::controller::NodeState;
 use super::faults::{FaultEvents, FaultListener};
-use super::network::Network;
+#[cfg(feature = "network")]
+use super::network::description::NetworkDescription;
 use super::tree::SupervisorSpec;
 use super::watchdogs::ProcessWatchdogs;
 use crate::component::Component;
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, StrategyTable};
 use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::{Running, SampledComponents};
-use crate::service::{Carried, ServiceSpec, ServiceSpecError, Stateful};
-use crate::settings::{CALLBACK_LIMIT, GRACE, SESSION_TIMEOUT};
+use crate::settings::{CALLBACK_LIMIT, GRACE};
 use blastema_core::recovery::{Plan, Restart, Strategy, WhenExceeded};
 use blastema_core::{Fault, FaultKind};
 use std::fmt;
@@ -48,12 +51,10 @@ pub struct NodeBuilder {
     pub(super) placement: ActorPlacement,
     pub(super) grace: Duration,
     pub(super) callback_limit: Duration,
-    pub(super) session_timeout: Duration,
     pub(super) process_watchdogs: ProcessWatchdogs,
     pub(super) handles_signals: bool,
-    pub(super) networks: Vec<Network>,
-    pub(super) services: Vec<Result<Carried, ServiceSpecError>>,
-    pub(super) wardens: Vec<String>,
+    #[cfg(feature = "network")]
+    pub(super) networks: NetworkDescription,
     pub(super) listeners: Vec<FaultListener>,
     pub(super) state: watch::Sender<NodeState>,
     pub(super) kept_in: Option<PathBuf>,
@@ -86,12 +87,10 @@ impl NodeBuilder {
             placement: ActorPlacement::Threads { shared: cores },
             grace: GRACE.default,
             callback_limit: CALLBACK_LIMIT.default,
-            session_timeout: SESSION_TIMEOUT.default,
             process_watchdogs: ProcessWatchdogs::default(),
             handles_signals: true,
-            networks: Vec::new(),
-            services: Vec::new(),
-            wardens: Vec::new(),
+            #[cfg(feature = "network")]
+            networks: NetworkDescription::default(),
             listeners: Vec::new(),
             state: watch::channel(NodeState::Starting).0,
             kept_in: None,
@@ -146,20 +145,6 @@ impl NodeBuilder {
         self
     }
 
-    /// Adds a network.
-    pub fn network(mut self, network: Network) -> Self {
-        self.networks.push(network);
-        self
-    }
-
-    /// Adds a warden: a node whose vote alone [isolates](crate::Node::isolate) or admits another
-    /// node. Without wardens, more than half of the present nodes must vote. Every node of the
-    /// robot needs the same wardens.
-    pub fn warden(mut self, node: &str) -> Self {
-        self.wardens.push(node.to_owned());
-        self
-    }
-
     /// Keeps the values of variables in this file, so that they outlive the process: what the next
     /// one finds of each is what its [policy](crate::RestorePolicy) leaves. A write is answered
     /// when it is on the disk. A file that is damaged is set aside and becomes a fault. A path that
@@ -208,14 +193,6 @@ impl NodeBuilder {
     pub fn journal(mut self, path: impl Into<PathBuf>) -> Self {
         self.journal = Some(path.into());
         self
-    }
-
-    /// Carries a service together with other nodes, which are given the same spec. The component
-    /// stands under the root supervisor as `<name>/replica`.
-    pub fn service<C: Stateful>(mut self, spec: ServiceSpec<C>) -> Self {
-        let (component, carried) = spec.carried(&self.name);
-        self.services.push(carried);
-        self.child(component)
     }
 
     /// Sets the recovery plan. The default plan covers every built-in kind of fault.
@@ -319,15 +296,6 @@ impl NodeBuilder {
     /// same arbiter are re-created elsewhere; an hour at most.
     pub fn grace(mut self, grace: Duration) -> Self {
         self.grace = grace;
-        self
-    }
-
-    /// Sets how long another node may leave segments unacknowledged, or be without a path, before
-    /// the session with it ends and unacknowledged messages are returned: 2 s by default, 200 ms to
-    /// 1 h. Longer rides out longer outages; shorter resolves requests sooner. Where answers take
-    /// long, it is three of the present retransmission timeouts if these are longer.
-    pub fn session_timeout(mut self, timeout: Duration) -> Self {
-        self.session_timeout = timeout;
         self
     }
 

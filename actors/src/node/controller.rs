@@ -10,6 +10,7 @@ use crate::actuator::ActuatorTable;
 use crate::fault_chain::strategy::SafeOutputs;
 use crate::platform;
 use crate::runtime::guardian::answers_the_monitor;
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport};
 use blastema_contract::monitor::NodeReported;
@@ -280,7 +281,7 @@ impl Handler<SubscribeSafeState> for NodeController {
 }
 
 impl Handler<StartRoot> for NodeController {
-    type Result = ResponseFuture<Result<(), String>>;
+    type Result = PendingAnswer<Result<(), String>>;
 
     fn handle(&mut self, message: StartRoot, context: &mut Context<Self>) -> Self::Result {
         let StartRoot(root) = message;
@@ -292,14 +293,14 @@ impl Handler<StartRoot> for NodeController {
             NodeState::InSafeState { reason } => self.tell_started(&Err(reason)),
             _ => self.begin(context),
         }
-        Box::pin(async move {
+        PendingAnswer::new(async move {
             started.await.unwrap_or_else(|_| Err("the node was ended before it had started".into()))
         })
     }
 }
 
 impl Handler<RestartRoot> for NodeController {
-    type Result = ResponseFuture<Result<(), RestartRefused>>;
+    type Result = PendingAnswer<Result<(), RestartRefused>>;
 
     fn handle(&mut self, _: RestartRoot, context: &mut Context<Self>) -> Self::Result {
         let refused = match self.state() {
@@ -309,7 +310,7 @@ impl Handler<RestartRoot> for NodeController {
             state => Some(RestartRefused::NotInSafeState(state)),
         };
         if let Some(refused) = refused {
-            return Box::pin(std::future::ready(Err(refused)));
+            return PendingAnswer::new(std::future::ready(Err(refused)));
         }
         let (answer, started) = oneshot::channel();
         self.started.push(answer);
@@ -318,7 +319,7 @@ impl Handler<RestartRoot> for NodeController {
             Phase::Up | Phase::Ending => self.again = true,
             Phase::Down => self.begin_again(context),
         }
-        Box::pin(async move {
+        PendingAnswer::new(async move {
             let started = started.await.map_err(|_| RestartRefused::ShutDown)?;
             started.map_err(RestartRefused::GaveUp)
         })
@@ -371,7 +372,7 @@ impl Handler<EnterSafeState> for NodeController {
 }
 
 impl Handler<Shutdown> for NodeController {
-    type Result = ResponseFuture<()>;
+    type Result = PendingAnswer<()>;
 
     fn handle(&mut self, _: Shutdown, _: &mut Context<Self>) -> Self::Result {
         self.closed = true;
@@ -382,12 +383,12 @@ impl Handler<Shutdown> for NodeController {
         }
         if self.phase == Phase::Down {
             self.setup.state.send_replace(NodeState::Stopped);
-            return Box::pin(std::future::ready(()));
+            return PendingAnswer::new(std::future::ready(()));
         }
         let (answer, ended) = oneshot::channel();
         self.ended.push(answer);
         self.end();
-        Box::pin(async move { ended.await.unwrap_or(()) })
+        PendingAnswer::new(async move { ended.await.unwrap_or(()) })
     }
 }
 

@@ -1,12 +1,16 @@
 //! Why a node does not start.
 
 use crate::component::spec_error::SpecError;
+#[cfg(feature = "network")]
 use crate::service::ServiceSpecError;
 use crate::settings::SettingError;
+use blastema_core::NameError;
+#[cfg(feature = "network")]
+use blastema_core::ObjectName;
 use blastema_core::detection::RegistrationError;
 use blastema_core::detection::dependencies::DependencyError;
 use blastema_core::recovery::PlanError;
-use blastema_core::{NameError, ObjectName};
+#[cfg(feature = "network")]
 use blastema_transports::EndpointError;
 use std::path::PathBuf;
 use std::{fmt, io};
@@ -36,6 +40,7 @@ pub enum StartError {
     #[error(transparent)]
     Dependency(#[from] DependencyError),
     /// The text of a network's endpoint, or of a neighbour's address there, is wrong.
+    #[cfg(feature = "network")]
     #[error("network {network}: {error}")]
     Endpoint {
         /// The network.
@@ -44,9 +49,11 @@ pub enum StartError {
         error: EndpointError,
     },
     /// The networks cannot be used together.
+    #[cfg(feature = "network")]
     #[error("{0}")]
     Network(String),
     /// A service has a mistake in its nodes, or its component cannot be built.
+    #[cfg(feature = "network")]
     #[error("service {name}: {reason}")]
     Service {
         /// The service.
@@ -136,6 +143,7 @@ impl From<SettingError> for StartError {
     }
 }
 
+#[cfg(feature = "network")]
 impl From<ServiceSpecError> for StartError {
     fn from(error: ServiceSpecError) -> Self {
         match error {

@@ -15,17 +15,15 @@
 pub(crate) mod assembly;
 mod builder;
 mod checks;
-mod connections;
 pub(crate) mod controller;
 mod error;
 mod faults;
 #[cfg(feature = "unix")]
 pub(crate) mod inspection;
-mod isolation;
+#[cfg(feature = "network")]
 mod network;
 mod restart;
 mod safety;
-mod signs;
 pub(crate) mod snapshot;
 mod to_the_end;
 mod tree;
@@ -35,9 +33,11 @@ pub use builder::NodeBuilder;
 pub use controller::NodeState;
 pub use error::StartError;
 pub use faults::FaultEvents;
-pub use isolation::IsolateError;
-pub use network::{Cable, Direction, Impairment, Link, MemoryMedium, Network};
+#[cfg(feature = "network")]
+pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network};
 pub use restart::{RestartError, RestartedChild};
+#[cfg(feature = "network")]
+pub use snapshot::NetworkSnapshot;
 pub use snapshot::NodeSnapshot;
 pub use tree::SupervisorSpec;
 
@@ -48,7 +48,6 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::supervisor::SupervisorChild;
-use crate::global_name::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
 use crate::host::reference::ActorRef;
 use crate::host::spec::ChildSpec;
 use crate::liveness::sampler::Running;
@@ -59,21 +58,18 @@ use crate::messaging::injection::Injection;
 use crate::messaging::sender::Sender;
 use crate::platform::file_lock::released_here;
 use crate::platform::systemd::Systemd;
-use crate::registry::NameResolver;
-use crate::service::{Role, ServiceRef, ServiceRow};
 use crate::topic::{Publisher, TopicRow};
 use crate::variable::{self, VariableRef};
 use actix::Recipient;
-use assembly::{FaultChain, Networks};
+use assembly::FaultChain;
+#[cfg(feature = "network")]
+use assembly::Networks;
 use blastema_contract::detector::{ReadRecord, Subscribe};
 use blastema_contract::monitor::ReadTable;
 use blastema_contract::supervisor::{AddChild, ReadTree, RemoveChild, SupervisionTree};
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::{FaultRecord, MonitorRow};
-use blastema_core::global_name::ClaimRequest;
-use blastema_core::{
-    Contract, DeliveryError, Event, Incarnation, NameError, NodeName, ObjectName, Request, Variable,
-};
+use blastema_core::{Contract, DeliveryError, Event, Incarnation, NodeName, ObjectName, Variable};
 use controller::{RestartRoot, Shutdown};
 use std::any::type_name;
 use std::fmt;
@@ -120,6 +116,7 @@ struct Shared {
     incarnation: Incarnation,
     environment: Arc<ComponentEnvironment>,
     chain: FaultChain,
+    #[cfg(feature = "network")]
     networks: Option<Networks>,
     root: Root,
     shutdown: Recipient<Shutdown>,
@@ -217,72 +214,6 @@ impl Node {
         variable::find(&self.0.environment.registry, object)
     }
 
-    /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so
-    /// here, and waits until that is decided: for a second at most after the start of the node,
-    /// else not at all. Messages to `*:<name>` reach that object then, from every node. The name is
-    /// given back when the [`Claim`] is dropped; a component claims by [`ChildSpec::claim`].
-    ///
-    /// # Errors
-    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is
-    /// to be refused.
-    pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
-        self.claim_for(name, name, policy).await
-    }
-
-    /// Claims a name of the whole robot for the object `object` of this node.
-    ///
-    /// # Errors
-    /// As [`claim`](Self::claim).
-    pub async fn claim_for(
-        &self,
-        name: &str,
-        object: &str,
-        policy: ClaimPolicy,
-    ) -> Result<Claim, ClaimError> {
-        let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
-        Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
-    }
-
-    /// Returns the holder of a global name, as known to this node.
-    pub fn holder(&self, name: &str) -> Option<Holder> {
-        self.0.environment.names().holder(&ObjectName::new(name).ok()?)
-    }
-
-    /// Reports the holder of a global name, now and at each change.
-    ///
-    /// # Errors
-    /// The name does not parse.
-    pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
-        Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
-    }
-
-    /// Returns the global names that have a holder.
-    pub fn claims(&self) -> Vec<ClaimRow> {
-        self.0.environment.names().rows()
-    }
-
-    /// Asks the service of this name, whichever node serves it. Found are services that this node
-    /// carries, and those of nodes that a session is open with.
-    ///
-    /// # Errors
-    /// The name does not parse. Whether there is such a service is found out when it is asked.
-    pub fn service<M: Request>(&self, name: &str) -> Result<ServiceRef<M>, NameError> {
-        let registry = &self.0.environment.registry;
-        let services = self.0.environment.services();
-        ServiceRef::new(registry, services, name)
-    }
-
-    /// Whether this node serves, or stands by for, a service that it carries.
-    pub fn service_role(&self, name: &str) -> Option<Role> {
-        self.0.environment.services().role(&ObjectName::new(name).ok()?)
-    }
-
-    /// Returns the services that this node hosts: its role in each, the primary, and missing
-    /// members.
-    pub fn services(&self) -> Vec<ServiceRow> {
-        self.0.environment.services().rows()
-    }
-
     /// Returns the actuators of this node with their commanders.
     pub fn actuators(&self) -> Vec<ActuatorRow> {
         self.0.environment.actuators().rows()
@@ -347,14 +278,11 @@ impl Node {
     /// Everything that is watched, each row with its age and incarnation. It can be read at any
     /// time, also while components are stuck.
     pub async fn table(&self) -> Vec<MonitorRow> {
-        // A network that hangs is not waited for as long as the picture waits for the table.
-        let links = tokio::time::timeout(snapshot::PART_TIMEOUT / 2, self.links());
         let chain = &self.0.chain;
         let table = chain.answer(chain.table.send(ReadTable));
-        let (rows, links) = futures_util::future::join(table, links).await;
-        let mut rows = rows.unwrap_or_default();
-        // The monitor is told of changes; the links see every hello.
-        signs::show_in(&mut rows, &links.unwrap_or_default());
+        #[cfg(feature = "network")]
+        let table = network::signs::completed(table, self.links());
+        let mut rows = table.await.unwrap_or_default();
         // What a component is doing right now is read from outside, so that it need not answer.
         self.0.environment.watch_list.show_in(&self.0.name, &mut rows);
         rows
@@ -490,6 +418,7 @@ impl Node {
             self.0.become_safe("the fault chain does not answer to the shutdown");
         }
         self.0.chain.expect_end();
+        #[cfg(feature = "network")]
         if let Some(networks) = &self.0.networks {
             networks.leave().await;
         }
@@ -530,6 +459,7 @@ impl Shared {
     fn stop_threads(&self, cause: &str, in_order: bool) {
         self.environment.arbiters.stop();
         self.environment.variables().close_file();
+        #[cfg(feature = "network")]
         if let Some(networks) = &self.networks {
             networks.stop();
         }

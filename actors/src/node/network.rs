@@ -2,11 +2,17 @@
 
 #[cfg(feature = "ip")]
 mod beacons;
-mod checks;
+pub(in crate::node) mod checks;
+mod claims;
+mod connections;
+pub(in crate::node) mod description;
+mod isolation;
+pub(in crate::node) mod services;
+pub(in crate::node) mod signs;
 pub(crate) mod start;
 
 use crate::net::Interface;
-use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL};
+use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
 use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
 use blastema_transports::frame_medium::FrameMedium;
@@ -20,12 +26,15 @@ use std::time::Duration;
 pub use blastema_contract::transport::Direction;
 pub use blastema_core::medium::impairment::Impairment;
 pub use blastema_transports::MemoryMedium;
+pub use isolation::IsolateError;
 
 /// A network of a node: a medium, and the neighbours reached over it.
 ///
 /// Several networks, or several links of one network, may lead to the same neighbour: the cheapest
 /// that is up is used, and the next takes over when it fails, without loss or duplicates for what
 /// is sent reliably. Nodes that are no neighbours reach each other through those that are.
+///
+/// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
 ///
 /// ```
 /// use blastema::{Link, Network};

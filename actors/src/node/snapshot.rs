@@ -1,17 +1,20 @@
 //! The state of a node at one moment, for display and for tools.
 
+#[cfg(feature = "network")]
+mod network;
+
+#[cfg(feature = "network")]
+pub use network::NetworkSnapshot;
+
 use super::{Node, NodeState};
 use crate::actuator::ActuatorRow;
-use crate::global_name::ClaimRow;
 use crate::liveness::threads::{ThreadRow, ThreadState};
 use crate::platform;
-use crate::service::ServiceRow;
 use crate::topic::TopicRow;
-use blastema_contract::link::LinkRow;
-use blastema_contract::session::SessionRow;
 use blastema_core::detection::{FaultEntry, FaultRecord, MonitorRow, ObjectKind};
 use blastema_core::lease::LeaseStatus;
 use blastema_core::{Incarnation, Instant, NodeName, ObjectName};
+use futures_util::future::join;
 use serde_json::{Value, json};
 use std::future::Future;
 use std::time::Duration;
@@ -37,14 +40,9 @@ pub struct NodeSnapshot {
     pub table: Option<Vec<MonitorRow>>,
     /// The threads that components live on.
     pub threads: Vec<ThreadRow>,
-    /// The links, in the order in which they were described.
-    pub links: Option<Vec<LinkRow>>,
-    /// The sessions with other nodes.
-    pub sessions: Option<Vec<SessionRow>>,
-    /// The global names with a holder, as known to this node.
-    pub claims: Vec<ClaimRow>,
-    /// The services that the node hosts, and the primary of each.
-    pub services: Vec<ServiceRow>,
+    /// The node's record of other nodes.
+    #[cfg(feature = "network")]
+    pub network: NetworkSnapshot,
     /// The node's actuators, and the commander of each.
     pub actuators: Vec<ActuatorRow>,
     /// The topics that objects of the node have named.
@@ -55,23 +53,20 @@ pub struct NodeSnapshot {
 
 impl NodeSnapshot {
     pub(super) async fn of(node: &Node) -> Self {
-        let (table, links, sessions, faults) = futures_util::future::join4(
-            in_time(node.table()),
-            in_time(node.links()),
-            in_time(node.sessions()),
-            in_time(node.faults()),
-        )
-        .await;
+        let own = join(in_time(node.table()), in_time(node.faults()));
+        #[cfg(feature = "network")]
+        let (network, own) = join(NetworkSnapshot::of(node), own).await;
+        #[cfg(not(feature = "network"))]
+        let own = own.await;
+        let (table, faults) = own;
         NodeSnapshot {
             node: node.name().clone(),
             incarnation: node.incarnation(),
             state: node.state(),
             table,
             threads: node.threads(),
-            links,
-            sessions,
-            claims: node.claims(),
-            services: node.services(),
+            #[cfg(feature = "network")]
+            network,
             actuators: node.actuators(),
             topics: node.topics(),
             faults,
@@ -97,28 +92,26 @@ impl NodeSnapshot {
             "reason": reason,
             "table": self.table.as_deref().map(|rows| rows_of(rows, object)),
             "threads": rows_of(&self.threads, thread),
-            "links": self.links.as_deref().map(|rows| rows_of(rows, link)),
-            "sessions": self.sessions.as_deref().map(|rows| rows_of(rows, session)),
-            "global_names": rows_of(&self.claims, claim),
-            "services": rows_of(&self.services, service),
             "actuators": rows_of(&self.actuators, actuator),
             "topics": rows_of(&self.topics, topic),
             "faults": faults.map(|record| rows_of(&record.entries, entry)),
             "faults_dropped": faults.map(|record| record.dropped),
         });
+        #[cfg(feature = "network")]
+        let document = self.network.shown_in(document);
         document.to_string()
     }
 }
 
-async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
+pub(super) async fn in_time<T>(part: impl Future<Output = T>) -> Option<T> {
     tokio::time::timeout(PART_TIMEOUT, part).await.ok()
 }
 
-fn rows_of<T>(rows: &[T], row: impl Fn(&T) -> Value) -> Vec<Value> {
+pub(super) fn rows_of<T>(rows: &[T], row: impl Fn(&T) -> Value) -> Vec<Value> {
     rows.iter().map(row).collect()
 }
 
-fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
+pub(super) fn millis(span: impl Into<Option<Duration>>) -> Option<f64> {
     // To the microsecond: finer than anything that is measured here.
     span.into().map(|span| (span.as_secs_f64() * 1e6).round() / 1e3)
 }
@@ -169,69 +162,6 @@ fn thread(row: &ThreadRow) -> Value {
         "running": row.running.as_ref().map(ObjectName::as_str),
         "queued": row.queued,
         "components": row.components.iter().map(ObjectName::as_str).collect::<Vec<_>>(),
-    })
-}
-
-fn link(row: &LinkRow) -> Value {
-    json!({
-        "network": &*row.network,
-        "link": &*row.link,
-        "state": row.state.to_string(),
-        "neighbour": row.neighbour.as_ref().map(|neighbour| neighbour.node.as_str()),
-        "last_sign_ms": millis(row.last_sign),
-        "round_trip_ms": millis(row.quality.round_trip),
-        "jitter_ms": millis(row.quality.jitter),
-        "loss_permille": row.quality.loss_permille,
-        "cost": row.cost,
-        "refused": row.refusals.total(),
-    })
-}
-
-fn session(row: &SessionRow) -> Value {
-    let (status, counters) = (&row.status, &row.status.counters);
-    json!({
-        "node": row.node.as_str(),
-        "state": status.state.to_string(),
-        "incarnation": status.incarnation.map(|incarnation| incarnation.0),
-        "round_trip_ms": millis(status.round_trip),
-        "unacknowledged": status.unacknowledged,
-        "in_flight": status.in_flight,
-        "window": status.window,
-        "sent": counters.sent,
-        "retransmitted": counters.retransmitted,
-        "duplicates": counters.duplicates,
-        "superseded": counters.superseded,
-        "incomplete": counters.incomplete,
-        "returned": counters.returned,
-        "refused": status.refusals.total(),
-        "differences": row.differences,
-    })
-}
-
-fn claim(row: &ClaimRow) -> Value {
-    json!({
-        "name": row.name.as_str(),
-        "node": row.holder.node.as_str(),
-        "object": row.holder.object.as_str(),
-        "epoch": row.holder.epoch,
-        "incarnation": row.incarnation.0,
-        "age_ms": millis(row.age),
-    })
-}
-
-fn service(row: &ServiceRow) -> Value {
-    let names = |nodes: &[NodeName]| rows_of(nodes, |node| node.as_str().into());
-    json!({
-        "name": row.name.as_str(),
-        "state": row.state.to_string(),
-        "since_ms": millis(row.since),
-        "kind": row.kind.to_string(),
-        "epoch": row.epoch,
-        "primary": row.primary.as_ref().map(NodeName::as_str),
-        "members": names(&row.members),
-        "missing_members": names(&row.missing_members),
-        "unreplicated": row.unreplicated,
-        "seen_ms": millis(row.age),
     })
 }
 
@@ -324,10 +254,13 @@ mod tests {
                 seen_at: Instant::ORIGIN,
                 table: in_time(future::ready(Vec::new())).await,
                 threads: Vec::new(),
-                links: in_time(future::ready(Vec::new())).await,
-                sessions: in_time(future::pending()).await,
-                claims: Vec::new(),
-                services: Vec::new(),
+                #[cfg(feature = "network")]
+                network: NetworkSnapshot {
+                    links: in_time(future::ready(Vec::new())).await,
+                    sessions: in_time(future::pending()).await,
+                    claims: Vec::new(),
+                    services: Vec::new(),
+                },
                 actuators: Vec::new(),
                 topics: Vec::new(),
                 faults: in_time(future::pending()).await,
@@ -335,12 +268,16 @@ mod tests {
 
             let seen: Value = serde_json::from_str(&picture.to_json()).unwrap();
 
-            for silent in ["sessions", "faults", "faults_dropped"] {
+            for silent in ["faults", "faults_dropped"] {
                 assert_eq!(seen.get(silent), Some(&Value::Null), "{silent}");
             }
-            for empty in ["table", "links", "threads"] {
+            for empty in ["table", "threads"] {
                 assert_eq!(seen[empty], json!([]), "{empty}");
             }
+            // A node without the feature leaves its network out.
+            let network = cfg!(feature = "network");
+            assert_eq!(seen.get("sessions"), network.then_some(&Value::Null));
+            assert_eq!(seen.get("links"), network.then_some(&json!([])));
         });
     }
 }

@@ -4,13 +4,22 @@ use crate::messaging::error::{RequestError, SendError};
 use crate::messaging::reply::ReplyFuture;
 use crate::messaging::sender::Sender;
 use crate::messaging::sink::MessageSink;
-use crate::registry::{NameResolver, Registry};
+use crate::registry::Registry;
 use blastema_core::global_name::Holder;
 use blastema_core::{Contract, DeliveryError, MessageId, ObjectName};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+use tokio::sync::watch;
+
+/// Finds who holds a name of the whole robot.
+pub(crate) trait NameResolver: Send + Sync {
+    /// Who holds the name now.
+    fn holder(&self, name: &ObjectName) -> Option<Holder>;
+    /// Changes whenever another object holds some name.
+    fn revision(&self) -> watch::Receiver<u64>;
+}
 
 /// Messages of one contract to the holder of a name.
 pub(crate) struct GlobalNameSender<M: Contract> {

@@ -78,7 +78,7 @@ impl From<Down> for LastEnd {
 pub(crate) fn follow(
     registry: Registry,
     ObjectAddress { node, object }: ObjectAddress,
-    tell: impl Fn(Down),
+    tell: Box<dyn Fn(Down)>,
 ) -> impl Future<Output = ()> {
     let sender = registry.sender::<AwaitEnd>(&format!("{node}:{OBJECT}"));
     async move {

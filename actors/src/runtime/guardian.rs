@@ -110,7 +110,7 @@ impl Guardian {
         let enter = move || {
             let mut context = Context::with_receiver(receiver);
             let actor = make(&mut context);
-            let future = Box::pin(context.into_future(actor));
+            let future = Box::new(context.into_future(actor));
             let past = VecDeque::new();
             let incarnation = Incarnation::FIRST;
             actix_rt::spawn(Ward { future, name, incarnation, past, deaths, watched });
@@ -125,9 +125,22 @@ impl Guardian {
     }
 }
 
-/// One guarded actor.
-struct Ward<A: Actor<Context = Context<A>> + Supervised> {
-    future: Pin<Box<ContextFut<A, Context<A>>>>,
+/// An actor with its mailbox, which can begin anew.
+trait Restartable: Future<Output = ()> + Unpin {
+    /// Says whether it lives again.
+    fn restart(&mut self) -> bool;
+}
+
+impl<A: Actor<Context = Context<A>> + Supervised> Restartable for ContextFut<A, Context<A>> {
+    fn restart(&mut self) -> bool {
+        ContextFut::restart(self)
+    }
+}
+
+/// One guarded actor. Its type is not a parameter: the runtime's code for a task is compiled for
+/// each type of task.
+struct Ward {
+    future: Box<dyn Restartable>,
     name: ObjectName,
     incarnation: Incarnation,
     past: VecDeque<Instant>,
@@ -135,7 +148,7 @@ struct Ward<A: Actor<Context = Context<A>> + Supervised> {
     watched: Deaths,
 }
 
-impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
+impl Ward {
     /// Says whether the actor lives again.
     fn revive(&mut self, panic: PanicRecord) -> bool {
         let now = platform::now();
@@ -161,12 +174,12 @@ impl<A: Actor<Context = Context<A>> + Supervised> Ward<A> {
     }
 }
 
-impl<A: Actor<Context = Context<A>> + Supervised> Future for Ward<A> {
+impl Future for Ward {
     type Output = ();
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut task::Context<'_>) -> Poll<()> {
         LIFE.set(self.incarnation);
-        let future = &mut self.future;
+        let mut future = Pin::new(&mut self.future);
         let caught = {
             let _guarded = panics::PanicGuard::enter();
             catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(cx)))

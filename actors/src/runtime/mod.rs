@@ -3,4 +3,5 @@
 pub(crate) mod callbacks;
 pub(crate) mod driver;
 pub(crate) mod guardian;
+pub(crate) mod pending_answer;
 pub(crate) mod reports;

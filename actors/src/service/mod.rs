@@ -45,7 +45,7 @@ use words::{LoadState, RoleChanged, SaveState};
 /// The most bytes of an error on its way.
 const WHY_MAX: usize = 16 * 1024;
 
-/// A component that can be carried over to another node.
+/// A component that can be carried over to another node. Needs the feature `network`.
 pub trait Stateful: Component {
     /// Its state, from which [`load`](Stateful::load) makes the same again.
     fn save(&self) -> Vec<u8>;
@@ -87,7 +87,8 @@ impl<C: Stateful> Handle<RoleChanged> for C {
     }
 }
 
-/// A service that several nodes carry: each of them is given the same spec.
+/// A service that several nodes carry: each of them is given the same spec. Needs the feature
+/// `network`.
 ///
 /// ```
 /// use blastema::{Context, Handle, OnPartition, Ports, ServiceSpec, StandbyKind, Stateful};

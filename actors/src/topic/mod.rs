@@ -30,7 +30,9 @@ mod traffic;
 pub use publisher::Publisher;
 use subscription::TopicSubscription;
 use table::TopicTable;
-pub(crate) use table::{ForwardId, Topics, described};
+pub(crate) use table::Topics;
+#[cfg(feature = "network")]
+pub(crate) use table::{ForwardId, described};
 pub use traffic::TopicRow;
 
 use crate::arbiter::heartbeat;

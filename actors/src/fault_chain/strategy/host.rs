@@ -3,6 +3,7 @@
 use super::{RecoveryStrategy, StrategyContext};
 use crate::platform::panics::{self, PanicRecord};
 use crate::runtime::callbacks::{Callbacks, RunningCall};
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::strategy::ExecuteAction;
 use blastema_core::ObjectName;
@@ -90,16 +91,16 @@ impl<S: RecoveryStrategy> Actor for StrategyHost<S> {
 impl<S: RecoveryStrategy> Supervised for StrategyHost<S> {}
 
 impl<S: RecoveryStrategy> Handler<ExecuteAction> for StrategyHost<S> {
-    type Result = ResponseFuture<Result<RecoveryDone, RecoveryFailed>>;
+    type Result = PendingAnswer<Result<RecoveryDone, RecoveryFailed>>;
 
     fn handle(&mut self, message: ExecuteAction, _: &mut Context<Self>) -> Self::Result {
         let ExecuteAction(order) = message;
         let strategy = match self.strategy(order.number) {
             Ok(strategy) => strategy,
-            Err(failed) => return Box::pin(std::future::ready(Err(failed))),
+            Err(failed) => return PendingAnswer::new(std::future::ready(Err(failed))),
         };
         let (tools, thread) = (self.tools.clone(), self.thread.clone());
-        Box::pin(async move {
+        PendingAnswer::new(async move {
             let work = guarded(strategy.carry_out(&order, &tools), order.number, thread);
             match tokio::time::timeout(order.within, work).await {
                 Ok(outcome) => outcome,

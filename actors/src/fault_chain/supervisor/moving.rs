@@ -1,12 +1,13 @@
 //! A child goes on on a thread of its own.
 
 use super::{RecoveryResult, SupervisorActor};
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::supervisor::{GaveUp, MoveChild};
 use blastema_core::recovery::{GiveUpReason, ReplacementCause};
 
 impl Handler<MoveChild> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     /// The next incarnation begins elsewhere: no restart that a budget counts, because nothing has
     /// failed.
@@ -17,7 +18,7 @@ impl Handler<MoveChild> for SupervisorActor {
             && let Err(reason) = child.move_to_own_thread()
         {
             let why = GiveUpReason::StartFailed { reason: reason.to_owned() };
-            return Box::pin(async move { Err(GaveUp { object, why }) });
+            return PendingAnswer::new(async move { Err(GaveUp { object, why }) });
         }
         self.ask(context, object, |machine, object, call, now| {
             machine.handle_restart(object, call, ReplacementCause::Asked, faulty, now);

@@ -1,13 +1,14 @@
 //! A child is put in the safe state.
 
 use super::{RecoveryResult, SupervisorActor};
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::supervisor::SafeStop;
 use blastema_core::recovery::ReplacementCause;
 use blastema_core::{Fault, Incarnation};
 
 impl Handler<SafeStop> for SupervisorActor {
-    type Result = ResponseFuture<RecoveryResult>;
+    type Result = PendingAnswer<RecoveryResult>;
 
     fn handle(&mut self, message: SafeStop, context: &mut Context<Self>) -> Self::Result {
         let SafeStop { object, fault } = message;

@@ -2,6 +2,7 @@
 
 use super::SupervisorActor;
 use crate::platform;
+use crate::runtime::pending_answer::PendingAnswer;
 use actix::prelude::*;
 use blastema_contract::supervisor::{ReadTree, SupervisionTree, SupervisionTreeChild};
 use blastema_core::recovery::ChildStatus;
@@ -33,14 +34,14 @@ impl SupervisorActor {
 }
 
 impl Handler<ReadTree> for SupervisorActor {
-    type Result = ResponseFuture<SupervisionTree>;
+    type Result = PendingAnswer<SupervisionTree>;
 
     fn handle(&mut self, _: ReadTree, _: &mut Context<Self>) -> Self::Result {
         let mut branch = self.branch();
         let below: Vec<_> = (branch.children.iter().enumerate())
             .filter_map(|(at, leaf)| Some((at, self.directory.supervisor(&leaf.name)?)))
             .collect();
-        Box::pin(async move {
+        PendingAnswer::new(async move {
             for (at, supervisor) in below {
                 let read = supervisor.read.send(ReadTree).timeout(READ_LIMIT).await;
                 branch.children[at].below = read.ok();

@@ -12,6 +12,8 @@ mod plain_actors;
 mod reporting;
 mod serving;
 mod skeleton;
+#[cfg(feature = "network")]
+mod stubs;
 mod subscriptions;
 mod topics;
 mod watching;

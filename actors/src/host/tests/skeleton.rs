@@ -1,19 +1,15 @@
 //! Names, and the way in from outside the process.
 
 use super::{Add, Boom, Note, Stage, acc, boom, logged, order};
-use crate::registry::{MessageMetadata, OutgoingRequest, RemoteStub, ReplyTo, StubFactory};
+use crate::registry::{MessageMetadata, ReplyTo};
 use crate::{
-    Blob, ChildSpec, Component, Context, DeadReason, DeliveryError, Event, Handle, Incarnation,
+    Blob, ChildSpec, Component, Context, DeadReason, DeliveryError, Handle, Incarnation,
     ObjectName, Ports, Request, SpecError, WhenFull,
 };
 use blastema_core::contract::codec;
-use blastema_core::{Contract, ContractIdentity, GatherBuffer, MessageId, NodeName, ObjectAddress};
+use blastema_core::{Contract, ContractIdentity, GatherBuffer, MessageId, NodeName};
 use blastema_doubles::{paused, settle};
 use bytes::Bytes;
-use std::future::Future;
-use std::pin::Pin;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Arc, Mutex};
 
 fn encoded<M: Contract>(message: &M) -> Bytes {
@@ -35,7 +31,7 @@ fn reply() -> (ReplyPlace, ReplyTo) {
     (place, Box::new(move |result| *kept.lock().unwrap() = Some(result)))
 }
 
-fn metadata(id: Option<MessageId>) -> MessageMetadata {
+pub(super) fn metadata(id: Option<MessageId>) -> MessageMetadata {
     MessageMetadata { id, ..MessageMetadata::default() }
 }
 
@@ -158,7 +154,7 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
         let stage = Stage::new();
         let (_child, _) = stage.add(acc("acc").0);
         let registry = &stage.environment.registry;
-        registry.connect(NodeName::new("here").unwrap(), None);
+        registry.set_node(NodeName::new("here").unwrap());
 
         assert!(registry.sender::<Add>("acc").is_ok());
         assert!(registry.sender::<Add>("here:acc").is_ok());
@@ -183,102 +179,6 @@ fn who_looks_for_what_is_not_there_is_told_what_is() {
         }
         assert_eq!(registry.objects().len(), 1);
         assert_eq!(registry.objects()[0].1.len(), 4);
-    });
-}
-
-/// Another node that leads back to this one.
-struct Mirror(crate::registry::Registry);
-struct MirrorDoor(Arc<dyn crate::registry::Skeleton>);
-
-impl StubFactory for Mirror {
-    fn stub(&self, to: ObjectAddress, contract: ContractIdentity) -> Arc<dyn RemoteStub> {
-        Arc::new(MirrorDoor(self.0.skeleton(&to.object, contract.name).unwrap().1))
-    }
-}
-impl RemoteStub for MirrorDoor {
-    fn send(
-        &self,
-        message: GatherBuffer,
-        asked: Option<OutgoingRequest>,
-    ) -> Result<(), DeliveryError> {
-        let id = asked.as_ref().and_then(|asked| asked.id);
-        self.0.deliver(&message.into_bytes(), metadata(id), asked.map(|asked| asked.reply_to))
-    }
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        Box::pin(std::future::ready(()))
-    }
-}
-
-#[test]
-fn an_object_of_another_node_is_asked_with_the_same_code() {
-    paused(async {
-        let stage = Stage::new();
-        let (spec, log) = acc("acc");
-        let (_child, _) = stage.start(spec).await;
-        let registry = &stage.environment.registry;
-        let mirror = Arc::new(Mirror(registry.clone()));
-        registry.connect(NodeName::new("here").unwrap(), Some(mirror));
-        let add = registry.sender::<Add>("there:acc").unwrap();
-
-        assert_eq!(add.ask(Add(2)).await, Ok(2));
-        registry.sender::<Note>("there:acc").unwrap().deliver(Note(3)).await.unwrap();
-        settle().await;
-        assert_eq!(logged(&log), [3]);
-        let died = registry.sender::<Boom>("there:acc").unwrap().ask(boom("x")).await.unwrap_err();
-        assert_eq!(died.kind, DeliveryError::PeerDied { incarnation: Incarnation(1) });
-    });
-}
-
-/// Much that a vector holds.
-#[derive(Clone, Debug, PartialEq, Event)]
-struct Image {
-    number: u32,
-    pixels: Vec<u8>,
-}
-
-/// A way out that refuses the first message, and keeps the next.
-#[derive(Clone, Default)]
-struct Narrow {
-    refused: Arc<AtomicBool>,
-    taken: Arc<Mutex<Option<GatherBuffer>>>,
-}
-
-impl StubFactory for Narrow {
-    fn stub(&self, _: ObjectAddress, _: ContractIdentity) -> Arc<dyn RemoteStub> {
-        Arc::new(self.clone())
-    }
-}
-impl RemoteStub for Narrow {
-    fn send(&self, message: GatherBuffer, _: Option<OutgoingRequest>) -> Result<(), DeliveryError> {
-        if !self.refused.swap(true, Relaxed) {
-            return Err(DeliveryError::Full);
-        }
-        *self.taken.lock().unwrap() = Some(message);
-        Ok(())
-    }
-    fn space<'a>(&'a self, _: &DeliveryError) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>> {
-        Box::pin(std::future::ready(()))
-    }
-}
-
-#[test]
-fn a_large_vector_goes_to_another_node_as_it_lies_and_comes_back_so_where_it_is_refused() {
-    paused(async {
-        let registry = Stage::new().environment.registry.clone();
-        let narrow = Narrow::default();
-        registry.connect(NodeName::new("here").unwrap(), Some(Arc::new(narrow.clone())));
-        let images = registry.sender::<Image>("there:screen").unwrap();
-        let image = Image { number: 7, pixels: vec![9; 10_000] };
-        let (place, copy) = (image.pixels.as_ptr(), image.clone());
-
-        let refused = images.tell(image).unwrap_err();
-        assert_eq!((refused.kind, &refused.message), (DeliveryError::Full, &copy));
-        assert_eq!(refused.message.pixels.as_ptr(), place);
-
-        images.tell(refused.message).unwrap();
-        let taken = narrow.taken.lock().unwrap().take().unwrap();
-        assert!(taken.pieces().iter().any(|piece| piece.as_ptr() == place));
-        assert_eq!(codec::decode::<Image>(&taken.into_bytes()), Ok(copy));
     });
 }
 

@@ -3,8 +3,8 @@
 use super::{Acc, Boom, Stage, acc, boom, order};
 use crate::messaging::queue::WhenFull;
 use crate::{
-    ActorRef, ChildSpec, Component, Context, Down, DownReason, Event, Failure, Handle, Incarnation,
-    Ports, Variable, VariableSpec,
+    ActorRef, ChildSpec, Component, Context, DeliveryError, Down, DownReason, Event, Failure,
+    Handle, Incarnation, Ports, Variable, VariableSpec,
 };
 use blastema_contract::child::ChildEvent;
 use blastema_doubles::{advance, paused, settle};
@@ -88,6 +88,20 @@ fn widow(name: &str, watched: &[&str]) -> (ChildSpec<Widow>, Arc<Mutex<Vec<Recei
 
 fn taken(reported: &Mutex<Vec<Received>>) -> Vec<Received> {
     std::mem::take(&mut *reported.lock().unwrap())
+}
+
+#[test]
+fn an_object_of_another_node_is_lost_to_a_node_without_a_network() {
+    paused(async {
+        let stage = Stage::new();
+        let (spec, told) = widow("widow", &["there:arm"]);
+        let _widow = stage.start(spec).await;
+        settle().await;
+
+        let reason = DeliveryError::Unreachable { node: "there".into() }.to_string();
+        let lost = Received::Down("arm".into(), 0, DownReason::NodeLost { reason });
+        assert_eq!(taken(&told), [lost]);
+    });
 }
 
 #[test]

@@ -1,16 +1,20 @@
 //! The networks of a node: what stands on its media, and how that is led to the fault chain.
 
 use super::chain::FaultChainParts;
-use super::{middleware, named};
+use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
+use crate::component::spec_error::SpecError;
 use crate::global_name::actor::{GlobalNamesActor, GlobalNamesSetup};
 use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
 use crate::node::builder::ActorPlacement;
 use crate::node::controller::SubscribeSafeState;
 use crate::node::error::StartError;
+use crate::node::network::description::NetworkDescription;
+use crate::node::network::services::{check_service, check_service_order};
 use crate::node::network::{Cable, Network};
 use crate::runtime::guardian::own_arbiter;
+use crate::service::{Carried, ReplicaBody, ServiceSpecError};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::notifier::AddPort;
@@ -77,8 +81,57 @@ impl Networks {
     }
 }
 
+impl NodeAssembly {
+    /// What a node without networks claims, it claims of itself.
+    pub(super) fn start_networks(
+        &mut self,
+        description: &mut NetworkDescription,
+    ) -> Result<(), StartError> {
+        let networks = std::mem::take(&mut description.networks);
+        let who = (&self.node, self.incarnation);
+        if networks.is_empty() {
+            let setup = claims_setup(who, &self.parts, &self.environment);
+            let arbiter = self.parts.chain.arbiter.as_ref();
+            let claims = GlobalNamesActor::start(setup, &self.parts.guardian, arbiter);
+            self.enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
+            return Ok(());
+        }
+        let networks = (networks, description.judges()?, description.session_timeout);
+        let (networks, enrolments) =
+            make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
+        self.undone.own.extend(networks.arbiter.clone());
+        self.environment.services().find_by(networks.handle.finder());
+        self.enrolments.extend(enrolments);
+        self.networks = Some(networks);
+        Ok(())
+    }
+
+    pub(super) fn carry_services(
+        &mut self,
+        services: Vec<Result<Carried, ServiceSpecError>>,
+    ) -> Result<(), StartError> {
+        let services: Vec<_> = services.into_iter().collect::<Result<_, _>>()?;
+        services.iter().try_for_each(check_service)?;
+        check_service_order(&services)?;
+        for carried in services {
+            let name = carried.body.clone();
+            let roster = self.environment.services();
+            if let Some(networks) = &mut self.networks {
+                networks.described.extend(carried.config.members.iter().cloned());
+            }
+            roster.enter(carried.name.clone(), &carried.config);
+            let place = self.networks.as_ref().and_then(|networks| networks.arbiter.as_ref());
+            let place = place.or(self.parts.chain.arbiter.as_ref());
+            let body = ReplicaBody::start(carried, &self.environment, &self.parts.guardian, place);
+            let body = body.map_err(SpecError::from)?;
+            self.enrolments.push(middleware(name, Some(body)));
+        }
+        Ok(())
+    }
+}
+
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
-pub(super) fn make_networks(
+fn make_networks(
     (networks, judges, session_timeout): (Vec<Network>, IsolationAuthority, Duration),
     placement: ActorPlacement,
     (node, incarnation): (&NodeName, Incarnation),
@@ -167,7 +220,7 @@ fn admitted(spec: &NetworkSpec) -> impl Iterator<Item = &NodeName> {
 }
 
 /// The configuration of global names for a node without a network.
-pub(super) fn claims_setup(
+fn claims_setup(
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,

@@ -3,10 +3,55 @@
 use super::{Link, Medium, Network, Remote};
 use crate::net::Interface;
 use crate::node::error::StartError;
-use crate::settings::{EXPECTED_WITHIN, HELLO_INTERVAL, SettingError};
+use crate::settings::SettingError;
+use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
+use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_transports::endpoint::is_interface;
+
+/// Every network and every neighbour there can be what it is said to be.
+pub(in crate::node) fn check_networks(
+    networks: &[Network],
+    node: &NodeName,
+) -> Result<(), StartError> {
+    let mut names = SortedSet::new();
+    for network in networks {
+        if !names.insert(network.name()) {
+            let text = format!(
+                "two networks are called {}: give one of them another name",
+                network.name()
+            );
+            return Err(StartError::Network(text));
+        }
+        network.check(node)?;
+    }
+    let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
+    if neighbours.len() > NEIGHBOURS_MAX {
+        let text = format!(
+            "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: leave out \
+             those that are reached over another one",
+            neighbours.len()
+        );
+        return Err(StartError::Network(text));
+    }
+    let mut links = SortedMap::new();
+    for network in networks {
+        for link in network.link_names() {
+            // Faults and tables know a link by its name alone.
+            if let Some(other) = links.insert(link.clone(), network.name()) {
+                let text = format!(
+                    "two links are called {link}, on {other} and on {}: give one of them another \
+                     name, by Link::named",
+                    network.name()
+                );
+                return Err(StartError::Network(text));
+            }
+        }
+    }
+    Ok(())
+}
 
 impl Network {
     pub(in crate::node) fn name(&self) -> &str {

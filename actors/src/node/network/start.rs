@@ -5,7 +5,7 @@ use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
 use crate::runtime::guardian::Guardian;
-use crate::settings::HELLO_INTERVAL;
+use crate::settings::network::HELLO_INTERVAL;
 use actix::prelude::*;
 use blastema_contract::transport::{MediumAddress, Transport};
 use blastema_core::net::discovery::DiscoveryAdmission;

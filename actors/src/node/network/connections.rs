@@ -1,7 +1,7 @@
 //! The methods of a node that show its networks.
 
-use super::Node;
-use super::network::Cable;
+use super::Cable;
+use crate::node::Node;
 use blastema_contract::link::LinkRow;
 use blastema_contract::naming::NodeRow;
 use blastema_contract::router::InjectPanic;
@@ -10,6 +10,7 @@ use blastema_core::NodeName;
 use blastema_core::net::Route;
 use std::time::Duration;
 
+/// Links, routes and sessions; with the feature `network`.
 impl Node {
     /// Waits until the node of this name has a path and a session, and returns whether this
     /// happened in time. A link needs a few hellos to come up, also after both nodes have started.

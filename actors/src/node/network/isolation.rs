@@ -1,6 +1,6 @@
 //! Keeping another node out by hand, and letting it in again.
 
-use super::Node;
+use crate::node::Node;
 use blastema_core::net::isolation::{IsolationDecision, VoteRefused};
 use blastema_core::suggestion::nearest;
 use blastema_core::{NameError, NodeName};
@@ -52,6 +52,7 @@ fn known_here(nearest: Option<&NodeName>, known: &[NodeName]) -> String {
     }
 }
 
+/// Isolation; with the feature `network`.
 impl Node {
     /// Isolates a node that cannot be recovered: from now on its messages are refused here, and
     /// none is sent to it ([`DeliveryError::Isolated`](crate::DeliveryError::Isolated)). The others

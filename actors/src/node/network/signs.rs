@@ -1,12 +1,26 @@
 //! The last signs of life of links and of the nodes at their other ends.
 
+use crate::node::snapshot::PART_TIMEOUT;
 use blastema_contract::link::LinkRow;
 use blastema_core::FaultLocation;
 use blastema_core::detection::MonitorRow;
 
+/// The monitor's table, completed: the monitor is told of changes, and the links see every hello.
+pub(in crate::node) async fn completed(
+    table: impl Future<Output = Option<Vec<MonitorRow>>>,
+    links: impl Future<Output = Vec<LinkRow>>,
+) -> Option<Vec<MonitorRow>> {
+    // A network that hangs is not waited for as long as the picture waits for the table.
+    let links = tokio::time::timeout(PART_TIMEOUT / 2, links);
+    let (rows, links) = futures_util::future::join(table, links).await;
+    let mut rows = rows?;
+    show_in(&mut rows, &links.unwrap_or_default());
+    Some(rows)
+}
+
 /// Completes the rows of links and nodes by when the last hello came. A node without a link to here
 /// gives none.
-pub(super) fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
+fn show_in(rows: &mut [MonitorRow], links: &[LinkRow]) {
     for row in rows {
         match &row.location {
             FaultLocation::Link { link, .. } => {

@@ -1,0 +1,54 @@
+//! Names of the whole robot, as a node claims them and knows them.
+
+use crate::global_name::{Claim, ClaimError, ClaimPolicy, ClaimRow, Holder, NameWatch};
+use crate::node::Node;
+use crate::registry::lookup::NameResolver;
+use blastema_core::global_name::ClaimRequest;
+use blastema_core::{NameError, ObjectName};
+
+/// Names of the whole robot; with the feature `network`.
+impl Node {
+    /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so
+    /// here, and waits until that is decided: for a second at most after the start of the node,
+    /// else not at all. Messages to `*:<name>` reach that object then, from every node. The name is
+    /// given back when the [`Claim`] is dropped; a component claims by [`ChildSpec::claim`](crate::ChildSpec::claim).
+    ///
+    /// # Errors
+    /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is
+    /// to be refused.
+    pub async fn claim(&self, name: &str, policy: ClaimPolicy) -> Result<Claim, ClaimError> {
+        self.claim_for(name, name, policy).await
+    }
+
+    /// Claims a name of the whole robot for the object `object` of this node.
+    ///
+    /// # Errors
+    /// As [`claim`](Self::claim).
+    pub async fn claim_for(
+        &self,
+        name: &str,
+        object: &str,
+        policy: ClaimPolicy,
+    ) -> Result<Claim, ClaimError> {
+        let (name, object) = (ObjectName::new(name)?, ObjectName::new(object)?);
+        Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
+    }
+
+    /// Who holds a name of the whole robot, as far as this node knows.
+    pub fn holder(&self, name: &str) -> Option<Holder> {
+        self.0.environment.names().holder(&ObjectName::new(name).ok()?)
+    }
+
+    /// Tells who holds a name of the whole robot, now and whenever that changes.
+    ///
+    /// # Errors
+    /// The name does not parse.
+    pub fn watch_name(&self, name: &str) -> Result<NameWatch, NameError> {
+        Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
+    }
+
+    /// All names of the whole robot that are held, and by whom.
+    pub fn claims(&self) -> Vec<ClaimRow> {
+        self.0.environment.names().rows()
+    }
+}

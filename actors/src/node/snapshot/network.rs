@@ -1,0 +1,105 @@
+//! Everything that a node knows of other nodes at one moment.
+
+use crate::global_name::ClaimRow;
+use crate::node::Node;
+use crate::node::snapshot::{in_time, millis, rows_of};
+use crate::service::ServiceRow;
+use blastema_contract::link::LinkRow;
+use blastema_contract::session::SessionRow;
+use blastema_core::NodeName;
+use futures_util::future::join;
+use serde_json::{Value, json};
+
+/// Everything that a node knows of other nodes at one moment, as part of its
+/// [`NodeSnapshot`](crate::NodeSnapshot).
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct NetworkSnapshot {
+    /// The links, in the order in which they were described.
+    pub links: Option<Vec<LinkRow>>,
+    /// The sessions with other nodes.
+    pub sessions: Option<Vec<SessionRow>>,
+    /// The names of the whole robot that are held, as far as this node knows.
+    pub claims: Vec<ClaimRow>,
+    /// The services that the node carries, and who serves each.
+    pub services: Vec<ServiceRow>,
+}
+
+impl NetworkSnapshot {
+    pub(in crate::node) async fn of(node: &Node) -> Self {
+        let (links, sessions) = join(in_time(node.links()), in_time(node.sessions())).await;
+        NetworkSnapshot { links, sessions, claims: node.claims(), services: node.services() }
+    }
+
+    /// Completes the node's JSON document.
+    pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
+        document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
+        document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
+        document["global_names"] = rows_of(&self.claims, claim).into();
+        document["services"] = rows_of(&self.services, service).into();
+        document
+    }
+}
+
+fn link(row: &LinkRow) -> Value {
+    json!({
+        "network": &*row.network,
+        "link": &*row.link,
+        "state": row.state.to_string(),
+        "neighbour": row.neighbour.as_ref().map(|neighbour| neighbour.node.as_str()),
+        "last_sign_ms": millis(row.last_sign),
+        "round_trip_ms": millis(row.quality.round_trip),
+        "jitter_ms": millis(row.quality.jitter),
+        "loss_permille": row.quality.loss_permille,
+        "cost": row.cost,
+        "refused": row.refusals.total(),
+    })
+}
+
+fn session(row: &SessionRow) -> Value {
+    let (status, counters) = (&row.status, &row.status.counters);
+    json!({
+        "node": row.node.as_str(),
+        "state": status.state.to_string(),
+        "incarnation": status.incarnation.map(|incarnation| incarnation.0),
+        "round_trip_ms": millis(status.round_trip),
+        "unacknowledged": status.unacknowledged,
+        "in_flight": status.in_flight,
+        "window": status.window,
+        "sent": counters.sent,
+        "retransmitted": counters.retransmitted,
+        "duplicates": counters.duplicates,
+        "superseded": counters.superseded,
+        "incomplete": counters.incomplete,
+        "returned": counters.returned,
+        "refused": status.refusals.total(),
+        "differences": row.differences,
+    })
+}
+
+fn claim(row: &ClaimRow) -> Value {
+    json!({
+        "name": row.name.as_str(),
+        "node": row.holder.node.as_str(),
+        "object": row.holder.object.as_str(),
+        "epoch": row.holder.epoch,
+        "incarnation": row.incarnation.0,
+        "age_ms": millis(row.age),
+    })
+}
+
+fn service(row: &ServiceRow) -> Value {
+    let names = |nodes: &[NodeName]| rows_of(nodes, |node| node.as_str().into());
+    json!({
+        "name": row.name.as_str(),
+        "state": row.state.to_string(),
+        "since_ms": millis(row.since),
+        "kind": row.kind.to_string(),
+        "epoch": row.epoch,
+        "primary": row.primary.as_ref().map(NodeName::as_str),
+        "members": names(&row.members),
+        "missing_members": names(&row.missing_members),
+        "unreplicated": row.unreplicated,
+        "seen_ms": millis(row.age),
+    })
+}
