@@ -125,7 +125,7 @@ impl Guardian {
     }
 }
 
-/// An actor with its mailbox, which can begin anew.
+/// An actor with its mailbox, which can be restarted.
 trait Restartable: Future<Output = ()> + Unpin {
     /// Says whether it lives again.
     fn restart(&mut self) -> bool;

@@ -346,7 +346,11 @@ fn explains(cause: Cause, kind: &FaultKind) -> bool {
         }
         FaultKind::UnexpectedExit => cause == Cause::Stop,
         FaultKind::Hang => {
-            matches!(cause, Cause::Wait(_) | Cause::Block(_) | Cause::Hang | Cause::Slow)
+            // A component may wait for another one's answer as long as it may wait at all.
+            matches!(
+                cause,
+                Cause::Wait(_) | Cause::Block(_) | Cause::Hang | Cause::Slow | Cause::Consult
+            )
         }
         FaultKind::Silence => matches!(
             cause,

@@ -7,15 +7,15 @@ use std::time::Duration;
 
 /// Other nodes; with the feature `network`.
 impl NodeBuilder {
-    /// One more network that the node is on.
+    /// Adds a network.
     pub fn network(mut self, network: Network) -> Self {
         self.networks.networks.push(network);
         self
     }
 
-    /// One more node whose word alone [isolates](crate::Node::isolate) another one, or lets it in
-    /// again. Without any, it takes more than half of the nodes that are there. Every node of the
-    /// robot is told the same.
+    /// Adds a warden: a node whose vote alone [isolates](crate::Node::isolate) or admits another
+    /// node. Without wardens, more than half of the present nodes must vote. Every node of the
+    /// robot needs the same wardens.
     pub fn warden(mut self, node: &str) -> Self {
         self.networks.wardens.push(node.to_owned());
         self
@@ -29,10 +29,10 @@ impl NodeBuilder {
         self.child(component)
     }
 
-    /// How long another node may owe an answer, or be without a path, before the session with it
-    /// ends and what it did not acknowledge comes back: 2 s unless this says otherwise, 200 ms to
-    /// an hour. Longer rides out longer outages; shorter resolves requests sooner. Where answers
-    /// take long, it is three of the present retransmission timeouts if these are longer.
+    /// Sets how long another node may leave segments unacknowledged, or be without a path, before
+    /// the session with it ends and unacknowledged messages are returned: 2 s by default, 200 ms to
+    /// 1 h. Longer rides out longer outages; shorter resolves requests sooner. Where answers take
+    /// long, it is three of the present retransmission timeouts if these are longer.
     pub fn session_timeout(mut self, timeout: Duration) -> Self {
         self.networks.session_timeout = timeout;
         self

@@ -34,12 +34,12 @@ impl Node {
         Claim::make(self.0.environment.names(), ClaimRequest { name, object, policy }).await
     }
 
-    /// Who holds a name of the whole robot, as far as this node knows.
+    /// Returns the holder of a global name, as known to this node.
     pub fn holder(&self, name: &str) -> Option<Holder> {
         self.0.environment.names().holder(&ObjectName::new(name).ok()?)
     }
 
-    /// Tells who holds a name of the whole robot, now and whenever that changes.
+    /// Reports the holder of a global name, now and at each change.
     ///
     /// # Errors
     /// The name does not parse.
@@ -47,7 +47,7 @@ impl Node {
         Ok(NameWatch::new(self.0.environment.names(), ObjectName::new(name)?))
     }
 
-    /// All names of the whole robot that are held, and by whom.
+    /// Returns the global names that have a holder.
     pub fn claims(&self) -> Vec<ClaimRow> {
         self.0.environment.names().rows()
     }

@@ -26,8 +26,8 @@ impl Node {
         self.0.environment.services().role(&ObjectName::new(name).ok()?)
     }
 
-    /// The services that this node carries, as it sees them: what it is to each, who serves, who is
-    /// not there.
+    /// Returns the services that this node hosts: its role in each, the primary, and missing
+    /// members.
     pub fn services(&self) -> Vec<ServiceRow> {
         self.0.environment.services().rows()
     }

@@ -19,9 +19,9 @@ pub struct NetworkSnapshot {
     pub links: Option<Vec<LinkRow>>,
     /// The sessions with other nodes.
     pub sessions: Option<Vec<SessionRow>>,
-    /// The names of the whole robot that are held, as far as this node knows.
+    /// The global names with a holder, as known to this node.
     pub claims: Vec<ClaimRow>,
-    /// The services that the node carries, and who serves each.
+    /// The services that the node hosts, and the primary of each.
     pub services: Vec<ServiceRow>,
 }
 
