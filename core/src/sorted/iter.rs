@@ -3,7 +3,7 @@
 use std::iter::Flatten;
 use std::slice;
 
-/// The entries of a [`SortedMap`], in order.
+/// The entries of a [`SortedMap`](super::SortedMap), in order.
 pub struct Iter<'a, K, V> {
     pub(super) front: slice::Iter<'a, (K, V)>,
     pub(super) chunks: slice::Iter<'a, Vec<(K, V)>>,
@@ -47,7 +47,7 @@ impl<K, V> DoubleEndedIterator for Iter<'_, K, V> {
     }
 }
 
-/// The entries of a [`SortedMap`], in order, with values that may be changed.
+/// The entries of a [`SortedMap`](super::SortedMap), in order, with values that may be changed.
 pub struct IterMut<'a, K, V>(pub(super) Flatten<slice::IterMut<'a, Vec<(K, V)>>>);
 
 impl<'a, K, V> Iterator for IterMut<'a, K, V> {
@@ -64,7 +64,7 @@ impl<K, V> DoubleEndedIterator for IterMut<'_, K, V> {
     }
 }
 
-/// The keys of a [`SortedMap`], in order.
+/// The keys of a [`SortedMap`](super::SortedMap), in order.
 pub struct Keys<'a, K, V>(pub(super) Iter<'a, K, V>);
 
 impl<K, V> Clone for Keys<'_, K, V> {
