@@ -1,8 +1,8 @@
 //! A map and a set in the order of their keys, as vectors that are searched by halves.
 //!
-//! They do what `BTreeMap` and `BTreeSet` do, with a tenth of the machine code for each type of key
-//! and value, and without the unused slots of a tree's nodes: the machines have some two hundred
-//! such maps, which were half of what a release build compiled. The entries stand in chunks, as in
+//! They do what `BTreeMap` and `BTreeSet` do, with a quarter of the code that is compiled for each
+//! type of key and value, and without the unused slots of a tree's nodes: this crate has a hundred
+//! such types, and trees were more than half of its code. The entries stand in chunks, as in
 //! Python's `sortedcontainers`, so that an insertion into a large map moves a chunk and not all of
 //! it.
 

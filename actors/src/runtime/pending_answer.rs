@@ -7,8 +7,8 @@ use std::pin::Pin;
 
 /// The answer to a message, once its future completes.
 ///
-/// actix spawns a `ResponseFuture` as a task whose type has the actor and the message in it, and the
-/// runtime's code for a task is compiled for each type. These all have one.
+/// actix spawns a `ResponseFuture` as a task whose type has the actor and the message in it, and
+/// the runtime's code for a task is compiled for each type. These all have one.
 pub(crate) struct PendingAnswer<T>(Pin<Box<dyn Future<Output = T>>>);
 
 impl<T> PendingAnswer<T> {

@@ -108,8 +108,8 @@ impl Default for DetectorLimits {
             // A recoverer decides in microseconds; a second is an outage of the recoverer itself.
             decision: Duration::from_secs(1),
             reminders: 3,
-            // A flood is reported every three seconds. A process that crashes five times in a minute
-            // is expected to crash again.
+            // A flood is reported every three seconds. A process that crashes five times in a
+            // minute is expected to crash again.
             offences: 5,
             offences_period: Duration::from_secs(60),
             // An update and a second attempt restart a node twice; systemd itself ceases to start a

@@ -11,7 +11,8 @@ impl Node {
     /// Claims a [name of the whole robot](crate::manual::names) for the object that is called so
     /// here, and waits until that is decided: for a second at most after the start of the node,
     /// else not at all. Messages to `*:<name>` reach that object then, from every node. The name is
-    /// given back when the [`Claim`] is dropped; a component claims by [`ChildSpec::claim`](crate::ChildSpec::claim).
+    /// given back when the [`Claim`] is dropped; a component claims by
+    /// [`ChildSpec::claim`](crate::ChildSpec::claim).
     ///
     /// # Errors
     /// [`ClaimError::Held`] where another object has the name, on whichever node, and the policy is
