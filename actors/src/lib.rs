@@ -83,7 +83,7 @@
 //! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
-//! | `journal` | [`journal`] and [`NodeBuilder::journal`], by SQLite: needs a C compiler |
+//! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
 //!
 //! The default is all media. A robot of one process needs none of it: with
 //! `default-features = false` no code of a network is compiled.
