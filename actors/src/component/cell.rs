@@ -15,7 +15,7 @@ use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label;
-use crate::liveness::limits::{ComponentLimits, SharedLimits};
+use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
 use crate::messaging::death_watch::{Down, Watchers};
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
@@ -38,7 +38,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicU8, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tracing::warn;
 
@@ -61,16 +61,21 @@ pub(crate) struct CellCore {
     pub(crate) name: ObjectName,
     pub(crate) limits: SharedLimits,
     pub(crate) environment: Arc<ComponentEnvironment>,
-    pub(crate) watchers: Watchers,
-    pub(crate) injected: InjectionState,
     flags: AtomicU8,
     state: Mutex<CellStatus>,
     /// The incarnation that began last.
     incarnation: AtomicU64,
     service: Mutex<MessageInService>,
-    /// There only where a message has killed.
-    quarantine: Mutex<Option<Box<Quarantine>>>,
     order: Mutex<Option<RestartGrant>>,
+    cold: OnceLock<Box<ColdState>>,
+}
+
+/// What few components come to use: it is there once one of it was.
+#[derive(Default)]
+pub(crate) struct ColdState {
+    pub(crate) watchers: Watchers,
+    pub(crate) injected: InjectionState,
+    quarantine: Mutex<Quarantine>,
     listeners: Mutex<Vec<Arc<dyn CellListener>>>,
     pub(crate) exits: UntoldExits,
 }
@@ -115,15 +120,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl CellCore {
     pub(crate) fn new(
         name: ObjectName,
-        limits: ComponentLimits,
+        limits: SharedLimits,
         environment: Arc<ComponentEnvironment>,
     ) -> Self {
         CellCore {
             name,
-            limits: limits.into(),
+            limits,
             environment,
-            watchers: Watchers::default(),
-            injected: InjectionState::default(),
             flags: AtomicU8::new(0),
             state: Mutex::new(CellStatus {
                 state: Lifecycle::Created,
@@ -132,21 +135,44 @@ impl CellCore {
             }),
             incarnation: AtomicU64::new(0),
             service: Mutex::default(),
-            quarantine: Mutex::default(),
             order: Mutex::default(),
-            listeners: Mutex::default(),
-            exits: UntoldExits::default(),
+            cold: OnceLock::new(),
+        }
+    }
+
+    /// What the component seldom uses, for the first time perhaps.
+    pub(crate) fn cold(&self) -> &ColdState {
+        self.cold.get_or_init(Box::default)
+    }
+
+    /// What the component seldom uses, where it has used any.
+    #[inline]
+    pub(crate) fn cold_if_used(&self) -> Option<&ColdState> {
+        self.cold.get().map(|cold| &**cold)
+    }
+
+    /// Whether a test keeps its signs of life back.
+    #[inline]
+    pub(crate) fn is_silent(&self) -> bool {
+        self.cold_if_used().is_some_and(|cold| cold.injected.is_silent())
+    }
+
+    /// Tells those who watch the component, where there is one.
+    pub(crate) fn tell_watchers(&self, down: impl FnOnce() -> Down) {
+        if let Some(cold) = self.cold_if_used() {
+            cold.watchers.tell(down);
         }
     }
 
     /// Tells a feature what becomes of the component.
     pub(crate) fn listen(&self, listener: impl CellListener + 'static) {
-        lock(&self.listeners).push(Arc::new(listener));
+        lock(&self.cold().listeners).push(Arc::new(listener));
     }
 
     /// Tells the features.
     pub(crate) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
-        let listeners = lock(&self.listeners).clone();
+        let Some(cold) = self.cold_if_used() else { return };
+        let listeners = lock(&cold.listeners).clone();
         listeners.iter().for_each(|listener| what(&**listener));
     }
 
@@ -223,13 +249,19 @@ impl CellCore {
         }
         if let Some(PanicRecord { text, at }) = heartbeat.unwinding() {
             let during = label::name(placement.slot.activity.read().during);
-            self.exits.keep(incarnation, ExitReason::Panicked { text, at, during });
+            self.cold().exits.keep(incarnation, ExitReason::Panicked { text, at, during });
         }
     }
 
     /// Tells the monitor, and the supervisor, of the incarnations up to this one that have ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
-        self.exits.tell(DueExits::Until(until), &self.name, &self.environment.reports);
+        self.tell(DueExits::Until(until));
+    }
+
+    fn tell(&self, which: DueExits) {
+        if let Some(cold) = self.cold_if_used() {
+            cold.exits.tell(which, &self.name, &self.environment.reports);
+        }
     }
 
     #[inline]
@@ -258,8 +290,7 @@ impl CellCore {
             asker.cancel(DeliveryError::PeerDied { incarnation });
         }
         if let Some(id) = id {
-            let mut quarantine = lock(&self.quarantine);
-            let quarantine = quarantine.get_or_insert_default();
+            let mut quarantine = lock(&self.cold().quarantine);
             quarantine.handle_kill(id, incarnation);
             if quarantine.is_active() {
                 self.flags.fetch_or(QUARANTINE, Relaxed);
@@ -281,7 +312,7 @@ impl CellCore {
         if flags & ISOLATED != 0 {
             return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
-        let kills = lock(&self.quarantine).as_ref()?.refuses(id?)?;
+        let kills = lock(&self.cold_if_used()?.quarantine).refuses(id?)?;
         Some(DeliveryError::Quarantined { kills })
     }
 
@@ -439,7 +470,7 @@ impl<C: Component> AliveSource for ComponentCell<C> {
 
     fn tell_exits(&self) {
         let record = &self.record;
-        record.exits.tell(DueExits::Settled, &record.name, &record.environment.reports);
+        record.tell(DueExits::Settled);
     }
 }
 

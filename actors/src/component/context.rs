@@ -186,7 +186,7 @@ impl<C: Component> Context<C> {
     /// Reports a sign of life. A successful `on_execute` reports one by itself.
     #[inline]
     pub fn alive(&self) {
-        if !self.cell.record.injected.is_silent() {
+        if !self.cell.record.is_silent() {
             self.state.activity.give_sign();
         }
     }
@@ -194,12 +194,13 @@ impl<C: Component> Context<C> {
     /// What a test has each handler and hook await before it begins.
     #[inline]
     pub(crate) fn before(&self) -> Option<Pin<Box<dyn Future<Output = ()>>>> {
-        self.cell.record.injected.before()
+        self.cell.record.cold_if_used()?.injected.before()
     }
 
     /// Whether a test has this initialisation fail.
     pub(crate) fn fails_initialization(&self) -> bool {
-        self.cell.record.injected.fails_initialization()
+        let cold = self.cell.record.cold_if_used();
+        cold.is_some_and(|cold| cold.injected.fails_initialization())
     }
 
     /// Announces that what is in service takes up to `span`: until the guard that is returned is

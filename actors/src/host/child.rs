@@ -155,7 +155,7 @@ impl<C: Component> Child for ComponentChild<C> {
         self.cell.set_control(None);
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
-        record.watchers.tell(|| Down { object, node: None, incarnation, ending });
+        record.tell_watchers(|| Down { object, node: None, incarnation, ending });
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {
@@ -228,7 +228,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
     }
 
     fn inject(&self, injection: Injection) {
-        self.record.injected.put_in(injection);
+        self.record.cold().injected.put_in(injection);
         if injection == Injection::Panic
             && let Some(control) = self.control()
         {
@@ -238,7 +238,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
 
     fn watch(&self, watcher: Watcher) {
         let watcher = Arc::new(watcher);
-        self.record.watchers.join(watcher.clone());
+        self.record.cold().watchers.join(watcher.clone());
         if self.queue.owner().is_none() {
             (watcher.tell)(Down {
                 object: self.record.name.clone(),

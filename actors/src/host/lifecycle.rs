@@ -4,10 +4,11 @@
 //! in between.
 
 use crate::component::Failure;
-use crate::liveness::label::{CONDITION, FACTORY, TIMER};
+use crate::liveness::label::{CONDITION, FACTORY, Label, TIMER};
 use blastema_contract::child::ChildEvent;
 use blastema_core::Lifecycle;
 use blastema_core::recovery::Backoff;
+use smallvec::{SmallVec, smallvec};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -37,46 +38,36 @@ pub(crate) enum Hook {
     Finalize,
 }
 
-impl Hook {
-    const ALL: [Hook; 11] = [
-        Hook::Initialize,
-        Hook::Startup,
-        Hook::Activated,
-        Hook::Execute,
-        Hook::RateChanged,
-        Hook::Deactivated,
-        Hook::Aborting,
-        Hook::Error,
-        Hook::Reset,
-        Hook::Shutdown,
-        Hook::Finalize,
-    ];
+const HOOK_COUNT: usize = 11;
 
-    /// Whether this is the name of a hook.
-    fn is_name(text: &str) -> bool {
-        Hook::ALL.iter().any(|hook| hook.name() == text)
+/// The names of the hooks, in the order of [`Hook`].
+static HOOKS: [Label; HOOK_COUNT] = [
+    Label::new("on_initialize"),
+    Label::new("on_startup"),
+    Label::new("on_activated"),
+    Label::new("on_execute"),
+    Label::new("on_rate_changed"),
+    Label::new("on_deactivated"),
+    Label::new("on_aborting"),
+    Label::new("on_error"),
+    Label::new("on_reset"),
+    Label::new("on_shutdown"),
+    Label::new("on_finalize"),
+];
+
+impl Hook {
+    pub(crate) fn label(self) -> &'static Label {
+        &HOOKS[self as usize]
     }
 
     pub(crate) fn name(self) -> &'static str {
-        match self {
-            Hook::Initialize => "on_initialize",
-            Hook::Startup => "on_startup",
-            Hook::Activated => "on_activated",
-            Hook::Execute => "on_execute",
-            Hook::RateChanged => "on_rate_changed",
-            Hook::Deactivated => "on_deactivated",
-            Hook::Aborting => "on_aborting",
-            Hook::Error => "on_error",
-            Hook::Reset => "on_reset",
-            Hook::Shutdown => "on_shutdown",
-            Hook::Finalize => "on_finalize",
-        }
+        self.label().name
     }
 }
 
 /// Whether what runs under this name serves a message.
 pub(crate) fn is_message(during: &str) -> bool {
-    !Hook::is_name(during) && ![CONDITION, FACTORY, TIMER].contains(&during)
+    HOOKS.iter().chain([&CONDITION, &FACTORY, &TIMER]).all(|known| known.name != during)
 }
 
 /// How an incarnation ends that does not panic.
@@ -136,13 +127,13 @@ enum Awaited {
 #[derive(Debug)]
 pub(crate) struct IncarnationLifecycle {
     state: Lifecycle,
-    /// At most one per hook.
-    hooks: VecDeque<Hook>,
+    /// At most one per hook, the next one first.
+    hooks: SmallVec<[Hook; HOOK_COUNT]>,
     awaited: Option<Awaited>,
     /// A hook found that something is not there yet.
     retried: Option<Retried>,
     end: Option<EndReason>,
-    reports: Vec<LifecycleReport>,
+    reports: VecDeque<LifecycleReport>,
 }
 
 impl IncarnationLifecycle {
@@ -151,11 +142,11 @@ impl IncarnationLifecycle {
     pub(crate) fn new(announced: bool) -> Self {
         IncarnationLifecycle {
             state: Lifecycle::Created,
-            hooks: VecDeque::from([Hook::Initialize, Hook::Startup, Hook::Activated]),
+            hooks: smallvec![Hook::Initialize, Hook::Startup, Hook::Activated],
             awaited: announced.then_some(Awaited::Start),
             retried: None,
             end: None,
-            reports: vec![LifecycleReport::State(Lifecycle::Created, None)],
+            reports: VecDeque::from([LifecycleReport::State(Lifecycle::Created, None)]),
         }
     }
 
@@ -179,8 +170,13 @@ impl IncarnationLifecycle {
         self.end.is_some()
     }
 
-    pub(crate) fn poll_reports(&mut self) -> Vec<LifecycleReport> {
-        std::mem::take(&mut self.reports)
+    pub(crate) fn poll_report(&mut self) -> Option<LifecycleReport> {
+        let report = self.reports.pop_front();
+        if report.is_none() && self.is_serving() {
+            // A component at work has nothing to report for long.
+            self.reports = VecDeque::new();
+        }
+        report
     }
 
     /// What is to be done next. A hook that is named here counts as begun.
@@ -188,16 +184,13 @@ impl IncarnationLifecycle {
         if self.retried.is_some_and(|retried| retried.waits) {
             return LifecycleStep::Rest;
         }
-        let next = self.hooks.pop_front();
-        if self.hooks.is_empty() {
-            // Most lives have their hooks behind them.
-            self.hooks = VecDeque::new();
+        if !self.hooks.is_empty() {
+            return LifecycleStep::Run(self.hooks.remove(0));
         }
-        match (next, self.end) {
-            (Some(hook), _) => LifecycleStep::Run(hook),
-            (None, Some(end)) => LifecycleStep::End(end),
-            (None, None) if self.state == Lifecycle::Active => LifecycleStep::Serve,
-            (None, None) => LifecycleStep::Rest,
+        match self.end {
+            Some(end) => LifecycleStep::End(end),
+            None if self.state == Lifecycle::Active => LifecycleStep::Serve,
+            None => LifecycleStep::Rest,
         }
     }
 
@@ -213,7 +206,7 @@ impl IncarnationLifecycle {
             (Hook::Reset, Ok(())) => {
                 self.enter(Lifecycle::Initialized, None);
                 if self.end.is_none() {
-                    self.hooks.push_back(Hook::Activated);
+                    self.hooks.push(Hook::Activated);
                 }
             }
             (Hook::Initialize | Hook::Reset, Err(failure)) => self.handle_fatal(failure.reason),
@@ -250,10 +243,10 @@ impl IncarnationLifecycle {
         // A caller that waited for the start, or the reset, waits for the start from now on.
         self.awaited = Some(Awaited::Start);
         self.reports
-            .push(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
+            .push_back(LifecycleReport::Child(ChildEvent::Unavailable { reason: reason.clone() }));
         // The first attempt was made at once; what it waits before the second is the first wait.
         let retry_in = UNAVAILABLE.delay(attempts.saturating_add(1), u64::from(attempts));
-        self.reports.push(LifecycleReport::Unavailable { reason, retry_in });
+        self.reports.push_back(LifecycleReport::Unavailable { reason, retry_in });
     }
 
     /// The time has come to call the hook again; says whether that is still so.
@@ -261,7 +254,7 @@ impl IncarnationLifecycle {
         let waiting = self.retried.as_mut().filter(|retried| retried.waits);
         let Some(retried) = waiting else { return false };
         retried.waits = false;
-        self.hooks.push_front(retried.hook);
+        self.hooks.insert(0, retried.hook);
         true
     }
 
@@ -269,12 +262,16 @@ impl IncarnationLifecycle {
         self.retried = None;
         self.enter(Lifecycle::Active, None);
         if self.end.is_some() {
-            self.hooks.push_front(Hook::Deactivated);
+            self.hooks.insert(0, Hook::Deactivated);
             return;
         }
         match self.awaited.take() {
-            Some(Awaited::Start) => self.reports.push(LifecycleReport::Child(ChildEvent::Started)),
-            Some(Awaited::Reset) => self.reports.push(LifecycleReport::Child(ChildEvent::Reset)),
+            Some(Awaited::Start) => {
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::Started))
+            }
+            Some(Awaited::Reset) => {
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::Reset))
+            }
             None => {}
         }
     }
@@ -291,7 +288,7 @@ impl IncarnationLifecycle {
         self.answer_failed(&failure.reason);
         self.retried = None;
         self.enter(Lifecycle::Error, Some(failure.reason));
-        self.hooks = VecDeque::from([Hook::Aborting, Hook::Error]);
+        self.hooks = smallvec![Hook::Aborting, Hook::Error];
         if starts {
             // Its supervisor does not reset what did not come to work: another incarnation follows,
             // or none.
@@ -311,9 +308,9 @@ impl IncarnationLifecycle {
         self.enter(Lifecycle::Fatal, Some(reason));
         self.hooks.clear();
         if aborting {
-            self.hooks.push_back(Hook::Aborting);
+            self.hooks.push(Hook::Aborting);
         }
-        self.hooks.push_back(Hook::Finalize);
+        self.hooks.push(Hook::Finalize);
         self.end = Some(EndReason::Fatal);
     }
 
@@ -321,10 +318,10 @@ impl IncarnationLifecycle {
         let reason = reason.to_owned();
         match self.awaited.take() {
             Some(Awaited::Start) => {
-                self.reports.push(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
             }
             Some(Awaited::Reset) => {
-                self.reports.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
             None => {}
         }
@@ -352,7 +349,7 @@ impl IncarnationLifecycle {
             Lifecycle::Initialized | Lifecycle::Error => {
                 self.hooks.extend([Hook::Shutdown, Hook::Finalize]);
             }
-            Lifecycle::Created | Lifecycle::Fatal => self.hooks.push_back(Hook::Finalize),
+            Lifecycle::Created | Lifecycle::Fatal => self.hooks.push(Hook::Finalize),
             Lifecycle::Finalized => {}
         }
     }
@@ -364,15 +361,15 @@ impl IncarnationLifecycle {
         }
         match (self.state, self.end) {
             (Lifecycle::Error, None) => {
-                self.hooks.push_back(Hook::Reset);
+                self.hooks.push(Hook::Reset);
                 self.awaited = Some(Awaited::Reset);
             }
             (Lifecycle::Active, None) => {
-                self.reports.push(LifecycleReport::Child(ChildEvent::Reset))
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::Reset))
             }
             (state, _) => {
                 let reason = format!("it is {state}; only a component in error can be reset");
-                self.reports.push(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
         }
     }
@@ -381,12 +378,12 @@ impl IncarnationLifecycle {
     pub(crate) fn handle_activate(&mut self, active: bool) {
         match (self.state, active, self.end) {
             (Lifecycle::Active, false, None) if self.hooks.is_empty() => {
-                self.hooks.push_back(Hook::Deactivated);
+                self.hooks.push(Hook::Deactivated);
             }
             (Lifecycle::Initialized, true, None)
                 if self.hooks.is_empty() && self.retried.is_none() =>
             {
-                self.hooks.push_back(Hook::Activated);
+                self.hooks.push(Hook::Activated);
             }
             _ => {}
         }
@@ -395,13 +392,13 @@ impl IncarnationLifecycle {
     /// The rate of execution has changed.
     pub(crate) fn handle_rate_changed(&mut self) {
         if self.is_serving() {
-            self.hooks.push_back(Hook::RateChanged);
+            self.hooks.push(Hook::RateChanged);
         }
     }
 
     fn enter(&mut self, state: Lifecycle, reason: Option<String>) {
         self.state = state;
-        self.reports.push(LifecycleReport::State(state, reason));
+        self.reports.push_back(LifecycleReport::State(state, reason));
     }
 }
 

@@ -7,7 +7,7 @@ use crate::component::environment::ComponentEnvironment;
 use crate::component::ports::Ports;
 use crate::component::spec_error::SpecError;
 use crate::host::reference::ActorRef;
-use crate::liveness::limits::ComponentLimits;
+use crate::liveness::limits::SharedLimits;
 use crate::messaging::queue::WhenFull;
 use crate::platform::panics;
 use crate::settings::{QUEUE, RATE_HZ, SettingError};
@@ -25,7 +25,7 @@ pub struct ChildSpec<C: Component> {
     factory: Box<dyn Fn() -> C + Send + Sync>,
     queue: (usize, WhenFull),
     rate_hz: Option<f64>,
-    limits: ComponentLimits,
+    limits: SharedLimits,
     depends_on: Vec<String>,
     essential: bool,
     more_ports: Vec<MorePorts<C>>,
@@ -51,7 +51,7 @@ impl<C: Component> ChildSpec<C> {
             factory: Box::new(factory),
             queue: (QUEUE.default, WhenFull::Refuse),
             rate_hz: None,
-            limits: ComponentLimits::default(),
+            limits: SharedLimits::default(),
             depends_on: Vec::new(),
             essential: false,
             more_ports: Vec::new(),
@@ -168,7 +168,9 @@ impl<C: Component> ChildSpec<C> {
     ) -> Result<(Box<dyn Child>, ActorRef<C>), SpecError> {
         let mut limits = self.limits.clone();
         let refused = |error| SpecError::setting(&self.name, error);
-        limits.interval = self.interval().map_err(refused)?;
+        if let Some(interval) = self.interval().map_err(refused)? {
+            limits.interval = Some(interval);
+        }
         limits.check().map_err(refused)?;
         QUEUE.check(self.queue.0).map_err(refused)?;
         let name = SpecError::check_name(ObjectName::new(&self.name)?)?;

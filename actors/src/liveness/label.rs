@@ -1,22 +1,40 @@
 //! Names of contracts and hooks as numbers, so that an activity record can say in one store what is
 //! in service.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// While a condition of the component runs.
-pub(crate) const CONDITION: &str = "a condition of a subscription";
+pub(crate) static CONDITION: Label = Label::new("a condition of a subscription");
 /// While the component is built.
-pub(crate) const FACTORY: &str = "its factory";
+pub(crate) static FACTORY: Label = Label::new("its factory");
 /// While one of its tasks runs.
 pub(crate) const TASK: &str = "a task of its own";
 /// While one of its timers runs.
-pub(crate) const TIMER: &str = "a timer";
+pub(crate) static TIMER: Label = Label::new("a timer");
 
 /// Bounded by the contracts of the program: only names that are `'static` come here.
 static NAMES: Mutex<Vec<&'static str>> = Mutex::new(Vec::new());
 
+/// A name whose number is looked up once.
+#[derive(Debug)]
+pub(crate) struct Label {
+    pub(crate) name: &'static str,
+    number: OnceLock<u32>,
+}
+
+impl Label {
+    pub(crate) const fn new(name: &'static str) -> Self {
+        Label { name, number: OnceLock::new() }
+    }
+
+    #[inline]
+    pub(crate) fn number(&self) -> u32 {
+        *self.number.get_or_init(|| number(self.name))
+    }
+}
+
 /// The number of this name.
-pub(crate) fn label(name: &'static str) -> u32 {
+pub(crate) fn number(name: &'static str) -> u32 {
     let mut names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
     // A name mostly comes from the same place again, which is compared faster than its letters.
     let same = names.iter().position(|known| std::ptr::eq(*known, name));
@@ -29,9 +47,9 @@ pub(crate) fn label(name: &'static str) -> u32 {
 }
 
 /// The name of this number.
-pub(crate) fn name(label: u32) -> &'static str {
+pub(crate) fn name(number: u32) -> &'static str {
     let names = NAMES.lock().unwrap_or_else(PoisonError::into_inner);
-    names.get(label as usize).copied().unwrap_or("nothing")
+    names.get(number as usize).copied().unwrap_or("nothing")
 }
 
 #[cfg(test)]
@@ -39,10 +57,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_label_stands_for_one_name() {
-        let one = label("test/one");
-        assert_eq!(label("test/one"), one);
-        assert_ne!(label("test/two"), one);
+    fn a_number_stands_for_one_name() {
+        let one = number("test/one");
+        assert_eq!(number("test/one"), one);
+        assert_eq!(Label::new("test/one").number(), one);
+        assert_ne!(number("test/two"), one);
         assert_eq!(name(one), "test/one");
         assert_eq!(name(u32::MAX), "nothing");
     }

@@ -6,12 +6,12 @@ use crate::settings::{
 };
 use blastema_core::detection::hang::{HangLimits, MaxSilence};
 use blastema_core::detection::{Liveness, Pull, Push};
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 /// The limits of one component's incarnation.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone)]
 pub(crate) struct ComponentLimits {
     pub(crate) interval: Option<Duration>,
     watch: Liveness,
@@ -43,9 +43,16 @@ impl Default for ComponentLimits {
     }
 }
 
-/// The limits of a component, as all who go by them share them.
+/// The limits of a component, copied when they are changed: most components share the default ones.
 #[derive(Clone)]
 pub(crate) struct SharedLimits(Arc<ComponentLimits>);
+
+impl Default for SharedLimits {
+    fn default() -> Self {
+        static DEFAULT: LazyLock<SharedLimits> = LazyLock::new(|| SharedLimits(Arc::default()));
+        DEFAULT.clone()
+    }
+}
 
 impl Deref for SharedLimits {
     type Target = ComponentLimits;
@@ -55,12 +62,9 @@ impl Deref for SharedLimits {
     }
 }
 
-impl From<ComponentLimits> for SharedLimits {
-    fn from(limits: ComponentLimits) -> Self {
-        static DEFAULT: LazyLock<SharedLimits> =
-            LazyLock::new(|| SharedLimits(Arc::new(ComponentLimits::default())));
-        // Most components have these.
-        if limits == *DEFAULT.0 { DEFAULT.clone() } else { SharedLimits(Arc::new(limits)) }
+impl DerefMut for SharedLimits {
+    fn deref_mut(&mut self) -> &mut ComponentLimits {
+        Arc::make_mut(&mut self.0)
     }
 }
 

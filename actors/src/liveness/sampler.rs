@@ -14,7 +14,7 @@ use actix::Recipient;
 use blastema_contract::reports::LivenessReported;
 use blastema_core::detection::hang::{
     ActivityMark, ArbiterSample, ArbiterStatus, ComponentSample, HangDetector, HangDetectorConfig,
-    HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId,
+    HangLimits, JudgedComponent, LivenessEvent, Looked, QueueReading, SlotId, SlotTable,
 };
 use blastema_core::detection::{CurrentHandler, MonitorRow, QueueSample};
 use blastema_core::sorted::{SortedMap, SortedSet};
@@ -335,9 +335,9 @@ struct Sampler {
     is_real: bool,
 }
 
-/// What is known by slot. Slots are dense, and all of them are looked at ten times a second.
+/// What is known by slot.
 #[derive(Default)]
-struct SampledActivities(Vec<Option<Known>>);
+struct SampledActivities(SlotTable<Known>);
 
 /// A component, and its record beside it: most looks are at records alone.
 struct Known {
@@ -346,20 +346,16 @@ struct Known {
 }
 
 impl SampledActivities {
-    fn get(&self, slot: u32) -> Option<&Arc<SampledComponent>> {
-        self.0.get(slot as usize)?.as_ref().map(|known| &known.component)
+    fn get(&self, slot: SlotId) -> Option<&Arc<SampledComponent>> {
+        self.0.get(slot).map(|known| &known.component)
     }
 
-    fn enter(&mut self, slot: u32, component: Arc<SampledComponent>) {
-        let at = slot as usize;
-        if self.0.len() <= at {
-            self.0.resize_with(at + 1, || None);
-        }
-        self.0[at] = Some(Known { activity: component.activity, component });
+    fn enter(&mut self, slot: SlotId, component: Arc<SampledComponent>) {
+        self.0.insert(slot, Known { activity: component.activity, component });
     }
 
-    fn leave(&mut self, slot: u32) -> Option<Arc<SampledComponent>> {
-        self.0.get_mut(slot as usize)?.take().map(|known| known.component)
+    fn leave(&mut self, slot: SlotId) -> Option<Arc<SampledComponent>> {
+        self.0.remove(slot).map(|known| known.component)
     }
 }
 
@@ -369,8 +365,7 @@ impl Looked for SampledActivities {
     }
 
     fn mark(&self, slot: SlotId) -> ActivityMark {
-        let known = self.0.get(slot as usize).and_then(Option::as_ref);
-        known.map(|known| known.activity.mark()).unwrap_or_default()
+        self.0.get(slot).map(|known| known.activity.mark()).unwrap_or_default()
     }
 
     fn queue(&self, slot: SlotId) -> QueueReading {
@@ -555,7 +550,7 @@ impl Sampler {
 /// What runs, for display.
 fn during(reading: &ActivitySample) -> &'static str {
     match reading {
-        ActivitySample { condition: true, .. } => label::CONDITION,
+        ActivitySample { condition: true, .. } => label::CONDITION.name,
         ActivitySample { tasks: true, .. } => label::TASK,
         _ => label::name(reading.during),
     }

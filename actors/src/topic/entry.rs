@@ -93,12 +93,12 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         });
         let mut payload = Some(payload);
         self.with_executor(|executor| {
-            payload = payload.take().and_then(|payload| executor.die_of(payload, CONDITION));
+            payload = payload.take().and_then(|payload| executor.die_of(payload, CONDITION.name));
         });
         // After one incarnation and before the next there is none that dies of it.
         if let Some(payload) = payload {
             let panics::PanicRecord { text, at } = panics::read(payload);
-            let detail = format!("{CONDITION} panicked at {at}: {text}");
+            let detail = format!("{} panicked at {at}: {text}", CONDITION.name);
             self.cell.record.declare(FaultKind::CheckFailed, detail);
         }
     }

@@ -9,7 +9,7 @@ use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
 use crate::component::envelope::Times;
 use crate::liveness::activity::ActivitySlotRef;
-use crate::liveness::label::{CONDITION, label};
+use crate::liveness::label::CONDITION;
 use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
 use crate::platform;
@@ -167,7 +167,6 @@ pub(super) struct Hub<E: Event> {
     turn_of: Cell<usize>,
     /// Whose code runs.
     pub(super) runs: Cell<Runs>,
-    condition: u32,
 }
 
 pub(super) struct Batch<E> {
@@ -238,7 +237,6 @@ impl<E: Event> Topic<E> {
             batch: RefCell::new(None),
             turn_of: Cell::new(0),
             runs: Cell::new(Runs::Other),
-            condition: label(CONDITION),
         });
         HUBS.with_borrow_mut(|hubs| hubs.insert(self.id, hub.clone()));
         hubs.list = hubs.list.iter().cloned().chain([shared]).collect();
@@ -495,7 +493,7 @@ impl<E: Event> Hub<E> {
         let beside = activity.is_some_and(|activity| activity.is_busy());
         match activity {
             Some(activity) if beside => activity.run_condition(true),
-            Some(activity) => activity.begin(self.condition),
+            Some(activity) => activity.begin(CONDITION.number()),
             None => {}
         }
         self.runs.set(Runs::Condition { beside });

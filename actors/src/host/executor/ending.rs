@@ -56,7 +56,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.state.token.end();
         self.lose_message();
         // Before what is the user's is dropped, which may block.
-        self.cell.record.exits.keep(incarnation, exit.clone());
+        self.cell.record.cold().exits.keep(incarnation, exit.clone());
         self.dispose_of_all(Blame::Log);
         let restarted_as = self.may_restart().then(|| incarnation.next());
         let mine = match restarted_as {
@@ -64,12 +64,12 @@ impl<C: Component> ComponentExecutor<C> {
             None => self.cell.queue.leave(incarnation),
         };
         if !mine {
-            self.cell.record.exits.forget(incarnation);
+            self.cell.record.cold().exits.forget(incarnation);
             return self.leave(); // It had been abandoned before: its report is not awaited.
         }
         match restarted_as {
             Some(next) => {
-                self.cell.record.exits.set_restarted(incarnation, next);
+                self.cell.record.cold().exits.set_restarted(incarnation, next);
                 self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
                 self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
                 self.start_failed = false;
@@ -128,7 +128,7 @@ impl<C: Component> ComponentExecutor<C> {
         if restarted_as.is_none() {
             record.announce(|listener| listener.deactivated());
         }
-        record.watchers.tell(|| {
+        record.tell_watchers(|| {
             let (object, ending) = (record.name.clone(), DownReason::from(exit));
             Down { object, node: None, incarnation, ending }
         });
@@ -153,7 +153,7 @@ impl<C: Component> ComponentExecutor<C> {
         // It is told when the turn is over: the replacement's first reply does not wait for that.
         // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
         // to be told before it, such as why the component could not go on.
-        record.exits.settle(incarnation, supervisor, position == 0);
+        record.cold().exits.settle(incarnation, supervisor, position == 0);
         self.arbiter.heartbeat.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));
         self.outbox.splice(position..position, [exited].into_iter().chain(child));
@@ -187,7 +187,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         };
         self.cell.record.set_state(Lifecycle::Finalized);
-        self.cell.record.exits.keep(incarnation, exit.clone());
+        self.cell.record.cold().exits.keep(incarnation, exit.clone());
         self.report_exit(incarnation, &exit, None);
     }
 
@@ -199,7 +199,7 @@ impl<C: Component> ComponentExecutor<C> {
         let DeferredCommands { tasks, .. } = self.state.take_wishes();
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         let (tasks, timers) = self.schedule.clear();
-        timers.into_iter().for_each(|action| record.dispose(label::TIMER, action, blame));
+        timers.into_iter().for_each(|action| record.dispose(label::TIMER.name, action, blame));
         tasks.into_iter().for_each(|task| record.dispose("a task", task, blame));
         record.dispose("the component", self.component.take(), blame);
     }
@@ -255,7 +255,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.lose_message();
         self.dispose_of_all(Blame::Log);
         self.cell.queue.leave(incarnation);
-        self.cell.record.exits.keep(incarnation, ExitReason::Aborted);
+        self.cell.record.cold().exits.keep(incarnation, ExitReason::Aborted);
         self.report_exit(incarnation, &ExitReason::Aborted, None);
         self.flush();
     }

@@ -14,7 +14,7 @@ impl<C: Component> ComponentExecutor<C> {
         if hook == Hook::Execute && result.is_ok() {
             self.slot.activity.end_round();
             // It is a sign of life too, unless a test keeps that back.
-            if !self.cell.record.injected.is_silent() {
+            if !self.cell.record.is_silent() {
                 self.slot.activity.give_sign();
             }
         }
@@ -27,8 +27,8 @@ impl<C: Component> ComponentExecutor<C> {
         if self.is_abandoned() {
             return; // What it says of the component would be said of the next incarnation.
         }
-        for reports in self.lifecycle.poll_reports() {
-            match reports {
+        while let Some(report) = self.lifecycle.poll_report() {
+            match report {
                 LifecycleReport::State(state, reason) => self.enter(state, reason),
                 LifecycleReport::Unavailable { reason, retry_in } => {
                     self.schedule.limit(DueWork::Retry, retry_in);

@@ -28,7 +28,7 @@ use crate::component::incarnation::IncarnationState;
 use crate::component::slot::ComponentSlot;
 use crate::component::{Component, Failure};
 use crate::liveness::activity::{ActivitySlot, ActivitySlotRef};
-use crate::liveness::label::{FACTORY, TASK, TIMER, label};
+use crate::liveness::label::{self, FACTORY, TASK, TIMER};
 use crate::liveness::sampler::SampledComponent;
 use crate::messaging::message_log::{self, LogId};
 use crate::messaging::queue::Popped;
@@ -415,14 +415,14 @@ impl<C: Component> ComponentExecutor<C> {
         future_slot: Pin<Box<dyn FutureSlot<C>>>,
     ) -> usize {
         self.slots_in_use.truncate(SLOTS_MAX - 1);
-        let (contract, label) = (header.contract, label(header.name));
+        let (contract, label) = (header.contract, label::number(header.name));
         self.slots_in_use.push(SlotInUse { contract, label, future_slot });
         self.slots_in_use.len() - 1
     }
 
     fn begin_hook(&mut self, hook: Hook) {
         let Some(component) = &self.component else { return };
-        self.slot.activity.begin(label(hook.name()));
+        self.slot.activity.begin(hook.label().number());
         self.service = Service::Hook(hook, Box::pin(run_hook(component.clone(), hook)));
     }
 
@@ -481,7 +481,7 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Builds the component; user code, so it runs under the guard.
     fn build(&mut self) {
-        self.slot.activity.begin(label(FACTORY));
+        self.slot.activity.begin(FACTORY.number());
         let cx = Context::new(self.cell.clone(), self.state.clone());
         let component = (self.cell.factory)();
         self.component = Some(Rc::new(ComponentSlot::new(component, cx)));
@@ -520,7 +520,7 @@ impl<C: Component> ComponentExecutor<C> {
                     (&self.component, self.schedule.lift(id))
                 {
                     self.slot.activity.tick(missed);
-                    self.slot.activity.begin(label(TIMER));
+                    self.slot.activity.begin(TIMER.number());
                     {
                         let mut contents = component.contents.borrow_mut();
                         let (component, cx) = contents.both();

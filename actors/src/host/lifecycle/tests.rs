@@ -45,9 +45,14 @@ fn incarnation(state: Lifecycle) -> IncarnationLifecycle {
             run(&mut lifecycle);
         }
     }
-    lifecycle.poll_reports();
+    reports(&mut lifecycle);
     assert_eq!(lifecycle.state, state);
     lifecycle
+}
+
+/// All that is to be told.
+fn reports(lifecycle: &mut IncarnationLifecycle) -> Vec<LifecycleReport> {
+    std::iter::from_fn(|| lifecycle.poll_report()).collect()
 }
 
 fn states(reports: &[LifecycleReport]) -> Vec<Lifecycle> {
@@ -72,9 +77,9 @@ fn an_incarnation_is_initialised_started_and_activated() {
 
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
 
-    let reports = lifecycle.poll_reports();
-    assert_eq!(states(&reports), [Created, Initialized, Active]);
-    assert_eq!(answers(reports), [ChildEvent::Started]);
+    let reported = reports(&mut lifecycle);
+    assert_eq!(states(&reported), [Created, Initialized, Active]);
+    assert_eq!(answers(reported), [ChildEvent::Started]);
     assert_eq!(lifecycle.next(), LifecycleStep::Serve);
     assert!(lifecycle.is_serving());
 }
@@ -83,7 +88,7 @@ fn an_incarnation_is_initialised_started_and_activated() {
 fn an_incarnation_that_nobody_waits_for_tells_no_supervisor() {
     let mut lifecycle = IncarnationLifecycle::new(false);
     run(&mut lifecycle);
-    assert_eq!(answers(lifecycle.poll_reports()), []);
+    assert_eq!(answers(reports(&mut lifecycle)), []);
 }
 
 #[test]
@@ -95,9 +100,9 @@ fn a_failed_initialisation_is_fatal() {
 
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
     assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
-    let reports = lifecycle.poll_reports();
-    assert_eq!(states(&reports), [Created, Fatal, Finalized]);
-    assert_eq!(answers(reports), [ChildEvent::StartFailed { reason: "no device".into() }]);
+    let reported = reports(&mut lifecycle);
+    assert_eq!(states(&reported), [Created, Fatal, Finalized]);
+    assert_eq!(answers(reported), [ChildEvent::StartFailed { reason: "no device".into() }]);
 }
 
 #[test]
@@ -107,15 +112,15 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
         lifecycle.handle_done(hook, failed("out of range"));
         assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
         assert_eq!(lifecycle.next(), LifecycleStep::Rest);
-        let reports = lifecycle.poll_reports();
-        assert_eq!(reports, [LifecycleReport::State(Error, Some("out of range".into()))]);
+        let reported = reports(&mut lifecycle);
+        assert_eq!(reported, [LifecycleReport::State(Error, Some("out of range".into()))]);
 
         lifecycle.handle_reset();
         lifecycle.handle_reset();
         assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
-        let reports = lifecycle.poll_reports();
-        assert_eq!(states(&reports), [Initialized, Active]);
-        assert_eq!(answers(reports), [ChildEvent::Reset]);
+        let reported = reports(&mut lifecycle);
+        assert_eq!(states(&reported), [Initialized, Active]);
+        assert_eq!(answers(reported), [ChildEvent::Reset]);
     }
 }
 
@@ -132,7 +137,7 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
         }
         assert_eq!(lifecycle.state, Error);
         let failed = ChildEvent::StartFailed { reason: "jammed".into() };
-        assert_eq!(answers(lifecycle.poll_reports()), [failed]);
+        assert_eq!(answers(reports(&mut lifecycle)), [failed]);
     }
 }
 
@@ -147,7 +152,7 @@ fn a_failed_reset_is_fatal() {
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
     assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
     let reason = "still broken".into();
-    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::ResetFailed { reason }]);
+    assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::ResetFailed { reason }]);
 }
 
 #[test]
@@ -194,7 +199,7 @@ fn a_stop_that_overtakes_the_activation_deactivates_again() {
     lifecycle.handle_done(Hook::Activated, Ok(()));
 
     assert_eq!(run(&mut lifecycle), [Hook::Deactivated, Hook::Shutdown, Hook::Finalize]);
-    assert_eq!(answers(lifecycle.poll_reports()), []);
+    assert_eq!(answers(reports(&mut lifecycle)), []);
 }
 
 #[test]
@@ -202,12 +207,12 @@ fn reset_is_answered_in_every_state() {
     for state in [Created, Initialized, Fatal, Finalized] {
         let mut lifecycle = incarnation(state);
         lifecycle.handle_reset();
-        let reports = answers(lifecycle.poll_reports());
-        assert!(matches!(reports[..], [ChildEvent::ResetFailed { .. }]), "{state}");
+        let answers = answers(reports(&mut lifecycle));
+        assert!(matches!(answers[..], [ChildEvent::ResetFailed { .. }]), "{state}");
     }
     let mut lifecycle = incarnation(Active);
     lifecycle.handle_reset();
-    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Reset]);
+    assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::Reset]);
 }
 
 #[test]
@@ -272,7 +277,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
         LifecycleReport::Unavailable { retry_in, .. } => Some(retry_in),
         LifecycleReport::State(..) | LifecycleReport::Child(_) => None,
     };
-    lifecycle.poll_reports().into_iter().filter_map(wait).collect()
+    reports(lifecycle).into_iter().filter_map(wait).collect()
 }
 
 #[test]
@@ -291,7 +296,7 @@ fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_incarna
     assert_eq!(waited.iter().map(tenths).take(3).collect::<Vec<_>>(), [1, 2, 4]);
     assert!(waited.iter().all(|wait| *wait <= Duration::from_millis(5500)), "{waited:?}");
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
-    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Started]);
+    assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::Started]);
     assert_eq!(lifecycle.next(), LifecycleStep::Serve);
 }
 
@@ -302,12 +307,12 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Reset));
     lifecycle.handle_done(Hook::Reset, missing());
     let unavailable = ChildEvent::Unavailable { reason: "no device".into() };
-    assert_eq!(answers(lifecycle.poll_reports()), [unavailable]);
+    assert_eq!(answers(reports(&mut lifecycle)), [unavailable]);
 
     assert!(lifecycle.handle_retry());
     assert_eq!(run(&mut lifecycle), [Hook::Reset, Hook::Activated]);
 
-    assert_eq!(answers(lifecycle.poll_reports()), [ChildEvent::Started]);
+    assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::Started]);
 }
 
 #[test]

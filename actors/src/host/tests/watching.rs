@@ -190,7 +190,7 @@ fn a_notice_that_was_not_taken_ends_with_the_incarnation_that_watched() {
 
 /// How many watch this component.
 fn watchers<C: Component>(of: &ActorRef<C>) -> usize {
-    of.0.record.watchers.count()
+    of.0.record.cold().watchers.count()
 }
 
 #[test]

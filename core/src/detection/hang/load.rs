@@ -195,7 +195,7 @@ impl HangDetector {
     }
 
     fn blame_component(&mut self, slot: SlotId, late: &[Late], looked: &impl Looked, now: Instant) {
-        let Some(Some(root)) = self.components.get_mut(slot as usize) else { return };
+        let Some(root) = self.components.get_mut(slot) else { return };
         let root = root.wake(looked.activity(slot), now);
         let Some(reading) = root.reading else { return };
         if root.stuck {
@@ -251,7 +251,7 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for &slot in &self.awake {
-            let entry = self.components.get_mut(slot as usize).and_then(Option::as_mut);
+            let entry = self.components.get_mut(slot);
             let Some(component) = entry.and_then(ComponentEntry::awake_mut) else { continue };
             let Some(episode) = component.overload.take_if(is_over) else { continue };
             let Some(reading) = component.reading else { continue };
@@ -262,7 +262,7 @@ impl HangDetector {
             free.extend(episode.victims);
         }
         for victim in free {
-            let entry = self.components.get_mut(victim as usize).and_then(Option::as_mut);
+            let entry = self.components.get_mut(victim);
             if let Some(component) = entry.and_then(ComponentEntry::awake_mut)
                 && component.silence == Silence::Reported
             {

@@ -21,11 +21,13 @@ mod entry;
 mod lateness;
 mod load;
 mod processor;
+mod slot_table;
 mod types;
 
 pub mod occupancy;
 
 pub use self::processor::ProcessorTime;
+pub use self::slot_table::SlotTable;
 pub use self::types::{
     ActivityMark, ArbiterId, ArbiterSample, ArbiterStatus, ComponentSample, HangDetectorConfig,
     HangLimits, JudgedComponent, LivenessEvent, Looked, MaxSilence, OverloadFigures, QueueReading,
@@ -122,7 +124,7 @@ pub struct HangDetector {
     step: Duration,
     arbiters: SortedMap<ArbiterId, Arbiter>,
     /// By slot; slots are dense.
-    components: Vec<Option<ComponentEntry>>,
+    components: SlotTable<ComponentEntry>,
     /// Those that were judged at the last look, in order.
     awake: Vec<SlotId>,
     /// An overload of the computer itself.
@@ -139,7 +141,7 @@ impl HangDetector {
             clock: Instant::ORIGIN,
             step: Duration::ZERO,
             arbiters: SortedMap::new(),
-            components: Vec::new(),
+            components: SlotTable::default(),
             awake: Vec::new(),
             computer: None,
             outputs: VecDeque::new(),
@@ -148,18 +150,13 @@ impl HangDetector {
 
     /// This component is judged from now on.
     pub fn handle_enter(&mut self, slot: SlotId, judged: JudgedComponent) {
-        let at = slot as usize;
-        if self.components.len() <= at {
-            self.components.resize_with(at + 1, || None);
-        }
         let component = ComponentRecord::new(judged, self.clock);
-        self.components[at] = Some(ComponentEntry::Awake(Box::new(component)));
+        self.components.insert(slot, ComponentEntry::Awake(Box::new(component)));
     }
 
     /// It is no longer.
     pub fn handle_leave(&mut self, slot: SlotId) {
-        let entry = self.components.get_mut(slot as usize);
-        let Some(component) = entry.and_then(Option::take) else { return };
+        let Some(component) = self.components.remove(slot) else { return };
         let JudgedComponent { object, arbiter, .. } = component.judged();
         if let Some(arbiter) = self.arbiters.get_mut(arbiter) {
             if arbiter.running == Some(slot) {
@@ -292,9 +289,10 @@ impl HangDetector {
         let culprit = self.judged(hang.slot);
         objects.extend(culprit.map(|culprit| culprit.object.clone()));
         // Who stood still had no chance to speak.
-        for component in self.components.iter_mut().flatten().filter_map(ComponentEntry::awake_mut)
-        {
-            if component.judged.arbiter == id {
+        for (_, entry) in self.components.iter_mut() {
+            if let Some(component) = entry.awake_mut()
+                && component.judged.arbiter == id
+            {
                 component.void(now);
             }
         }
@@ -320,14 +318,13 @@ impl HangDetector {
     }
 
     fn judged(&self, slot: SlotId) -> Option<&JudgedComponent> {
-        self.components.get(slot as usize)?.as_ref().map(ComponentEntry::judged)
+        self.components.get(slot).map(ComponentEntry::judged)
     }
 
     fn others_on(&self, arbiter: ArbiterId, but: SlotId) -> Vec<ObjectName> {
-        let others = self.components.iter().enumerate().filter(|(at, _)| *at != but as usize);
-        let others =
-            others.filter_map(|(_, component)| component.as_ref().map(ComponentEntry::judged));
-        let here = others.filter(|judged| judged.arbiter == arbiter);
+        let others = self.components.iter().filter(|(slot, _)| *slot != but);
+        let here =
+            others.map(|(_, entry)| entry.judged()).filter(|judged| judged.arbiter == arbiter);
         here.map(|judged| judged.object.clone()).collect()
     }
 
@@ -368,7 +365,7 @@ impl HangDetector {
 
     /// The components that were judged at the last look: all that are not at rest.
     fn awake(&self) -> impl Iterator<Item = (SlotId, &ComponentRecord)> + '_ {
-        let entry = |slot: SlotId| self.components.get(slot as usize)?.as_ref()?.awake();
+        let entry = |slot: SlotId| self.components.get(slot)?.awake();
         self.awake.iter().filter_map(move |slot| Some((*slot, entry(*slot)?)))
     }
 
@@ -384,8 +381,7 @@ impl HangDetector {
         let busy: Vec<ArbiterId> = kept.map(|(id, _)| *id).collect();
         let (mut late, mut silent) = (Vec::new(), Vec::new());
         awake.clear();
-        for (slot, entry) in (0..).zip(components) {
-            let Some(watched) = entry else { continue };
+        for (slot, watched) in components.iter_mut() {
             let id = watched.judged().arbiter;
             let is_busy = busy.contains(&id);
             if let ComponentEntry::Resting { mark, .. } = watched

@@ -84,7 +84,7 @@ pub struct Supervisor {
     incarnation: Incarnation,
     phase: Phase,
     /// Boxed: keys rise, and leave the nodes of such a map half empty.
-    children: SortedMap<ChildKey, Box<SupervisedChild>>,
+    children: SortedMap<ChildKey, SupervisedChild>,
     index: SortedMap<ObjectName, ChildKey>,
     next_key: ChildKey,
     going: SortedSet<ChildKey>,
@@ -160,7 +160,7 @@ impl Supervisor {
         self.next_key += 1;
         self.index.insert(name.clone(), key);
         let child = SupervisedChild::new(name.clone(), rules);
-        self.children.insert(key, Box::new(child));
+        self.children.insert(key, child);
         if self.at_work() {
             self.coming.insert(key);
         } else if self.incarnation != Incarnation::default() {
