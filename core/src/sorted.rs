@@ -1,10 +1,10 @@
-//! A map and a set in the order of their keys, as vectors that are searched by halves.
+//! A map and a set in the order of their keys, as vectors with binary search.
 //!
-//! They do what `BTreeMap` and `BTreeSet` do, with a quarter of the code that is compiled for each
-//! type of key and value, and without the unused slots of a tree's nodes: this crate has a hundred
-//! such types, and trees were more than half of its code. The entries stand in chunks, as in
-//! Python's `sortedcontainers`, so that an insertion into a large map moves a chunk and not all of
-//! it.
+//! They behave as `BTreeMap` and `BTreeSet` do, with a quarter of the code that is compiled for
+//! each type of key and value, and without the unused slots of a tree's nodes: this crate has a
+//! hundred such types, and trees were more than half of its code. The entries are kept in chunks,
+//! as in Python's `sortedcontainers`, so that an insertion into a large map moves the entries of
+//! one chunk and not all of them.
 
 mod iter;
 mod set;
@@ -20,16 +20,19 @@ use std::{mem, vec};
 
 /// Entries of a chunk at most.
 const CHUNK_MAX: usize = 64;
+/// Entries of two neighbouring chunks that are merged: half a chunk, so that the next insertions do
+/// not split it again.
+const MERGED_MAX: usize = CHUNK_MAX / 2;
 
 /// A map in the order of its keys.
 #[derive(Clone)]
 pub struct SortedMap<K, V> {
-    /// None of them is empty.
+    /// Sorted; none of them is empty.
     chunks: Vec<Vec<(K, V)>>,
     len: usize,
 }
 
-/// The chunk of an entry, and its place therein.
+/// The index of an entry's chunk, and its index in this chunk.
 type EntryPosition = (usize, usize);
 
 impl<K: PartialEq, V: PartialEq> PartialEq for SortedMap<K, V> {
@@ -107,11 +110,23 @@ impl<K, V> SortedMap<K, V> {
 
     /// Keeps the entries of which this is true.
     pub fn retain(&mut self, mut is_kept: impl FnMut(&K, &mut V) -> bool) {
-        for chunk in &mut self.chunks {
-            chunk.retain_mut(|(key, value)| is_kept(key, value));
-        }
-        self.chunks.retain(|chunk| !chunk.is_empty());
-        self.len = self.chunks.iter().map(Vec::len).sum();
+        let SortedMap { chunks, len } = self;
+        // Dropped when the map is complete again: the `Drop` of an entry may panic.
+        let mut removed = Vec::new();
+        chunks.retain_mut(|chunk| {
+            for entry in chunk.extract_if(.., |(key, value)| !is_kept(key, value)) {
+                *len -= 1;
+                removed.push(entry);
+            }
+            !chunk.is_empty()
+        });
+        chunks.dedup_by(|upper, lower| {
+            let fits = lower.len() + upper.len() <= MERGED_MAX;
+            if fits {
+                lower.append(upper);
+            }
+            fits
+        });
     }
 
     /// The entry with the lowest key.
@@ -167,8 +182,12 @@ impl<K, V> SortedMap<K, V> {
             self.chunks.reserve_exact(1);
             self.chunks.push(Vec::new());
         }
-        if self.chunks[chunk].len() == CHUNK_MAX {
-            // What comes in order fills whole chunks.
+        let has_capacity = |chunk: &Vec<_>| chunk.len() < CHUNK_MAX;
+        if at == CHUNK_MAX && self.chunks.get(chunk + 1).is_some_and(has_capacity) {
+            // Descending keys behind a full chunk would each begin a chunk of their own.
+            (chunk, at) = (chunk + 1, 0);
+        } else if self.chunks[chunk].len() == CHUNK_MAX {
+            // Ascending keys fill whole chunks.
             let split = if at == CHUNK_MAX { CHUNK_MAX } else { CHUNK_MAX / 2 };
             let upper = self.chunks[chunk].split_off(split);
             self.chunks.insert(chunk + 1, upper);
@@ -185,15 +204,25 @@ impl<K, V> SortedMap<K, V> {
     fn remove_at(&mut self, (chunk, at): EntryPosition) -> (K, V) {
         self.len -= 1;
         let entry = self.chunks[chunk].remove(at);
-        let rest = self.chunks[chunk].len();
-        let next = self.chunks.get(chunk + 1).map_or(CHUNK_MAX, Vec::len);
-        if rest == 0 {
+        if self.chunks[chunk].is_empty() {
             self.chunks.remove(chunk);
-        } else if rest + next <= CHUNK_MAX / 2 {
-            let mut next = self.chunks.remove(chunk + 1);
-            self.chunks[chunk].append(&mut next);
+        } else if self.is_mergeable(chunk) {
+            self.merge(chunk);
+        } else if chunk > 0 && self.is_mergeable(chunk - 1) {
+            self.merge(chunk - 1);
         }
         entry
+    }
+
+    /// Whether this chunk and the next one are small enough for one.
+    fn is_mergeable(&self, chunk: usize) -> bool {
+        let next = self.chunks.get(chunk + 1);
+        next.is_some_and(|next| self.chunks[chunk].len() + next.len() <= MERGED_MAX)
+    }
+
+    fn merge(&mut self, chunk: usize) {
+        let mut next = self.chunks.remove(chunk + 1);
+        self.chunks[chunk].append(&mut next);
     }
 }
 

@@ -12,7 +12,7 @@ use blastema_contract::detector::{FaultEvent, ReadRecord};
 use blastema_core::detection::{FaultEntry, FaultTransition};
 use blastema_core::{Incarnation, Instant, NodeName};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use std::{fs, io};
@@ -100,7 +100,7 @@ impl JournalGuard {
 impl Drop for JournalGuard {
     fn drop(&mut self) {
         self.ends.get_or_init(|| "the node did not come to be".to_owned());
-        // In a full queue is enough work for the thread to see the flag.
+        // If the queue is full, the thread sees `ends` when it has written all of it.
         let _ = self.queue.try_send(Work::End);
         let _ = self.ended.recv_timeout(LAST_STEPS);
     }
@@ -164,7 +164,7 @@ impl JournalActor {
         self.waits = false;
         let record = actix::fut::wrap_future::<_, Self>(self.record.send(ReadRecord));
         context.spawn(record.map(|record, actor, context| {
-            let Ok(record) = record else { return };
+            let Ok(record) = record else { return actor.fall_behind(context) };
             // Steps that come from here on are newer than the record, and follow it in the queue.
             actor.behind = false;
             let now = Now::read();
@@ -298,18 +298,18 @@ impl Writer {
                 Ok(()) => Wrote::Done { whole },
                 Err(reason) => Wrote::Failed(reason),
             });
-            let Ok(first) = self.work.recv() else { break };
+            // A queue that was full when the node ended holds no `Work::End`.
+            let first = match self.ends.get() {
+                Some(_) => self.work.try_recv().ok(),
+                None => self.work.recv().ok(),
+            };
+            let Some(first) = first else { break };
             whole = false;
             let mut lines = Vec::new();
             let mut over = self.gather(first, &mut lines, &mut whole);
             while lines.len() < BATCH && !over {
-                match self.work.try_recv() {
-                    Ok(next) => over = self.gather(next, &mut lines, &mut whole),
-                    Err(TryRecvError::Empty | TryRecvError::Disconnected) => {
-                        over = self.ends.get().is_some();
-                        break;
-                    }
-                }
+                let Ok(next) = self.work.try_recv() else { break };
+                over = self.gather(next, &mut lines, &mut whole);
             }
             result = self.write(&mut store, &lines, recipient);
             if over {
@@ -400,3 +400,6 @@ pub(super) fn set_aside(path: &Path) -> io::Result<PathBuf> {
     }
     Ok(aside)
 }
+
+#[cfg(test)]
+mod tests;

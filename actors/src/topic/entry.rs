@@ -56,8 +56,7 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
                         executor.serve_at_once(&mut envelope::seal_event(event, posted.at));
                         hub.runs.set(Runs::Other);
                     }
-                    // One that has gone meanwhile has brought along what is not served here.
-                    None if entry.is_present() => self.cell.queue_event(event, posted.at),
+                    None if hub.still_gets(entry) => self.cell.queue_event(event, posted.at),
                     None => drop(event),
                 }
             }

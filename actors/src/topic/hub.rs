@@ -4,6 +4,7 @@
 //! condition runs under its name, guard and activity record as its handler does, and where either
 //! takes long, the hub ends its turn and goes on from there in the next.
 
+use super::batch_position::BatchPosition;
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
@@ -23,8 +24,8 @@ use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
+use std::sync::atomic::Ordering::{Relaxed, SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicU64, fence};
 use std::sync::{Arc, Mutex, Weak};
 use std::task::{self, Poll};
 
@@ -46,13 +47,7 @@ pub(crate) struct HubQueue<E> {
     /// Its last listener has left. Changed under the topic's lock.
     retired: AtomicBool,
     pub(super) serving: Mutex<HubBatch<E>>,
-    /// The number of the last entry that was offered what is served; entries have their turn by
-    /// rising numbers.
-    reached: AtomicU64,
-    /// How many of these events that entry has begun to look at.
-    begun: AtomicUsize,
-    /// That entry's condition has not decided on the last of them.
-    undecided: AtomicBool,
+    position: BatchPosition,
     /// How often an entry has gone from here, so that the hub need not ask each whether it is still
     /// here.
     gone: AtomicU64,
@@ -64,6 +59,9 @@ pub(super) struct HubBatch<E> {
     events: Arc<Vec<Posted<E>>>,
     /// They are for this entry only.
     only: Option<u64>,
+    /// The entries that have left during this batch, and how many of its events they left to the
+    /// hub.
+    left: Vec<(u64, usize)>,
     /// What entries brought along from the hubs that they left.
     pub(super) brought: VecDeque<(u64, Vec<Posted<E>>)>,
 }
@@ -90,25 +88,35 @@ impl<E: Event> HubQueue<E> {
     /// Whether this entry's condition has an event that it has not decided on: lost where it
     /// leaves.
     pub(super) fn is_undecided(&self, entry: u64) -> bool {
-        self.reached.load(Relaxed) == entry && self.undecided.load(Relaxed)
+        let progress = self.position.read();
+        progress.entry == entry && progress.is_undecided
     }
 
-    /// What this entry would still have got here of what was published since it came. `leave` says,
-    /// once and before anything is looked at, that it gets nothing here any more.
-    pub(super) fn leftover(&self, since: u64, leave: impl FnOnce() -> u64) -> Vec<Posted<E>> {
+    /// The events since `since` that an entry leaves undelivered here. `leave` ends the entry, and
+    /// `is_undecided` is set where its condition has not decided on one event more.
+    pub(super) fn leftover(
+        &self,
+        since: u64,
+        leave: impl FnOnce() -> u64,
+        is_undecided: &Cell<bool>,
+    ) -> Vec<Posted<E>> {
         let mut serving = lock(&self.serving);
         let entry = leave();
+        fence(SeqCst); // See `Hub::still_gets`.
+        let progress = self.position.read();
+        let past = match entry.cmp(&progress.entry) {
+            _ if serving.only.is_some_and(|only| only != entry) => serving.events.len(),
+            Ordering::Less => serving.events.len(),
+            // The event that it served when it was abandoned is not served again.
+            Ordering::Equal => progress.begun,
+            Ordering::Greater => 0,
+        };
+        is_undecided.set(entry == progress.entry && progress.is_undecided);
+        serving.left.push((entry, past - usize::from(is_undecided.get())));
         let mut left = Vec::new();
         if let Some(at) = serving.brought.iter().position(|(of, _)| *of == entry) {
             left.extend(serving.brought.remove(at).into_iter().flat_map(|(_, events)| events));
         }
-        let past = match entry.cmp(&self.reached.load(Relaxed)) {
-            _ if serving.only.is_some_and(|only| only != entry) => serving.events.len(),
-            Ordering::Less => serving.events.len(),
-            // What it served when it was given up is not served again.
-            Ordering::Equal => self.begun.load(Relaxed),
-            Ordering::Greater => 0,
-        };
         let served = serving.events.iter().skip(past);
         left.extend(served.filter(|p| serving.only.is_some() || p.number >= since).cloned());
         left.extend(self.queue.snapshot().into_iter().filter(|posted| posted.number >= since));
@@ -214,16 +222,19 @@ impl<E: Event> Topic<E> {
         }
         let queue = BoundedQueue::new(CAPACITY, WhenFull::DropOldest);
         queue.begin(OWNER);
-        let serving = HubBatch { events: Arc::default(), only: None, brought: VecDeque::new() };
+        let serving = HubBatch {
+            events: Arc::default(),
+            only: None,
+            left: Vec::new(),
+            brought: VecDeque::new(),
+        };
         let shared = Arc::new(HubQueue {
             queue,
             id: NEXT.fetch_add(1, Relaxed),
             listeners: AtomicU64::new(0),
             retired: AtomicBool::new(false),
             serving: Mutex::new(serving),
-            reached: AtomicU64::new(0),
-            begun: AtomicUsize::new(0),
-            undecided: AtomicBool::new(false),
+            position: BatchPosition::default(),
             gone: AtomicU64::new(0),
         });
         let hub = Rc::new(Hub {
@@ -357,7 +368,7 @@ impl<E: Event> Hub<E> {
     fn next_batch(&self, cx: &task::Context<'_>) -> Popped<Batch<E>> {
         let mut entries = self.entries.borrow_mut();
         entries.append(&mut self.newcomers.borrow_mut());
-        let HubQueue { queue, serving, reached, begun, .. } = &*self.shared;
+        let HubQueue { queue, serving, position, .. } = &*self.shared;
         let mut serving = lock(serving);
         let (mut events, mut only, mut full) = (Vec::new(), None, true);
         if let Some((entry, brought)) = serving.brought.pop_front() {
@@ -371,7 +382,9 @@ impl<E: Event> Hub<E> {
                     full = false;
                     break;
                 }
-                Popped::Retired => return Popped::Retired,
+                Popped::Retired if events.is_empty() => return Popped::Retired,
+                // The events go to no entry, and are dropped under the guard.
+                Popped::Retired => break,
             }
         }
         let mut stale = Vec::new();
@@ -380,9 +393,9 @@ impl<E: Event> Hub<E> {
             stale.extend(events.extract_if(.., |posted| now - posted.at.captured_at() > limit));
         }
         let events = Arc::new(events);
-        reached.store(0, Relaxed);
-        begun.store(0, Relaxed);
+        position.begin(0);
         (serving.events, serving.only) = (events.clone(), only);
+        serving.left.clear();
         drop(serving);
         for posted in &stale {
             if let Some(topic) = self.topic.upgrade() {
@@ -427,7 +440,6 @@ impl<E: Event> Hub<E> {
             if progress != HubProgress::Done {
                 return progress;
             }
-            self.shared.begun.store(0, Relaxed);
             self.turn_of.set(self.turn_of.get() + 1);
         }
         HubProgress::Done
@@ -436,24 +448,38 @@ impl<E: Event> Hub<E> {
     /// Gives an entry the events that it wants, from the next one on.
     #[inline]
     fn offer(&self, entry: &ListenerEntry<E>, batch: &Batch<E>) -> HubProgress {
-        let HubQueue { reached, gone, .. } = &*self.shared;
+        let HubQueue { position, gone, .. } = &*self.shared;
         if gone.load(Relaxed) != self.gone.get() && !entry.is_present() {
             return HubProgress::Done;
         }
         if batch.only.is_some_and(|only| only != entry.number) {
             return HubProgress::Done;
         }
-        reached.store(entry.number, Relaxed);
+        if position.read().entry != entry.number {
+            position.begin(entry.number);
+        }
         entry.listener.take(self, entry, batch)
     }
 
     /// The next event for the entry that has its turn.
     #[inline]
     pub(super) fn next<'a>(&self, batch: &'a Batch<E>) -> Option<&'a Posted<E>> {
-        let begun = &self.shared.begun;
-        let posted = batch.events.get(begun.load(Relaxed))?;
-        step(begun);
+        let position = &self.shared.position;
+        let posted = batch.events.get(position.read().begun)?;
+        position.step();
         Some(posted)
+    }
+
+    /// Whether the event that was begun last is for this entry still: the entry is present, or has
+    /// left without taking this event along.
+    pub(super) fn still_gets(&self, entry: &ListenerEntry<E>) -> bool {
+        let HubQueue { position, serving, .. } = &*self.shared;
+        // With the fence in `leftover`: either this thread finds that the entry has left, or the
+        // other one finds that the event was begun.
+        fence(SeqCst);
+        let begun = position.read().begun;
+        let leaves_it = |&(number, past): &(u64, usize)| number == entry.number && begun <= past;
+        entry.is_present() || lock(serving).left.iter().any(leaves_it)
     }
 
     /// Whether the entry gets this event here.
@@ -497,14 +523,14 @@ impl<E: Event> Hub<E> {
             None => {}
         }
         self.runs.set(Runs::Condition { beside });
-        self.shared.undecided.store(true, Relaxed);
+        self.shared.position.set_undecided(true);
         let wants = wanted(&posted.event);
         self.condition_ends(entry, beside);
         wants
     }
 
     fn condition_ends(&self, entry: &ListenerEntry<E>, beside: bool) {
-        self.shared.undecided.store(false, Relaxed);
+        self.shared.position.set_undecided(false);
         self.runs.set(Runs::Other);
         match entry.activity_slot.get().map(|activity_slot| activity_slot.activity) {
             Some(activity) if beside => activity.run_condition(false),
@@ -551,10 +577,4 @@ impl<E: Event> Hub<E> {
             topic.discard(events);
         }
     }
-}
-
-/// One writer only, so a plain store does.
-#[inline]
-fn step(next: &AtomicUsize) {
-    next.store(next.load(Relaxed) + 1, Relaxed);
 }

@@ -16,6 +16,7 @@
 //! the same sender no order is promised. Publishing never waits: a hub that falls behind drops its
 //! oldest events, which are counted among the dead letters under the topic's name.
 
+mod batch_position;
 mod entry;
 mod erased;
 mod hub;
@@ -216,7 +217,10 @@ impl<E: Event> Topic<E> {
         let mut copies = Vec::new();
         loop {
             let mut hubs = lock(&self.hubs);
-            let Some((last, others)) = hubs.list.split_last() else { return };
+            let Some((last, others)) = hubs.list.split_last() else {
+                drop(hubs);
+                return self.discard(copies.into_iter().chain([event]));
+            };
             if others.len() > copies.len() {
                 let wanted = others.len() - copies.len();
                 drop(hubs);
@@ -234,7 +238,8 @@ impl<E: Event> Topic<E> {
             hubs.next += 1;
             drop(hubs);
             pushed.into_iter().chain([last]).for_each(|pushed| self.pushed(pushed));
-            return;
+            // Copies for hubs that have retired meanwhile.
+            return self.discard(copies);
         }
     }
 

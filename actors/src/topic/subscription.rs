@@ -59,11 +59,14 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         // listener moves and would miss it.
         let left = match &*at {
             Some(At { queue, since }) => {
-                if queue.is_undecided(self.present.load(Relaxed)) {
+                let is_undecided = Cell::new(false);
+                let leftover = || queue.leftover(*since, leave, &is_undecided);
+                let guarded = PanicGuard::enter();
+                let left = catch_unwind(AssertUnwindSafe(leftover));
+                drop(guarded);
+                if is_undecided.get() {
                     lose_undecided::<C, E>(cell, cell.record.incarnation().0.saturating_sub(1));
                 }
-                let _guarded = PanicGuard::enter();
-                let left = catch_unwind(AssertUnwindSafe(|| queue.leftover(*since, leave)));
                 left.unwrap_or_else(|payload| {
                     self.topic.complain(payload);
                     Vec::new()

@@ -1,8 +1,12 @@
 //! What the network learns of listeners that come and go on several threads, and events that
 //! panic.
 
+use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry, Posted};
 use super::*;
+use blastema_doubles::paused;
+use std::cell::{Cell, RefCell};
 use std::panic::Location;
+use std::rc::Rc;
 use std::sync::mpsc::channel;
 use std::thread;
 
@@ -80,4 +84,119 @@ fn a_copy_that_panics_is_no_panic_of_the_publisher() {
         assert_eq!(lock(&topic.latch).is_none(), breaks, "what cannot be copied is not kept");
         assert_eq!(topic.complained.load(Relaxed), breaks);
     }
+}
+
+/// Panics where it is dropped.
+#[derive(Clone, crate::Event)]
+struct Undroppable;
+
+impl Drop for Undroppable {
+    fn drop(&mut self) {
+        assert!(thread::panicking(), "no end");
+    }
+}
+
+#[test]
+fn an_event_without_listeners_whose_drop_panics_is_no_panic_of_the_publisher() {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let publisher = topics.publisher::<Undroppable>("fragile").unwrap();
+    let topic: Arc<Topic<Undroppable>> = topics.topic("fragile", Location::caller()).unwrap();
+
+    publisher.publish(Undroppable).unwrap();
+
+    assert!(topic.complained.load(Relaxed));
+}
+
+/// A listener of a hub, which records what it gets, and runs code at a step of the hub.
+struct Recorder {
+    got: Rc<RefCell<Vec<u32>>>,
+    /// Before its turn.
+    before: Box<dyn Fn()>,
+    /// When an event has begun, and it is not decided whether it still gets it.
+    during: Box<dyn Fn()>,
+}
+
+impl EventListener<Sample> for Recorder {
+    fn take(
+        &self,
+        hub: &Hub<Sample>,
+        entry: &ListenerEntry<Sample>,
+        batch: &Batch<Sample>,
+    ) -> HubProgress {
+        while let Some(posted) = hub.next(batch) {
+            (self.during)();
+            if hub.still_gets(entry) {
+                self.got.borrow_mut().push(posted.event.0);
+            }
+        }
+        HubProgress::Done
+    }
+
+    fn call_up(&self) {
+        (self.before)();
+    }
+
+    fn die_in_service(&self, _: Box<dyn Any + Send>) {}
+
+    fn die_of_condition(&self, _: Box<dyn Any + Send>) {}
+
+    fn record_dead_letter(&self, _: &DeliveryError) {}
+}
+
+/// Three entries of a hub, of which the second has gone, get two events. The first one leaves at
+/// the end of its turn, or as soon as it has begun the first event. Returns the events that it
+/// gets, and those that it takes along.
+async fn leave_a_hub(during_its_turn: bool) -> (Vec<u32>, Vec<u32>) {
+    let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
+    let topic = topic(&topics);
+    let hub = topic.hub_here(&mut lock(&topic.hubs));
+    let presents: Vec<_> = (1..=3).map(|number| Arc::new(AtomicU64::new(number))).collect();
+    let (got, along) = (Rc::default(), Rc::new(RefCell::new(None)));
+    let leave = {
+        let (shared, present, along) = (hub.shared.clone(), presents[0].clone(), along.clone());
+        move || {
+            if along.borrow().is_none() {
+                let left = shared.leftover(0, || present.swap(0, Relaxed), &Cell::new(false));
+                *along.borrow_mut() = Some(left);
+            }
+        }
+    };
+    for (present, number) in presents.iter().zip(1..) {
+        hub.shared.listeners.fetch_add(1, Relaxed);
+        let (mut before, mut during): (Box<dyn Fn()>, Box<dyn Fn()>) =
+            (Box::new(|| {}), Box::new(|| {}));
+        match number {
+            1 if during_its_turn => during = Box::new(leave.clone()),
+            3 if !during_its_turn => before = Box::new(leave.clone()),
+            _ => {}
+        }
+        let got = if number == 1 { Rc::clone(&got) } else { Rc::default() };
+        hub.newcomers.borrow_mut().push(ListenerEntry {
+            only_if: None,
+            present: present.clone(),
+            number,
+            since: 0,
+            activity_slot: Cell::new(None),
+            listener: Box::new(Recorder { got, before, during }),
+        });
+    }
+    presents[1].store(0, Relaxed);
+    topic.leave(&hub.shared);
+    for number in [7, 8] {
+        topic.hand_out(Sample(number), platform::now().into(), false);
+    }
+    while along.borrow().is_none() {
+        tokio::task::yield_now().await;
+    }
+    let along = along.take().unwrap_or_default();
+    let along = along.iter().map(|posted: &Posted<Sample>| posted.event.0).collect();
+    (got.take(), along)
+}
+
+#[test]
+fn an_entry_that_leaves_its_hub_gets_each_event_there_or_elsewhere() {
+    paused(async {
+        assert_eq!(leave_a_hub(false).await, (vec![7, 8], vec![]));
+        assert_eq!(leave_a_hub(true).await, (vec![7], vec![8]));
+    });
 }

@@ -183,9 +183,13 @@ impl Recoverer {
         }
         let Some(case) = self.cases.get_mut(location) else { return };
         if let Progress::Waiting { .. } = case.progress {
+            let before = case.faults.len();
             case.faults.retain(|noted| noted.fault.id != id);
+            let was_known = case.faults.len() < before;
             if case.faults.is_empty() {
                 self.cases.remove(location);
+            }
+            if was_known {
                 self.release_symptoms(&[id], now);
             }
             return;

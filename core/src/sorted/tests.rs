@@ -2,6 +2,7 @@ use super::{CHUNK_MAX, SortedMap, SortedSet};
 use crate::random::Random;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Changes by chance of a map of up to `keys` entries, each compared with what a `BTreeMap` does.
 fn compare(seed: u64, keys: u64) {
@@ -60,20 +61,63 @@ fn a_map_does_what_a_tree_does() {
 }
 
 #[test]
-fn what_comes_in_order_fills_whole_chunks() {
+fn ascending_keys_fill_whole_chunks() {
     let map: SortedMap<usize, ()> = (0..10 * CHUNK_MAX).map(|n| (n, ())).collect();
     assert!(map.chunks.iter().all(|chunk| chunk.len() == CHUNK_MAX));
 }
 
 #[test]
-fn what_is_left_of_a_large_map_is_put_together() {
+fn descending_keys_behind_a_full_chunk_share_chunks() {
+    let mut map: SortedMap<usize, ()> = (0..CHUNK_MAX).map(|n| (n, ())).collect();
+
+    (CHUNK_MAX..50 * CHUNK_MAX).rev().for_each(|n| drop(map.insert(n, ())));
+
+    assert!(map.keys().copied().eq(0..50 * CHUNK_MAX));
+    assert!(map.chunks.len() <= 100, "{} chunks", map.chunks.len());
+}
+
+/// Leaves the first entry of each of a hundred chunks, and expects them in few chunks.
+fn thin_out(thin: impl FnOnce(&mut SortedMap<usize, ()>)) {
     let mut map: SortedMap<usize, ()> = (0..100 * CHUNK_MAX).map(|n| (n, ())).collect();
-    (0..100 * CHUNK_MAX)
-        .rev()
-        .filter(|n| n % CHUNK_MAX > 0)
-        .for_each(|n| assert!(map.remove(&n).is_some()));
-    assert_eq!(map.len(), 100);
+    thin(&mut map);
+    assert!(map.keys().copied().eq((0..100).map(|n| n * CHUNK_MAX)));
     assert!(map.chunks.len() < 10, "{} chunks", map.chunks.len());
+}
+
+#[test]
+fn the_rest_of_a_large_map_is_merged_into_few_chunks() {
+    let is_left = |n: &usize| n % CHUNK_MAX == 0;
+    let removed = move || (0..100 * CHUNK_MAX).filter(move |n| !is_left(n));
+    thin_out(|map| removed().for_each(|n| assert!(map.remove(&n).is_some())));
+    thin_out(|map| removed().rev().for_each(|n| assert!(map.remove(&n).is_some())));
+    thin_out(|map| map.retain(|n, ()| is_left(n)));
+}
+
+#[test]
+fn a_map_is_whole_after_a_predicate_or_a_drop_of_retain_has_panicked() {
+    struct PanicsIf(bool);
+    impl Drop for PanicsIf {
+        fn drop(&mut self) {
+            assert!(!self.0, "a drop that panics");
+        }
+    }
+    let check = |panics: fn(&usize), drop_panics_at: usize| {
+        let value = |n| (n, PanicsIf(n == drop_panics_at));
+        let mut map: SortedMap<usize, PanicsIf> = (0..3 * CHUNK_MAX).map(value).collect();
+        let retained = catch_unwind(AssertUnwindSafe(|| {
+            map.retain(|n, _| {
+                panics(n);
+                *n >= CHUNK_MAX && n % 2 == 0
+            });
+        }));
+        assert!(retained.is_err());
+        assert!(map.chunks.iter().all(|chunk| !chunk.is_empty()));
+        assert_eq!(map.len(), map.iter().count());
+        (0..3 * CHUNK_MAX).for_each(|n| drop(map.remove(&n)));
+        assert!(map.is_empty());
+    };
+    check(|n| assert_ne!(*n, CHUNK_MAX + 3), usize::MAX);
+    check(|_| {}, CHUNK_MAX - 1);
 }
 
 #[test]

@@ -349,6 +349,18 @@ fn a_symptom_that_stays_is_treated_itself() {
 }
 
 #[test]
+fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass() {
+    let mut rig = Rig::new();
+    rig.find(panic_of(1, "laser", 1));
+    rig.find(fault(2, FaultKind::Hang, at("laser"), 1));
+    rig.find(symptom(3, "scan", 2));
+    rig.outcome(1, fails());
+
+    assert_eq!(rig.stand_down(2, "laser"), ["3 may pass"]);
+    assert_eq!(rig.machine.open_cases(), 1);
+}
+
+#[test]
 fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));

@@ -1,0 +1,100 @@
+//! The journal's actor and its thread, on files in a temporary folder.
+
+use super::super::{NODE_ENDED, read};
+use super::*;
+use crate::platform::file_lock::FileLock;
+use actix::dev::{MessageResponse, OneshotSender};
+use blastema_core::detection::FaultRecord;
+use blastema_core::{Fault, FaultId, FaultKind, FaultLocation};
+use blastema_doubles::{advance, paused};
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
+
+/// For a disk and a thread of a busy computer.
+const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// The record, which leaves the first request without a reply.
+struct Record {
+    requests: Arc<AtomicU32>,
+}
+
+impl Actor for Record {
+    type Context = Context<Self>;
+}
+
+struct Answer(Option<FaultRecord>);
+
+impl MessageResponse<Record, ReadRecord> for Answer {
+    fn handle(self, _: &mut Context<Record>, asker: Option<OneshotSender<FaultRecord>>) {
+        if let (Some(record), Some(asker)) = (self.0, asker) {
+            let _ = asker.send(record);
+        }
+    }
+}
+
+impl Handler<ReadRecord> for Record {
+    type Result = Answer;
+
+    fn handle(&mut self, _: ReadRecord, _: &mut Context<Self>) -> Answer {
+        let is_first = self.requests.fetch_add(1, Relaxed) == 0;
+        Answer((!is_first).then(FaultRecord::default))
+    }
+}
+
+fn journal(path: &Path, requests: &Arc<AtomicU32>) -> (JournalActor, JournalGuard) {
+    let node: NodeName = NodeName::new("a").unwrap();
+    let lock = JournalLock::new(FileLock::acquire(path, &node).unwrap());
+    let record = Record { requests: requests.clone() }.start().recipient();
+    let (incarnation, reports) = (Incarnation::FIRST, FaultReports::default());
+    JournalActor::new(JournalSetup { lock, node, incarnation, record, reports })
+}
+
+#[test]
+fn a_record_that_cannot_be_read_is_asked_for_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let requests = Arc::<AtomicU32>::default();
+    paused(async {
+        let (actor, _guard) = journal(&folder.path().join("faults"), &requests);
+        let actor = actor.start();
+
+        actor.do_send(Wrote::Failed("no space left".to_owned()));
+        advance(RETRY * 3).await;
+
+        assert_eq!(requests.load(Relaxed), 2);
+    });
+}
+
+#[test]
+fn the_thread_ends_with_its_node_though_the_queue_had_no_place_for_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("faults");
+    paused(async {
+        let (mut actor, guard) = journal(&path, &Arc::default());
+        for id in 1..=QUEUE as u64 {
+            let fault = Fault {
+                id: FaultId(id),
+                severity: FaultKind::Panic.severity(),
+                kind: FaultKind::Panic,
+                location: FaultLocation::Object("a:arm".parse().unwrap()),
+                incarnation: Incarnation::FIRST,
+                detail: String::new(),
+                found_at: Instant::ORIGIN,
+                symptom_of: None,
+                count: 1,
+            };
+            let step = Work::Step(Box::new(Now::read().blank(fault)));
+            assert!(actor.queue.try_send(step).is_ok());
+        }
+        guard.ends.set("a test".to_owned()).unwrap();
+        assert!(matches!(actor.queue.try_send(Work::End), Err(TrySendError::Full(_))));
+
+        let thread = actor.thread.take().unwrap();
+        let recipient = actor.start().recipient();
+        std::thread::spawn(move || thread.run(&recipient));
+
+        let ended = guard.ended.recv_timeout(TIMEOUT);
+        assert_eq!(ended, Err(std::sync::mpsc::RecvTimeoutError::Disconnected));
+    });
+    let entries = read(&path).unwrap();
+    assert!(entries.iter().any(|entry| entry.code == NODE_ENDED));
+}
