@@ -301,6 +301,11 @@ impl<T> BoundedQueue<T> {
         self.lock().queue.front().map(look)
     }
 
+    /// Whether this is true of what came last of all that waits.
+    pub(crate) fn newest_is(&self, is_true: impl FnOnce(&T) -> bool) -> bool {
+        self.lock().queue.back().is_some_and(is_true)
+    }
+
     /// A copy of everything that waits.
     pub(crate) fn snapshot(&self) -> Vec<T>
     where

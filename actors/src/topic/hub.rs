@@ -4,7 +4,7 @@
 //! condition runs under its name, guard and activity record as its handler does, and where either
 //! takes long, the hub ends its turn and goes on from there in the next.
 
-use super::batch_position::BatchPosition;
+use super::batch_position::{BatchPosition, BatchProgress};
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
@@ -46,7 +46,7 @@ pub(crate) struct HubQueue<E> {
     pub(super) listeners: AtomicU64,
     /// Its last listener has left. Changed under the topic's lock.
     retired: AtomicBool,
-    pub(super) serving: Mutex<HubBatch<E>>,
+    serving: Mutex<HubBatch<E>>,
     position: BatchPosition,
     /// How often an entry has gone from here, so that the hub need not ask each whether it is still
     /// here.
@@ -63,7 +63,20 @@ pub(super) struct HubBatch<E> {
     /// hub.
     left: Vec<(u64, usize)>,
     /// What entries brought along from the hubs that they left.
-    pub(super) brought: VecDeque<(u64, Vec<Posted<E>>)>,
+    brought: VecDeque<(u64, Vec<Posted<E>>)>,
+}
+
+impl<E> HubBatch<E> {
+    /// How many of the events are behind this entry, or not for it.
+    fn past(&self, entry: u64, progress: &BatchProgress) -> usize {
+        match entry.cmp(&progress.entry) {
+            _ if self.only.is_some_and(|only| only != entry) => self.events.len(),
+            Ordering::Less => self.events.len(),
+            // The event that it served when it was abandoned is not served again.
+            Ordering::Equal => progress.begun,
+            Ordering::Greater => 0,
+        }
+    }
 }
 
 #[derive(Clone)]
@@ -81,6 +94,23 @@ impl<E> HubQueue<E> {
         let pushed = self.queue.push_quietly(event, |event| Posted { event, at, number });
         // Refused only where the hub has retired, which publishers no longer know.
         pushed.unwrap_or(Pushed { displaced: None, parked: None })
+    }
+
+    /// Gives these events to this entry before all others.
+    pub(super) fn bring(&self, entry: u64, events: Vec<Posted<E>>) {
+        if !events.is_empty() {
+            lock(&self.serving).brought.push_back((entry, events));
+            self.queue.wake();
+        }
+    }
+
+    /// Whether this entry is yet to be given events from here, of those since `since`.
+    pub(super) fn awaits(&self, entry: u64, since: u64) -> bool {
+        let serving = lock(&self.serving);
+        let mut served = serving.events.iter().skip(serving.past(entry, &self.position.read()));
+        serving.brought.iter().any(|(of, _)| *of == entry)
+            || served.any(|posted| serving.only.is_some() || posted.number >= since)
+            || self.queue.newest_is(|posted| posted.number >= since)
     }
 }
 
@@ -104,13 +134,7 @@ impl<E: Event> HubQueue<E> {
         let entry = leave();
         fence(SeqCst); // See `Hub::still_gets`.
         let progress = self.position.read();
-        let past = match entry.cmp(&progress.entry) {
-            _ if serving.only.is_some_and(|only| only != entry) => serving.events.len(),
-            Ordering::Less => serving.events.len(),
-            // The event that it served when it was abandoned is not served again.
-            Ordering::Equal => progress.begun,
-            Ordering::Greater => 0,
-        };
+        let past = serving.past(entry, &progress);
         is_undecided.set(entry == progress.entry && progress.is_undecided);
         serving.left.push((entry, past - usize::from(is_undecided.get())));
         let mut left = Vec::new();

@@ -75,7 +75,7 @@ impl<C: Component> ComponentExecutor<C> {
                 self.start_failed = false;
                 self.begin_incarnation();
                 let subscriptions = self.cell.subscriptions();
-                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.cell));
+                subscriptions.iter().for_each(|subscription| subscription.attach(&self.cell));
             }
             None => self.over = true,
         }
