@@ -256,6 +256,7 @@ mod tests {
                 threads: Vec::new(),
                 #[cfg(feature = "network")]
                 network: NetworkSnapshot {
+                    networks: Vec::new(),
                     links: in_time(future::ready(Vec::new())).await,
                     sessions: in_time(future::pending()).await,
                     claims: Vec::new(),

@@ -166,6 +166,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::Unreplicated
         | FaultKind::StateLost
         | FaultKind::NodePaused
+        | FaultKind::Insecure
         | FaultKind::Custom(_) => false,
     }
 }

@@ -151,6 +151,8 @@ impl Default for Plan {
             FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
             FaultKind::NodePaused => observe.clone(),
+            // The user has accepted it.
+            FaultKind::Insecure => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
             // Its nodes elect a primary by themselves as soon as they can.

@@ -171,7 +171,7 @@ pub enum EndpointProblem {
 fn suggest(nearest: Option<&String>, known: &[String]) -> String {
     match nearest {
         Some(nearest) => format!("did you mean `{nearest}`?"),
-        None if known.is_empty() => "it has none".to_owned(),
+        None if known.len() == 1 => format!("there is {} alone", known[0]),
         None => format!("there are {}", known.join(", ")),
     }
 }

@@ -292,7 +292,8 @@ impl Detector {
                     .map(|fault| fault.id)
                     .collect();
                 let is_over = |fault: &Fault| {
-                    if contained.contains(&fault.id) {
+                    // No incarnation of a transport makes its network secure.
+                    if contained.contains(&fault.id) || fault.kind == FaultKind::Insecure {
                         return false;
                     }
                     let ended =

@@ -149,6 +149,10 @@ fn declared() -> Finding {
     Finding::Declared { kind: FaultKind::CheckFailed, detail: "speed is 9".into() }
 }
 
+fn insecure() -> Finding {
+    Finding::Declared { kind: FaultKind::Insecure, detail: "network lan is insecure".into() }
+}
+
 fn unavailable() -> Finding {
     Finding::Declared { kind: FaultKind::Unavailable, detail: "no device".into() }
 }

@@ -17,6 +17,22 @@ fn an_incarnation_that_becomes_active_ends_the_faults_of_the_incarnations_before
 }
 
 #[test]
+fn an_insecure_network_stands_whatever_incarnation_of_its_transport_is_at_work() {
+    let mut bench = Bench::new();
+    bench.see("transport/lan", ONE, insecure());
+    bench.see("transport/lan", ONE, declared());
+    bench.outputs();
+
+    let restarted = Finding::Exited { exit: panicked(), restarted_as: Some(TWO) };
+    bench.see("transport/lan", ONE, restarted);
+    bench.see("transport/lan", TWO, state(Lifecycle::Active));
+
+    let standing: Vec<_> = bench.entries().into_iter().filter(|entry| entry.stands()).collect();
+    assert_eq!(standing.len(), 1);
+    assert_eq!(standing[0].fault.kind, FaultKind::Insecure);
+}
+
+#[test]
 fn an_incarnation_that_dies_before_it_is_active_is_the_same_fault_still() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
