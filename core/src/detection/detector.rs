@@ -242,8 +242,8 @@ impl Detector {
         let rank = FaultNotice::Found(entry.fault.clone()).rank();
         self.reminders.handle_outcome(rank, id, at);
         match outcome {
-            RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
-            RecoveryOutcome::Failed { measure: action, reason } => {
+            RecoveryOutcome::Decided { action } => self.decide(id, at, action),
+            RecoveryOutcome::Failed { action, reason } => {
                 let turn = FaultTransition::Failed { action, reason };
                 let fault = entry.fault.clone();
                 self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
@@ -500,12 +500,12 @@ impl Detector {
     }
 
     /// What is done about a fault.
-    fn decide(&mut self, id: FaultId, at: Instant, measure: String) {
+    fn decide(&mut self, id: FaultId, at: Instant, action: String) {
         for id in self.sharing_the_outcome_of(id) {
             let Some(entry) = self.fault_log.entry_mut(id) else { continue };
-            entry.decided = Some((at, measure.clone()));
+            entry.decided = Some((at, action.clone()));
             let fault = entry.fault.clone();
-            let turn = FaultTransition::Decided { action: measure.clone() };
+            let turn = FaultTransition::Decided { action: action.clone() };
             self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }

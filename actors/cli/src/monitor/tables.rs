@@ -151,7 +151,7 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("times", "count"),
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
-            ("measure", "measure"),
+            ("action", "action"),
             ("status", "status"),
             ("service restored before", "recovered_ms"),
             ("part repaired before", "repaired_ms"),

@@ -87,9 +87,9 @@ impl Chain {
         while reported.last().is_none_or(|line| line != last) {
             let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
             reported.push(match what {
-                RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
-                RecoveryOutcome::Failed { measure, reason } => {
-                    format!("{id} {measure} failed: {reason}")
+                RecoveryOutcome::Decided { action } => format!("{id} {action}"),
+                RecoveryOutcome::Failed { action, reason } => {
+                    format!("{id} {action} failed: {reason}")
                 }
                 RecoveryOutcome::Recovered => format!("{id} recovered"),
                 RecoveryOutcome::Waits => format!("{id} waits"),

@@ -65,9 +65,9 @@ impl Rig {
         while let Some(action) = self.machine.poll_output() {
             outputs.push(match action {
                 RecovererOutput::CarryOut(order) => {
-                    let RecoveryOrder { number, measure, fault, attempt, .. } = order;
+                    let RecoveryOrder { number, action, fault, attempt, .. } = order;
                     format!(
-                        "#{number} {measure} {} against {}, {attempt}",
+                        "#{number} {action} {} against {}, {attempt}",
                         fault.location, fault.kind
                     )
                 }
@@ -80,12 +80,12 @@ impl Rig {
                     FaultResolution::Recovered { incarnation: None } => format!("{id} recovered"),
                     FaultResolution::Waits => format!("{id} waits"),
                     FaultResolution::GaveUp { reason } => format!("{id} given up: {reason}"),
-                    FaultResolution::Contained { measure } => {
-                        format!("{id} contained by {measure}")
+                    FaultResolution::Contained { action } => {
+                        format!("{id} contained by {action}")
                     }
                     FaultResolution::RootSettled => format!("{id} may pass"),
                 },
-                RecovererOutput::Release { measure } => format!("release {measure}"),
+                RecovererOutput::Release { action } => format!("release {action}"),
                 RecovererOutput::GiveUpLife { fault } => {
                     format!("give up {} {}", fault.location, fault.incarnation)
                 }
@@ -233,9 +233,9 @@ fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladde
         while let Some(output) = rig.machine.poll_output() {
             let RecovererOutput::Settle { settled, .. } = output else { continue };
             outputs.push(match settled {
-                FaultResolution::Failed { measure, reason } => format!("{measure}: {reason}"),
+                FaultResolution::Failed { action, reason } => format!("{action}: {reason}"),
                 FaultResolution::GaveUp { reason } => format!("given up: {reason}"),
-                FaultResolution::Decided { measure, .. } => measure.to_string(),
+                FaultResolution::Decided { action, .. } => action.to_string(),
                 other => panic!("{other:?}"),
             });
         }
@@ -297,7 +297,7 @@ fn a_second_fault_of_a_place_joins_its_case() {
 }
 
 #[test]
-fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
+fn a_fault_that_the_action_cannot_have_cured_is_treated_next() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::ErrorState, at("arm"), 1));
     rig.find(panic_of(2, "arm", 1));
@@ -400,7 +400,7 @@ fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_t
 }
 
 #[test]
-fn kinds_without_a_measure_are_observed_and_do_not_hold_symptoms_back() {
+fn kinds_without_a_action_are_observed_and_do_not_hold_symptoms_back() {
     let mut rig = Rig::new();
 
     assert_eq!(rig.find(fault(1, FaultKind::Overload, at("laser"), 1)), ["1 observed"]);
@@ -571,7 +571,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
 }
 
 #[test]
-fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further() {
+fn what_has_gone_by_itself_while_a_action_was_under_way_is_not_treated_further() {
     let mut rig = Rig::new();
     assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
 
@@ -582,7 +582,7 @@ fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further(
 }
 
 #[test]
-fn a_fault_that_went_by_itself_is_not_treated_again_when_the_measure_has_worked() {
+fn a_fault_that_went_by_itself_is_not_treated_again_when_the_action_has_worked() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("arm"), 2));
     rig.stand_down(1, "arm");

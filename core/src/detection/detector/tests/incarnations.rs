@@ -89,8 +89,8 @@ fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the
         bench.see("arm", TWO, failure);
         assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 
-        let measure = RecoveryOutcome::Decided { measure: "restart".into() };
-        bench.detector.handle_outcome(FaultId(2), at(5), measure);
+        let action = RecoveryOutcome::Decided { action: "restart".into() };
+        bench.detector.handle_outcome(FaultId(2), at(5), action);
         assert_eq!(bench.outputs(), ["Decided 2", "Decided 1"]);
         bench.detector.handle_outcome(FaultId(2), at(9), gave_up());
 
@@ -166,7 +166,7 @@ fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "+1"]);
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.outputs();
 
