@@ -1,5 +1,7 @@
 //! Monitor, detector and notifier together, with probes where their half of the chain ends.
 
+pub(crate) mod scripted;
+
 use super::detector::DetectorActor;
 use super::monitor::MonitorActor;
 use super::notifier::NotifierActor;

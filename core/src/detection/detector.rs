@@ -278,11 +278,6 @@ impl Detector {
         self.fault_log.read()
     }
 
-    /// Where an object stands in its incarnation, as the detector has followed it.
-    pub fn state_of(&self, object: &ObjectName) -> Option<(Incarnation, Lifecycle)> {
-        self.objects.get(object).map(|seen| (seen.incarnation, seen.state))
-    }
-
     /// How often something was seen of an incarnation that is over.
     pub fn stale(&self) -> u64 {
         self.stale

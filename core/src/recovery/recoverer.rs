@@ -142,11 +142,6 @@ impl Recoverer {
         next
     }
 
-    /// How many places are being treated.
-    pub fn open_cases(&self) -> usize {
-        self.cases.len()
-    }
-
     /// A fault was found, or is reported once more.
     pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
         let id = fault.id;

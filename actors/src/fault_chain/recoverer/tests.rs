@@ -1,7 +1,7 @@
 use super::*;
-use crate::fault_chain::scripted::{Bench, ScriptedReply, fault};
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
 use crate::fault_chain::supervisor::SupervisorChild;
+use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};

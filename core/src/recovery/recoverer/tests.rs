@@ -135,7 +135,7 @@ fn a_panic_is_answered_by_a_restart_at_once() {
 
     assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
     assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2"]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn a_restart_whose_incarnation_waits_is_not_told_as_a_recovery_and_the_case_is_c
 
     assert_eq!(rig.outcome(1, Ok(waits)), ["1 waits"]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0], "it may take for ever");
     assert_eq!(rig.find(panic_of(1, "laser", 2)), ["#2 restart here:laser against panic, 1"]);
 }
@@ -171,7 +171,7 @@ fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_no
     let expected = "1 given up: it is not restarted: its end was final, as its rules say";
     assert_eq!(rig.outcome(1, Ok(finished)), [expected]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0]);
 }
 
@@ -257,7 +257,7 @@ fn what_not_even_safe_stop_can_contain_is_the_nodes_to_end() {
         ["1 given up: broken", "#2 safe stop here:laser against panic, 1"]
     );
     assert_eq!(rig.outcome(2, fails()), ["last resort for 1: broken"]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -357,7 +357,7 @@ fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass(
     rig.outcome(1, fails());
 
     assert_eq!(rig.stand_down(2, "laser"), ["3 may pass"]);
-    assert_eq!(rig.machine.open_cases(), 1);
+    assert_eq!(rig.machine.cases.len(), 1);
 }
 
 #[test]
@@ -378,12 +378,12 @@ fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() 
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
-    assert_eq!(rig.machine.open_cases(), 1);
+    assert_eq!(rig.machine.cases.len(), 1);
     rig.outcome(1, fails());
 
     rig.stand_down(1, "laser");
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
 }
 
@@ -425,7 +425,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
     let there = FaultLocation::Object("there:laser".parse().expect("a good name"));
     let mut rig = Rig::new();
     assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), [""; 0]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 
     let take_over = Ladder::first(RecoveryAction::Custom(Arc::from("take over")));
     let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
@@ -564,7 +564,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                         rig.machine.handle_timeout(due);
                     }
                 }
-                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {location}");
+                assert!(open.is_empty() && rig.machine.cases.is_empty(), "{kind} at {location}");
             }
         }
     }
@@ -578,7 +578,7 @@ fn what_has_gone_by_itself_while_a_action_was_under_way_is_not_treated_further()
     assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
     assert_eq!(rig.outcome(1, fails()), [""; 0]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -590,7 +590,7 @@ fn a_fault_that_went_by_itself_is_not_treated_again_when_the_action_has_worked()
     // The restart has found the incarnation of the fault, which moves again.
     assert_eq!(rig.outcome(1, works(2)), [""; 0]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]

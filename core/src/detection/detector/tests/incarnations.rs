@@ -49,7 +49,7 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
     assert_eq!(bench.outputs(), ["Found 1"], "the next incarnation has not started yet");
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Created)));
     assert_eq!(bench.run_until(5), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
     assert_eq!(bench.outputs(), ["Recovered 1"]);
@@ -297,7 +297,7 @@ fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
     bench.see("arm", TWO, state(Lifecycle::Active));
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Active)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Active)));
 
     let mut bench = Bench::new();
     bench.see("arm", TWO, hangs(&[]));
