@@ -9,7 +9,7 @@ pub(crate) trait Subscription<C: Component>: Send + Sync {
     /// From now on events are delivered by the hub of the present arbiter.
     fn attach(&self, cell: &Arc<ComponentCell<C>>);
     /// Another incarnation of the component has begun where the one before it ended: it is given
-    /// what the topic keeps for those who join.
+    /// what the topic keeps for listeners that join.
     fn catch_up(&self, cell: &Arc<ComponentCell<C>>);
     /// From now on none are.
     fn end(&self, cell: &ComponentCell<C>);

@@ -29,7 +29,7 @@ pub(crate) struct RecovererSetup {
     pub(crate) strategies: StrategyTable,
     /// What strategies are given.
     pub(crate) tools: StrategyContext,
-    /// Is told what becomes of every fault.
+    /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
     /// Keeps the strategies alive.
     pub(crate) guardian: Guardian,

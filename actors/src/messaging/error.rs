@@ -96,7 +96,7 @@ macro_rules! name_receiver_in {
                 self
             }
 
-            /// Whom the message was for, where that is known.
+            /// The receiver of the message, where that is known.
             pub fn receiver(&self) -> Option<&Receiver> {
                 self.receiver.as_deref()
             }
@@ -157,7 +157,8 @@ impl<M> fmt::Display for RequestError<M> {
     }
 }
 
-/// Says which message to whom met with what, with the limit that the receiver alone does not know.
+/// Writes which message to which receiver failed and how, with the limit that the receiver alone
+/// does not know.
 fn describe(
     f: &mut fmt::Formatter<'_>,
     receiver: Option<&Receiver>,

@@ -147,7 +147,7 @@ impl Default for Plan {
             FaultKind::CommanderGone => observe.clone(),
             // A user, or the application, brings it back.
             FaultKind::NodeInSafeState => observe.clone(),
-            // Who starts its process again is for the robot's service manager to say.
+            // The robot's service manager decides whether its process is started again.
             FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
             FaultKind::NodePaused => observe.clone(),

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Whom a supervisor restarts together.
+/// Which children a supervisor restarts together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Strategy {
     /// Only the child that failed.
@@ -57,8 +57,8 @@ pub struct ChildRules {
     /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
-    /// It decides about children of its own: it is told beforehand when its incarnation is about to
-    /// end.
+    /// It decides about children of its own: it is informed beforehand when its incarnation is
+    /// about to end.
     pub supervises: bool,
 }
 
@@ -105,7 +105,7 @@ impl ChildRules {
 /// How a supervisor decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SupervisorRules {
-    /// Whom it restarts together.
+    /// Which children it restarts together.
     pub strategy: Strategy,
     /// More restarts than this in one `period`, and `when_exceeded` applies. Higher rides out more;
     /// lower reaches the next authority sooner.

@@ -42,7 +42,7 @@ impl EngagedStrategy {
         self.orders.connected() && !blocked
     }
 
-    /// Is told the order that blocks its thread, where it has one for itself.
+    /// Gets the order that blocks its thread, where it has one for itself.
     pub(crate) fn blocked_by(&self) -> Option<watch::Receiver<Option<u64>>> {
         self.own.as_ref().map(|(_, blocked)| blocked.clone())
     }

@@ -1,4 +1,4 @@
-//! Children that do as a test tells them, and the neighbours of a supervisor.
+//! Children that follow the script of a test, and the neighbours of a supervisor.
 
 use crate::fault_chain::directory::SupervisorDirectory;
 use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};

@@ -443,7 +443,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child has ended, as it was told.
+    /// The child has ended, as it was ordered.
     pub fn handle_stopped(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
         if matches!(self.kept(key).state, ChildPhase::Stopping { .. }) {
