@@ -96,7 +96,7 @@ pub(crate) struct CurrentPlacement {
     pub(crate) token: Arc<IncarnationToken>,
 }
 
-/// Who is to be told if the message in service brings death. It stands here and not with the
+/// The sender to notify if the message in service causes death. It is kept here and not with the
 /// executor, so that a hung callee cannot keep it.
 #[derive(Default)]
 pub(crate) struct MessageInService {
@@ -164,12 +164,12 @@ impl CellCore {
         }
     }
 
-    /// Tells a feature what becomes of the component.
+    /// Notifies a feature of what becomes of the component.
     pub(crate) fn listen(&self, listener: impl CellListener + 'static) {
         lock(&self.cold().listeners).push(Arc::new(listener));
     }
 
-    /// Tells the features.
+    /// Notifies the features.
     pub(crate) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
         let Some(cold) = self.cold_if_used() else { return };
         let listeners = lock(&cold.listeners).clone();
@@ -253,7 +253,8 @@ impl CellCore {
         }
     }
 
-    /// Tells the monitor, and the supervisor, of the incarnations up to this one that have ended.
+    /// Notifies the monitor, and the supervisor, of the incarnations up to this one that have
+    /// ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
         self.tell(DueExits::Until(until));
     }
@@ -283,7 +284,8 @@ impl CellCore {
         drop(followed);
     }
 
-    /// The incarnation ends with the message that it serves: its asker is told, and it is blamed.
+    /// The incarnation ends with the message that it serves: its caller is notified, and the
+    /// message is blamed.
     pub(crate) fn record_fatal_message(&self, incarnation: Incarnation) {
         let MessageInService { asker, id } = std::mem::take(&mut *lock(&self.service));
         if let Some(asker) = asker {
@@ -418,8 +420,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Tells the incarnation that watches of an end, whether its queue is full or not. A notice of
-    /// an earlier end of the same object that it has not taken yet is replaced.
+    /// Notifies the incarnation that watches of an end, whether its queue is full or not. A notice
+    /// of an earlier end of the same object that it has not taken yet is replaced.
     pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
     where
         C: Handle<Down>,
@@ -505,7 +507,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         &self,
         message: M,
         id: Option<MessageId>,
-        // The caller is in this process: its responder tells whether it still waits.
+        // The caller is in this process: its responder shows whether it still waits.
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
@@ -517,7 +519,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
 }
 
 impl<C: Component> ComponentCell<C> {
-    /// Tells the component what was posted then.
+    /// Sends the component what was posted then.
     #[inline]
     pub(crate) fn tell_at<M: Contract>(
         &self,

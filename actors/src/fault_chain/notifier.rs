@@ -12,7 +12,7 @@ use blastema_core::detection::{self, FaultNotice, NotifierLimits, NotifierOutput
 use blastema_core::sorted::SortedMap;
 use tracing::error;
 
-/// Tells the recoverers, here and on other nodes.
+/// Notifies the recoverers, here and on other nodes.
 pub(crate) struct NotifierActor {
     machine: detection::Notifier,
     wake: WakeTimer,

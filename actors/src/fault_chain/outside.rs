@@ -72,7 +72,7 @@ impl ChainWatch {
         let (tell, ended) = mpsc::sync_channel(1);
         platform::start_thread("chain-watch", move || {
             runtime.block_on(Watching::new(setup).run(end_order));
-            // Who started it may not wait.
+            // The caller that started it may not wait.
             let _ = tell.send(());
         })?;
         Ok(ChainWatch { end: Some(end), ended })

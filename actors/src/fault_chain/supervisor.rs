@@ -41,13 +41,13 @@ pub(crate) struct SupervisorSetup {
     pub(crate) rules: SupervisorRules,
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
-    /// Is told of starts that took too long, and when it gives up.
+    /// Gets a report of starts that took too long, and when it gives up.
     pub(crate) monitor: Recipient<FaultDeclared>,
-    /// Is told when it is at work, and when it has ended.
+    /// Gets a report when it is at work, and when it has ended.
     pub(crate) states: Recipient<StateReported>,
-    /// Is told who may not send and receive.
+    /// Gets the objects that may not send and receive.
     pub(crate) isolation: Recipient<IsolationReported>,
-    /// Where strategies find who keeps an object.
+    /// Where strategies find the supervisor of an object.
     pub(crate) directory: SupervisorDirectory,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct SupervisorActor {
     machine: Supervisor,
     wake: WakeTimer,
     children: SortedMap<ObjectName, Box<dyn Child>>,
-    /// Who waits for the outcome of a request; bounded by the machine.
+    /// The callers that wait for the outcome of a request; bounded by the machine.
     waiting: SortedMap<CallId, oneshot::Sender<RecoveryResult>>,
     calls: u64,
     parent: Option<Arc<Recipient<ChildReport>>>,
@@ -69,12 +69,12 @@ pub(crate) struct SupervisorActor {
     directory: SupervisorDirectory,
     /// Where its incarnations can be watched.
     watched: Deaths,
-    /// It was told to end in order to be restarted.
+    /// It was ordered to end in order to be restarted.
     again: bool,
 }
 
 impl SupervisorActor {
-    /// Starts a supervisor under the guardian. It does nothing until it is told to begin, by its
+    /// Starts a supervisor under the guardian. It does nothing until it is ordered to begin, by its
     /// parent, or by the node if it is the root.
     pub(crate) fn start(
         guardian: &Guardian,
@@ -440,7 +440,8 @@ impl Handler<ChildReport> for SupervisorActor {
     }
 }
 
-/// What a guard told the monitor may be told to the supervisor too; it counts a death only once.
+/// What a guard reported to the monitor may be reported to the supervisor too; it counts a death
+/// only once.
 impl Handler<Exited> for SupervisorActor {
     type Result = ();
 

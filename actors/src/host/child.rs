@@ -118,7 +118,8 @@ impl<C: Component> Child for ComponentChild<C> {
     }
 
     fn retire(&mut self) {
-        // One whose start has failed may still run its last hooks, as before the next start.
+        // A component whose start has failed may still run its last hooks, as before the next
+        // start.
         self.abandon();
         self.cell.end();
     }
@@ -250,7 +251,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
     }
 }
 
-/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is told.
+/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is notified.
 struct PendingStart<C: Component> {
     cell: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,

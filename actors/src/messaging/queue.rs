@@ -49,7 +49,7 @@ pub(crate) struct Pushed<T> {
 /// A bounded queue from many senders to the one incarnation that owns it.
 pub(crate) struct BoundedQueue<T> {
     inner: Mutex<Inner<T>>,
-    /// Written under the lock; a hint for those who only want to know whether anything is there.
+    /// Written under the lock; a hint for callers that only check whether anything is there.
     length: AtomicUsize,
     /// Nothing is taken while set.
     held: AtomicBool,
@@ -61,7 +61,7 @@ struct Inner<T> {
     queue: VecDeque<T>,
     /// Boxed, since few components watch others.
     notices: Option<Box<Notices<T>>>,
-    /// Who may take; `None` between two incarnations.
+    /// The incarnation that may take; `None` between two incarnations.
     owner: Option<Incarnation>,
     /// The last incarnation that has owned it.
     newest: Incarnation,
@@ -131,7 +131,7 @@ impl<T> BoundedQueue<T> {
         Ok(displaced)
     }
 
-    /// The same for who wakes the owner later.
+    /// The same for a caller that wakes the owner later.
     #[inline]
     pub(crate) fn push_quietly<M>(
         &self,
@@ -183,8 +183,8 @@ impl<T> BoundedQueue<T> {
         replaced
     }
 
-    /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
-    /// passed on to the next.
+    /// Completes when there may be capacity. The caller then tries again; a claim that is dropped
+    /// is passed on to the next.
     pub(crate) fn space(&self) -> impl Future<Output = ()> + '_ {
         let mut claim = SpaceWaiter { queue: self, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
@@ -267,7 +267,7 @@ impl<T> BoundedQueue<T> {
         notices
     }
 
-    /// Who may take.
+    /// The incarnation that may take.
     pub(crate) fn owner(&self) -> Option<Incarnation> {
         self.lock().owner
     }

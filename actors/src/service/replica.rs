@@ -9,6 +9,7 @@ use super::words::{
 };
 use crate::component::environment::ComponentEnvironment;
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
+use crate::messaging::error::encode_kind;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
@@ -407,11 +408,11 @@ impl MachineActor for ReplicaBody {
                             Answered::Done { reply: reply.into(), epoch: self.epoch() }
                         }
                         ServiceOutcome::Served(Err(why)) => {
-                            let why = super::encode_why(&why);
+                            let why = encode_kind(&why);
                             Answered::Failed { why, epoch: self.epoch() }
                         }
                         ServiceOutcome::Refused(why) => {
-                            Answered::Refused { why: super::encode_why(&why) }
+                            Answered::Refused { why: encode_kind(&why) }
                         }
                         ServiceOutcome::Elsewhere(primary) => {
                             let primary = primary.map(|node| node.to_string());
@@ -484,7 +485,7 @@ impl Handler<Asked> for ReplicaBody {
         }
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
-            let why = super::encode_why(&DeliveryError::TooLarge { limit: TASK_MAX });
+            let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
             return answer.give(Answered::Refused { why });
         }
         self.next += 1;

@@ -110,7 +110,8 @@ pub(crate) struct Topic<E: Event> {
     forwards: Mutex<Arc<[RemoteForward]>>,
     is_forwarded: AtomicBool,
     listeners: AtomicU64,
-    /// Held while an event of a latched topic is handed out, so that who joins gets it once.
+    /// Held while an event of a latched topic is handed out, so that a listener that joins gets it
+    /// once.
     latch: Mutex<Latch<E>>,
     traffic: Traffic,
     /// Listeners here, and other nodes that have some.

@@ -163,8 +163,8 @@ async fn leave_a_hub(during_its_turn: bool) -> (Vec<u32>, Vec<u32>) {
     };
     for (present, number) in presents.iter().zip(1..) {
         hub.shared.listeners.fetch_add(1, Relaxed);
-        let (mut before, mut during): (Box<dyn Fn()>, Box<dyn Fn()>) =
-            (Box::new(|| {}), Box::new(|| {}));
+        let mut before: Box<dyn Fn()> = Box::new(|| {});
+        let mut during: Box<dyn Fn()> = Box::new(|| {});
         match number {
             1 if during_its_turn => during = Box::new(leave.clone()),
             3 if !during_its_turn => before = Box::new(leave.clone()),

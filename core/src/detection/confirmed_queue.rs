@@ -9,7 +9,8 @@ use std::time::Duration;
 /// it is confirmed, given up loudly.
 ///
 /// Only one item is under way at any time. So items of one rank arrive in the order in which they
-/// were given, and a receiver tells a repetition by comparing with the one number that it saw last.
+/// were given, and a receiver detects a repetition by comparing with the one number that it saw
+/// last.
 ///
 /// ```text
 /// hand(item) ─► waiting ─► under way ──handle_confirmed──► done

@@ -46,7 +46,7 @@ impl Default for NotifierLimits {
         // A recoverer takes in a fault in microseconds; a robot on which two hundred things break
         // each second is better served by the most important ones.
         let local = ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::default() };
-        // A robot of more than thirty nodes tells the rest over its fleet.
+        // A robot of more than thirty nodes informs the others over its fleet.
         NotifierLimits { ports: 32, local, remote }
     }
 }
@@ -228,7 +228,7 @@ impl Lane {
         let waited = self.handover.withdraw(|waiting| waiting.id() == id).is_some();
         self.suppressed += u64::from(waited);
         match notice {
-            // The recoverer behind this port was not told of it: there is nothing to take back.
+            // The recoverer behind this port was not notified of it: there is nothing to take back.
             FaultNotice::Cleared { .. } if waited => {}
             FaultNotice::Found(_) if self.handover.under_way() == Some(notice) => {
                 self.suppressed += 1;

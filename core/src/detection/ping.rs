@@ -20,7 +20,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, Default)]
 pub struct PingMonitor {
     asked: SortedMap<ObjectName, Asked>,
-    /// When to look at whom: exactly one look for each object from which something is due.
+    /// When to check which object: exactly one check for each object from which something is due.
     looks: SortedSet<(Instant, ObjectName)>,
     outputs: VecDeque<PingOutput>,
 }
@@ -30,7 +30,7 @@ pub struct PingMonitor {
 pub enum PingOutput {
     /// Ask this object.
     Ask {
-        /// Whom.
+        /// The object.
         object: ObjectName,
     },
     /// The opinion about its being alive has changed.
@@ -106,7 +106,7 @@ impl PingMonitor {
         PingMonitor::default()
     }
 
-    /// Asks an object from now on, whose incarnation `incarnation` begins or goes on.
+    /// Pings an object from now on, whose incarnation `incarnation` begins or goes on.
     pub fn enrol(
         &mut self,
         object: &ObjectName,

@@ -161,7 +161,7 @@ const TABLES: [(&str, &str, &[Column]); 10] = [
             ("times", "count"),
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
-            ("measure", "measure"),
+            ("action", "action"),
             ("status", "status"),
             ("service restored before", "recovered_ms"),
             ("part repaired before", "repaired_ms"),

@@ -1,5 +1,5 @@
 use super::*;
-use crate::fault_chain::scripted::{Bench, ScriptedReply, fault, object};
+use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault, object};
 use blastema_contract::supervisor::SafeStop;
 use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};

@@ -46,7 +46,7 @@ impl<C: Component> ComponentExecutor<C> {
             }
         }
         if self.lifecycle.is_ending() {
-            // Also of a failure, of which its supervisor has been told that it has ended already.
+            // Also of a failure, whose end its supervisor has been notified of already.
             self.schedule.limit(DueWork::StopLimit, self.cell.record.limits.shutdown_within);
         }
     }
@@ -59,7 +59,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.cell.record.announce(|listener| listener.activated());
         }
         let incarnation = self.state.incarnation;
-        // States that were passed through within one poll are not told one by one.
+        // States that were passed through within one poll are not reported one by one.
         if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
             && last.incarnation == incarnation
             && last.reason.is_none()

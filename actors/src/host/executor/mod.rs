@@ -174,7 +174,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.schedule.begin(record.limits.interval);
         self.slot.activity.run_every(record.limits.interval);
         self.began = self.lifecycle.is_starting().then(platform::now);
-        // An incarnation that was abandoned before its placement was known was not told so.
+        // An incarnation that was abandoned before its placement was known was not notified.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();
         }
@@ -185,7 +185,7 @@ impl<C: Component> ComponentExecutor<C> {
         ActivitySlotRef { index: self.slot.index, activity: self.slot.activity }
     }
 
-    /// Does what it was told to.
+    /// Executes its commands.
     fn obey(&mut self) {
         for command in self.commands.take() {
             match command {
@@ -360,7 +360,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.advance(cx)
     }
 
-    /// Notes who is to be told if this message brings death; says why it is not to be served.
+    /// Notes the sender to notify if this message causes death; returns why it is not to be served.
     fn follow(&mut self, envelope: &dyn Envelope<C>) -> Option<DeliveryError> {
         if envelope.is_void() {
             self.slot.activity.expire();
@@ -549,7 +549,7 @@ impl<C: Component> ComponentExecutor<C> {
             && let Some(end) = self.lifecycle.end_reason()
         {
             let within = self.cell.record.limits.shutdown_within;
-            // Who gives it no time at all wants it cut off.
+            // A caller that gives it no time at all wants it cut off.
             if !within.is_zero() {
                 self.lifecycle.handle_cut_off(self.in_service(), within);
                 self.pass_reports();
@@ -559,7 +559,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
     }
 
-    /// Gives up what is in service; its sender is told.
+    /// Gives up what is in service; its sender is notified.
     fn drop_service(&mut self) {
         if matches!(self.service, Service::Idle) {
             return;

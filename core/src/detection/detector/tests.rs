@@ -63,6 +63,10 @@ impl Bench {
         Bench { detector: Detector::new(node("m"), limits, at(0)), number: 0, now: at(0) }
     }
 
+    fn state_of(&self, name: &str) -> Option<(Incarnation, Lifecycle)> {
+        self.detector.objects.get(&object(name)).map(|seen| (seen.incarnation, seen.state))
+    }
+
     fn see(&mut self, text: &str, incarnation: Incarnation, finding: Finding) {
         self.number += 1;
         let (location, seen_at) = (location(text), self.now);

@@ -45,7 +45,7 @@ struct World {
     samples: Samples,
     /// Activity records are looked at with every so many heartbeats.
     every: u64,
-    /// What the arbiter's thread has had of the processors, where the system tells it.
+    /// What the arbiter's thread has had of the processors, where the system reports it.
     processor: Option<ProcessorTime>,
 }
 

@@ -278,7 +278,7 @@ fn every_input_in_every_state_says_what_it_should() {
 #[test]
 fn nothing_that_an_older_incarnation_still_says_changes_anything_but_its_panic_is_passed_on() {
     for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
-        // Who has resumed is told by the watch, which knows no incarnations.
+        // The sampler reports which objects have resumed; it has no incarnations.
         for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
             let mut monitor = in_state(state);
             let before = monitor.read_table(at(5));

@@ -65,7 +65,7 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
     assert_eq!(bench.outputs(), ["Found 1"], "the next incarnation has not started yet");
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Created)));
     assert_eq!(bench.run_until(5), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
     assert_eq!(bench.outputs(), ["Recovered 1"]);
@@ -105,8 +105,8 @@ fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the
         bench.see("arm", TWO, failure);
         assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 
-        let measure = RecoveryOutcome::Decided { measure: "restart".into() };
-        bench.detector.handle_outcome(FaultId(2), at(5), measure);
+        let action = RecoveryOutcome::Decided { action: "restart".into() };
+        bench.detector.handle_outcome(FaultId(2), at(5), action);
         assert_eq!(bench.outputs(), ["Decided 2", "Decided 1"]);
         bench.detector.handle_outcome(FaultId(2), at(9), gave_up());
 
@@ -182,7 +182,7 @@ fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "+1"]);
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.outputs();
 
@@ -313,7 +313,7 @@ fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
     bench.see("arm", TWO, state(Lifecycle::Active));
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Active)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Active)));
 
     let mut bench = Bench::new();
     bench.see("arm", TWO, hangs(&[]));

@@ -9,9 +9,9 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     bench.see("arm", ONE, exited(panicked()));
     bench.outputs();
 
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
-    let failed = RecoveryOutcome::Failed { measure: "restart".into(), reason: "no".into() };
+    let failed = RecoveryOutcome::Failed { action: "restart".into(), reason: "no".into() };
     bench.detector.handle_outcome(FaultId(1), at(5), failed);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     bench.detector.handle_outcome(
@@ -72,7 +72,7 @@ fn what_isolation_contains_is_not_over_with_the_next_incarnation_while_that_is_i
 fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_routed() {
     let mut bench = Bench::new();
     bench.see("-eth-n", Incarnation(0), down());
-    let decided = RecoveryOutcome::Decided { measure: "re-route".into() };
+    let decided = RecoveryOutcome::Decided { action: "re-route".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     assert_eq!(bench.outputs(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
@@ -137,7 +137,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
     assert!(symptoms.count() >= deaths.len() - 3);
 
     let id = loops[0].fault.id.0;
-    let observed = RecoveryOutcome::Decided { measure: "observe".into() };
+    let observed = RecoveryOutcome::Decided { action: "observe".into() };
     bench.detector.handle_outcome(FaultId(id), bench.now, observed);
     assert_eq!(bench.outputs(), [format!("Decided {id}")]);
     assert!(bench.run_until(222_000 + 59_999).is_empty());
@@ -155,7 +155,7 @@ fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_
 }
 
 fn decided() -> RecoveryOutcome {
-    RecoveryOutcome::Decided { measure: "restart".into() }
+    RecoveryOutcome::Decided { action: "restart".into() }
 }
 
 #[test]

@@ -147,7 +147,7 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
     let mut bench = Bench::new();
     bench.depend("map", &["laser"]);
     bench.see("laser", ONE, exited(panicked()));
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.see("map", ONE, silent());
     bench.outputs();

@@ -1,4 +1,4 @@
-//! Whom a failure concerns, and in which order they end and begin.
+//! Which children a failure affects, and in which order they end and begin.
 
 use super::*;
 
