@@ -592,7 +592,7 @@ impl Child for SupervisorChild {
     }
 
     fn set_restart_grant(&mut self, _: Option<RestartGrant>) {
-        // The guardian restarts it by reflex; it needs no permission.
+        // The guardian restarts it itself; it needs no permission.
     }
 }
 

@@ -101,20 +101,35 @@ pub enum Endpoint {
     Memory(String),
 }
 
-/// All media that this program was built with.
-const MEDIA: &[&str] = &[
-    #[cfg(feature = "udp")]
-    "udp",
-    #[cfg(feature = "tcp")]
-    "tcp",
-    #[cfg(feature = "unix")]
-    "unix",
-    #[cfg(feature = "serial")]
-    "serial",
-    "can",
-    "slcan",
-    "memory",
+/// A medium, the feature of the package `blastema` that it needs, and whether this program was built
+/// with it.
+type KnownMedium = (&'static str, &'static str, bool);
+
+const MEDIA: [KnownMedium; 7] = [
+    ("udp", "ip", cfg!(feature = "udp")),
+    ("tcp", "ip", cfg!(feature = "tcp")),
+    ("unix", "unix", cfg!(feature = "unix")),
+    ("serial", "serial", cfg!(feature = "serial")),
+    ("can", "can", cfg!(feature = "can")),
+    ("slcan", "slcan", cfg!(feature = "slcan")),
+    ("memory", "network", true),
 ];
+
+fn find_medium(known: &[KnownMedium], name: &str) -> Result<&'static str, EndpointProblem> {
+    match known.iter().find(|(medium, ..)| *medium == name) {
+        Some((medium, _, true)) => Ok(medium),
+        Some((medium, feature, false)) => Err(EndpointProblem::NotCompiled { medium, feature }),
+        None => {
+            let media = known.iter().filter(|(_, _, is_compiled)| *is_compiled);
+            let media = media.map(|(medium, ..)| *medium);
+            Err(EndpointProblem::UnknownMedium {
+                found: name.to_owned(),
+                nearest: nearest(name, media.clone()).map(str::to_owned),
+                known: media.map(str::to_owned).collect(),
+            })
+        }
+    }
+}
 
 impl FromStr for Endpoint {
     type Err = EndpointError;
@@ -136,14 +151,8 @@ impl Endpoint {
         };
         let split = rest.split_once('?');
         let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
-        let Some(medium) = MEDIA.iter().copied().find(|known| *known == medium) else {
-            let problem = EndpointProblem::UnknownMedium {
-                found: medium.to_owned(),
-                nearest: nearest(medium, MEDIA.iter().copied()).map(str::to_owned),
-                known: MEDIA.iter().map(|&medium| medium.to_owned()).collect(),
-            };
-            return Err(EndpointError::new(text, 0..medium.len(), problem));
-        };
+        let medium = find_medium(&MEDIA, medium)
+            .map_err(|problem| EndpointError::new(text, 0..medium.len(), problem))?;
         let at = medium.len() + 3..medium.len() + 3 + place.len();
         let parts = Parts { text, place, at };
         let mut settings = Settings::new(text, medium, query)?;

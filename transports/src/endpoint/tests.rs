@@ -16,6 +16,18 @@ fn bad(text: &str, part: &str, start: usize, words: &str) {
 }
 
 #[test]
+fn a_medium_that_was_left_out_is_told_with_the_feature_that_it_needs() {
+    let known: [KnownMedium; 2] = [("udp", "ip", false), ("memory", "network", true)];
+    assert_eq!(find_medium(&known, "memory"), Ok("memory"));
+    let left_out = EndpointProblem::NotCompiled { medium: "udp", feature: "ip" };
+    assert_eq!(find_medium(&known, "udp"), Err(left_out));
+    let Err(EndpointProblem::UnknownMedium { known, .. }) = find_medium(&known, "udq") else {
+        panic!("there is no such medium");
+    };
+    assert_eq!(known, ["memory"]);
+}
+
+#[test]
 fn udp_is_read_with_all_its_settings() {
     let Endpoint::Udp(plain) = good("udp://0.0.0.0:7400") else { panic!() };
     assert_eq!((plain.bind, plain.group), ("0.0.0.0:7400".parse().unwrap(), None));

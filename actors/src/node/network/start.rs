@@ -121,7 +121,11 @@ impl Medium {
                 return Medium::Memory(config).start(network, object, guardian, arbiter);
             }
             Medium::At(other) => {
-                let text = format!("network {network}: this program has no {}", other.medium());
+                let text = format!(
+                    "network {network}: this program has no {}: it was built without it, or this \
+                     system has none",
+                    other.medium()
+                );
                 return Err(StartError::Network(text));
             }
             Medium::Memory(config) => {

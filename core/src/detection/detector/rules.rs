@@ -134,7 +134,7 @@ impl Detector {
             count => format!("; {count} others stand still behind it"),
         };
         let age = age.as_millis();
-        let detail = format!("{during} has kept its arbiter for {age} ms{behind}");
+        let detail = format!("{during} has kept its thread for {age} ms at least{behind}");
         let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
         for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
             self.behind.insert(victim.clone(), id);
