@@ -93,12 +93,8 @@ impl DetectorActor {
 impl MachineActor for DetectorActor {
     type Machine = detection::Detector;
 
-    fn machine(&mut self) -> &mut detection::Detector {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut detection::Detector, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: DetectorOutput, context: &mut Context<Self>) {

@@ -80,12 +80,8 @@ fn await_confirmation(
 impl MachineActor for NotifierActor {
     type Machine = detection::Notifier;
 
-    fn machine(&mut self) -> &mut detection::Notifier {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut detection::Notifier, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: NotifierOutput, context: &mut Context<Self>) {

@@ -167,12 +167,8 @@ fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
 impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
-    fn machine(&mut self) -> &mut recovery::Recoverer {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut recovery::Recoverer, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {

@@ -200,12 +200,8 @@ impl SupervisorActor {
 impl MachineActor for SupervisorActor {
     type Machine = Supervisor;
 
-    fn machine(&mut self) -> &mut Supervisor {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Supervisor, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: SupervisorOutput, context: &mut Context<Self>) {

@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lane_without_an_incarnation_keeps_what_it_has_and_says_restarting_when_full() {
+    fn a_queue_without_an_incarnation_keeps_its_messages() {
         let queue = queue(1, WhenFull::Refuse);
         assert!(queue.leave(LIFE));
 
@@ -477,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_incarnation() {
+    fn a_stopped_queue_returns_its_messages_and_opens_again() {
         let queue = queue(2, WhenFull::Refuse);
         push(&queue, 1).unwrap();
 

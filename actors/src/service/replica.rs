@@ -366,12 +366,8 @@ impl ReplicaBody {
 impl MachineActor for ReplicaBody {
     type Machine = Replica;
 
-    fn machine(&mut self) -> &mut Replica {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Replica, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {

@@ -97,7 +97,7 @@ impl Drop for Undroppable {
 }
 
 #[test]
-fn an_event_without_listeners_whose_drop_panics_is_no_panic_of_the_publisher() {
+fn a_drop_that_panics_is_no_panic_of_the_publisher() {
     let topics = Topics::new(DeadLetterLog::default(), FaultReports::default());
     let publisher = topics.publisher::<Undroppable>("fragile").unwrap();
     let topic: Arc<Topic<Undroppable>> = topics.topic("fragile", Location::caller()).unwrap();

@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_begins_anew_sends_what_was_under_way_again_under_the_same_number() {
+    fn a_restarted_actor_retransmits_under_the_same_number() {
         let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));

@@ -437,8 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
-     {
+    fn a_node_stays_in_safe_state_until_it_reports_work_or_restarts() {
         use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
         let mut reported = rest_reported();
         let mut reported = |incarnation, condition| {

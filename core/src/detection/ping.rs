@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
+    fn an_object_that_does_not_answer_is_suspect_then_failed() {
         let mut pings = pings();
 
         let reported = run(&mut pings, 10_000);
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_question_that_cannot_be_answered_is_asked_again_while_the_silence_goes_on() {
+    fn a_ping_without_a_reply_is_repeated_while_the_silence_lasts() {
         let mut pings = pings();
         run(&mut pings, 0);
 

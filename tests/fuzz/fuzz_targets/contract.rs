@@ -3,6 +3,7 @@
 
 #![no_main]
 
+use blastema_core::Contract;
 use blastema_core::contract::codec::{decode, decode_reply, encode, encode_bounded};
 use blastema_macros::{Event, Request, Structure};
 use libfuzzer_sys::fuzz_target;

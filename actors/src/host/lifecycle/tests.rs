@@ -125,7 +125,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 }
 
 #[test]
-fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
+fn a_failed_activation_at_the_start_is_reported_to_the_supervisor() {
     for hook in [Hook::Startup, Hook::Activated] {
         let mut lifecycle = IncarnationLifecycle::new(true);
         while let LifecycleStep::Run(next) = lifecycle.next() {
@@ -281,7 +281,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
 }
 
 #[test]
-fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_incarnation() {
+fn a_hook_without_its_device_is_called_again_with_back_off() {
     let mut lifecycle = IncarnationLifecycle::new(true);
     let mut waited = Vec::new();
     for _ in 0..10 {

@@ -149,7 +149,7 @@ fn a_fault_that_is_reported_again_is_treated_once() {
 }
 
 #[test]
-fn a_restart_whose_incarnation_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
+fn a_restart_whose_incarnation_waits_closes_the_case_unrecovered() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let waits = RecoveryDone { waits: true, ..works(2).expect("it works") };
@@ -162,8 +162,7 @@ fn a_restart_whose_incarnation_waits_is_not_told_as_a_recovery_and_the_case_is_c
 }
 
 #[test]
-fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried()
- {
+fn a_restart_without_a_next_incarnation_ends_the_case_unrecovered() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
@@ -221,7 +220,7 @@ fn a_step_that_is_refused_for_good_is_not_tried_again() {
 }
 
 #[test]
-fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
+fn each_failed_step_is_reported_once_with_its_reason() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
     let plan = Plan::default().on(FaultKind::Panic, ladder);
@@ -349,7 +348,7 @@ fn a_symptom_that_stays_is_treated_itself() {
 }
 
 #[test]
-fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass() {
+fn symptoms_of_a_cleared_root_may_pass_while_its_case_goes_on() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     rig.find(fault(2, FaultKind::Hang, at("laser"), 1));
@@ -361,7 +360,7 @@ fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass(
 }
 
 #[test]
-fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
+fn a_component_on_the_lost_thread_of_another_is_treated_at_once() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
 
@@ -374,7 +373,7 @@ fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
 }
 
 #[test]
-fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() {
+fn a_fault_that_clears_while_it_waits_is_dropped() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
@@ -388,7 +387,7 @@ fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() 
 }
 
 #[test]
-fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_the_next_one() {
+fn a_late_isolation_does_not_contain_the_next_incarnation() {
     let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
     let mut rig = Rig::with(plan, RecovererLimits::default());
     assert_eq!(rig.find(panic_of(1, "arm", 1)), ["#1 isolate here:arm against panic, 1"]);
@@ -400,7 +399,7 @@ fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_t
 }
 
 #[test]
-fn kinds_without_a_action_are_observed_and_do_not_hold_symptoms_back() {
+fn kinds_without_an_action_are_observed_and_hold_no_symptoms_back() {
     let mut rig = Rig::new();
 
     assert_eq!(rig.find(fault(1, FaultKind::Overload, at("laser"), 1)), ["1 observed"]);
@@ -487,7 +486,7 @@ fn a_place_with_too_many_faults_gives_the_further_ones_up() {
 }
 
 #[test]
-fn a_recoverer_that_begins_anew_takes_up_what_was_open() {
+fn a_restarted_recoverer_continues_open_cases() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
     rig.find(symptom(2, "laser", 1));
@@ -571,7 +570,7 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
 }
 
 #[test]
-fn what_has_gone_by_itself_while_a_action_was_under_way_is_not_treated_further() {
+fn a_fault_that_clears_during_a_failed_action_is_not_treated_further() {
     let mut rig = Rig::new();
     assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
 
@@ -582,7 +581,7 @@ fn what_has_gone_by_itself_while_a_action_was_under_way_is_not_treated_further()
 }
 
 #[test]
-fn a_fault_that_went_by_itself_is_not_treated_again_when_the_action_has_worked() {
+fn a_fault_that_clears_during_a_successful_action_is_closed() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("arm"), 2));
     rig.stand_down(1, "arm");
@@ -594,7 +593,7 @@ fn a_fault_that_went_by_itself_is_not_treated_again_when_the_action_has_worked()
 }
 
 #[test]
-fn a_restart_is_asked_against_the_newest_incarnation_and_cures_nothing_of_the_one_that_it_finds() {
+fn a_restart_cures_no_fault_of_an_incarnation_that_it_finds_replaced() {
     let mut rig = Rig::new();
     let silence = fault(1, FaultKind::Silence, at("arm"), 5);
     assert_eq!(rig.find(silence), ["#1 restart here:arm against silence, 1"]);
