@@ -7,20 +7,20 @@ use super::environment::ComponentEnvironment;
 use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
+use crate::component::cold_state::ColdState;
 use crate::component::control::CommandQueue;
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
-use crate::component::exits::{DueExits, UntoldExits};
+use crate::component::exits::DueExits;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label;
 use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
-use crate::messaging::death_watch::{Down, Watchers};
+use crate::messaging::death_watch::Down;
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
-use crate::messaging::injection::InjectionState;
 use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
@@ -29,7 +29,6 @@ use crate::platform;
 use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
-use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
@@ -68,16 +67,6 @@ pub(crate) struct CellCore {
     service: Mutex<MessageInService>,
     order: Mutex<Option<RestartGrant>>,
     cold: OnceLock<Box<ColdState>>,
-}
-
-/// What few components come to use: it is there once one of it was.
-#[derive(Default)]
-pub(crate) struct ColdState {
-    pub(crate) watchers: Watchers,
-    pub(crate) injected: InjectionState,
-    quarantine: Mutex<Quarantine>,
-    listeners: Mutex<Vec<Arc<dyn CellListener>>>,
-    pub(crate) exits: UntoldExits,
 }
 
 /// Where a component stands, and where it lives.
@@ -166,14 +155,14 @@ impl CellCore {
 
     /// Notifies a feature of what becomes of the component.
     pub(crate) fn listen(&self, listener: impl CellListener + 'static) {
-        lock(&self.cold().listeners).push(Arc::new(listener));
+        self.cold().listen(listener);
     }
 
     /// Notifies the features.
     pub(crate) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
-        let Some(cold) = self.cold_if_used() else { return };
-        let listeners = lock(&cold.listeners).clone();
-        listeners.iter().for_each(|listener| what(&**listener));
+        if let Some(cold) = self.cold_if_used() {
+            cold.announce(what);
+        }
     }
 
     pub(crate) fn incarnation(&self) -> Incarnation {
@@ -291,12 +280,10 @@ impl CellCore {
         if let Some(asker) = asker {
             asker.cancel(DeliveryError::PeerDied { incarnation });
         }
-        if let Some(id) = id {
-            let mut quarantine = lock(&self.cold().quarantine);
-            quarantine.handle_kill(id, incarnation);
-            if quarantine.is_active() {
-                self.flags.fetch_or(QUARANTINE, Relaxed);
-            }
+        if let Some(id) = id
+            && self.cold().record_kill(id, incarnation)
+        {
+            self.flags.fetch_or(QUARANTINE, Relaxed);
         }
     }
 
@@ -314,8 +301,7 @@ impl CellCore {
         if flags & ISOLATED != 0 {
             return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
-        let kills = lock(&self.cold_if_used()?.quarantine).refuses(id?)?;
-        Some(DeliveryError::Quarantined { kills })
+        self.cold_if_used()?.refusal(id?)
     }
 
     pub(crate) fn record_dead_letter(&self, contract: &'static str, why: &DeliveryError) {

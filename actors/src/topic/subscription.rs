@@ -1,7 +1,8 @@
 //! A component's subscription to one topic: at which hub it is served, and from which event on.
 
 use super::entry::Resident;
-use super::hub::{HubQueue, ListenerEntry};
+use super::hub::ListenerEntry;
+use super::hub_queue::HubQueue;
 use super::{EventFilter, Topic, lock};
 use crate::component::cell::ComponentCell;
 use crate::component::subscription::Subscription;

@@ -1,7 +1,8 @@
 //! What the network learns of listeners that come and go on several threads, and events that
 //! panic.
 
-use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry, Posted};
+use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry};
+use super::hub_queue::Posted;
 use super::*;
 use blastema_doubles::paused;
 use std::cell::{Cell, RefCell};

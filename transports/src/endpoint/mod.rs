@@ -11,6 +11,7 @@
 
 mod can;
 mod error;
+mod media;
 mod reach;
 mod settings;
 #[cfg(any(feature = "udp", feature = "tcp"))]
@@ -32,7 +33,6 @@ use crate::udp::UdpConfig;
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
-use blastema_core::suggestion::nearest;
 #[cfg(feature = "udp")]
 use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
@@ -101,36 +101,6 @@ pub enum Endpoint {
     Memory(String),
 }
 
-/// A medium, the feature of the package `blastema` that it needs, and whether this program was built
-/// with it.
-type KnownMedium = (&'static str, &'static str, bool);
-
-const MEDIA: [KnownMedium; 7] = [
-    ("udp", "ip", cfg!(feature = "udp")),
-    ("tcp", "ip", cfg!(feature = "tcp")),
-    ("unix", "unix", cfg!(feature = "unix")),
-    ("serial", "serial", cfg!(feature = "serial")),
-    ("can", "can", cfg!(feature = "can")),
-    ("slcan", "slcan", cfg!(feature = "slcan")),
-    ("memory", "network", true),
-];
-
-fn find_medium(known: &[KnownMedium], name: &str) -> Result<&'static str, EndpointProblem> {
-    match known.iter().find(|(medium, ..)| *medium == name) {
-        Some((medium, _, true)) => Ok(medium),
-        Some((medium, feature, false)) => Err(EndpointProblem::NotCompiled { medium, feature }),
-        None => {
-            let media = known.iter().filter(|(_, _, is_compiled)| *is_compiled);
-            let media = media.map(|(medium, ..)| *medium);
-            Err(EndpointProblem::UnknownMedium {
-                found: name.to_owned(),
-                nearest: nearest(name, media.clone()).map(str::to_owned),
-                known: media.map(str::to_owned).collect(),
-            })
-        }
-    }
-}
-
 impl FromStr for Endpoint {
     type Err = EndpointError;
 
@@ -151,7 +121,7 @@ impl Endpoint {
         };
         let split = rest.split_once('?');
         let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
-        let medium = find_medium(&MEDIA, medium)
+        let medium = media::find(&media::MEDIA, medium)
             .map_err(|problem| EndpointError::new(text, 0..medium.len(), problem))?;
         let at = medium.len() + 3..medium.len() + 3 + place.len();
         let parts = Parts { text, place, at };

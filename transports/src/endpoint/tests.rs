@@ -17,11 +17,11 @@ fn bad(text: &str, part: &str, start: usize, words: &str) {
 
 #[test]
 fn a_medium_that_was_left_out_is_told_with_the_feature_that_it_needs() {
-    let known: [KnownMedium; 2] = [("udp", "ip", false), ("memory", "network", true)];
-    assert_eq!(find_medium(&known, "memory"), Ok("memory"));
+    let known: [media::KnownMedium; 2] = [("udp", "ip", false), ("memory", "network", true)];
+    assert_eq!(media::find(&known, "memory"), Ok("memory"));
     let left_out = EndpointProblem::NotCompiled { medium: "udp", feature: "ip" };
-    assert_eq!(find_medium(&known, "udp"), Err(left_out));
-    let Err(EndpointProblem::UnknownMedium { known, .. }) = find_medium(&known, "udq") else {
+    assert_eq!(media::find(&known, "udp"), Err(left_out));
+    let Err(EndpointProblem::UnknownMedium { known, .. }) = media::find(&known, "udq") else {
         panic!("there is no such medium");
     };
     assert_eq!(known, ["memory"]);
