@@ -41,6 +41,7 @@ pub mod peer_protocol;
 pub mod refusal_alarms;
 pub mod routing;
 pub mod session;
+pub mod trust;
 pub mod wire;
 
 pub use crate::machine_set::MachineSet;

@@ -72,7 +72,8 @@ const EVERYTHING: &[&str] = &[
 
 /// The crates from outside that the core may use. It stays nearly bare, so that what it decides can
 /// be simulated, and one day run on a microcontroller.
-const CORE_TAKES: [&str; 4] = ["bincode", "bytes", "serde", "thiserror"];
+const CORE_TAKES: [&str; 7] =
+    ["bincode", "bytes", "ring", "serde", "thiserror", "x25519-dalek", "zeroize"];
 
 /// Crates of which only these packages may know.
 const KNOWN_BY: [(&str, &[&str]); 4] = [
