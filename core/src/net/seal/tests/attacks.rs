@@ -170,9 +170,37 @@ fn a_recorded_knock_is_heard_once_and_knocks_twice_a_second_at_most() {
     assert_eq!(knock(1, 9_000), Err(OpenError::Repeated));
     let elsewhere = medium.ends[0].handle_frame(knocks[2].clone(), &77, at(3_499));
     assert_eq!(elsewhere, Err(OpenError::Limited));
-    // An address that only a knock has named gets one init.
-    medium.run_until(12_000);
-    assert!(medium.sent.is_empty());
+}
+
+#[test]
+fn an_address_that_only_a_knock_has_named_gets_one_init() {
+    let mut medium = Medium::new(config(LEFT, 11), config(RIGHT, 22));
+    medium.loses = Box::new(|_, _, _| true);
+    medium.connect(1);
+    medium.ends[1].stop_asking(LEFT);
+    let knock = transmitted(&mut medium.ends[1]).remove(0);
+
+    medium.ends[0].handle_frame(knock, &77, at(0)).unwrap();
+    medium.run_until(3_000);
+
+    assert_eq!(medium.lengths(), [(0, 89)]);
+}
+
+#[test]
+fn the_address_of_a_frame_does_not_replace_the_one_that_was_given() {
+    let mut medium = Medium::new(config(LEFT, 11), config(RIGHT, 22));
+    medium.connect(1);
+    // The initiator's first sealed frame comes by way of another address.
+    while medium.in_flight.iter().all(|(_, _, frame)| frame.len() != 24) {
+        medium.run_until(medium.now + 1);
+    }
+    let first = medium.in_flight.drain(..).find(|(_, _, frame)| frame.len() == 24).unwrap().2;
+    medium.ends[1].handle_frame(first, &77, at(medium.now)).unwrap();
+    while medium.ends[1].poll_output().is_some() {}
+
+    medium.ends[1].begin(LEFT, at(medium.now));
+    let knock = medium.ends[1].poll_output();
+    assert!(matches!(knock, Some(SealerOutput::Transmit { to: 0, .. })), "{knock:?}");
 }
 
 #[test]
