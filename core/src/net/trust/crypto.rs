@@ -1,8 +1,10 @@
-//! Seeds and the keys that follow from them: HKDF-SHA-256 (RFC 5869), Ed25519 (RFC 8032), X25519
-//! (RFC 7748). The only file here that knows cryptographic libraries.
+//! Seeds, the keys that follow from them, and signatures by Ed25519 (RFC 8032). The only file here
+//! that knows a cryptographic library.
 
+use crate::net::seal::NoiseCrypto;
+use crate::net::seal::noise::derived_key;
+use ring::digest;
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair, UnparsedPublicKey};
-use ring::{digest, hkdf};
 use std::fmt;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing};
 
@@ -33,11 +35,11 @@ enum KeyUse {
 }
 
 impl KeyUse {
-    fn label(self) -> &'static [u8] {
+    fn label(self) -> &'static str {
         match self {
-            KeyUse::Handshake => b"x25519",
-            KeyUse::Advertisements => b"ed25519",
-            KeyUse::Roster => b"roster",
+            KeyUse::Handshake => "x25519",
+            KeyUse::Advertisements => "ed25519",
+            KeyUse::Roster => "roster",
         }
     }
 }
@@ -54,9 +56,9 @@ impl Seed {
 
     /// The public keys of the node that has this seed.
     pub fn public_keys(&self) -> PublicKeys {
-        let secret = x25519_dalek::StaticSecret::from(*self.derive(KeyUse::Handshake));
+        let handshake = NoiseCrypto::new(*self.derive(KeyUse::Handshake));
         PublicKeys {
-            x25519: PublicKey(x25519_dalek::PublicKey::from(&secret).to_bytes()),
+            x25519: PublicKey(handshake.public_key()),
             ed25519: public_key(&key_pair(&self.derive(KeyUse::Advertisements))),
         }
     }
@@ -72,24 +74,8 @@ impl Seed {
     }
 
     fn derive(&self, purpose: KeyUse) -> Zeroizing<[u8; KEY_BYTES]> {
-        let mut key = Zeroizing::new([0; KEY_BYTES]);
-        expand(&[], &self.0, purpose.label(), &mut *key);
-        key
+        derived_key(&self.0, purpose.label())
     }
-}
-
-/// HKDF-SHA-256 into a buffer, which is no longer than 255 hashes.
-fn expand(salt: &[u8], secret: &[u8], info: &[u8], into: &mut [u8]) {
-    struct Length(usize);
-    impl hkdf::KeyType for Length {
-        fn len(&self) -> usize {
-            self.0
-        }
-    }
-    let key = hkdf::Salt::new(hkdf::HKDF_SHA256, salt).extract(secret);
-    let info = [info];
-    let material = key.expand(&info, Length(into.len())).expect("it is short enough");
-    material.fill(into).expect("it has the length that was asked for");
 }
 
 fn key_pair(secret: &[u8; KEY_BYTES]) -> Ed25519KeyPair {
@@ -172,29 +158,6 @@ mod tests {
     fn hex(text: &str) -> Vec<u8> {
         let digits: Vec<u32> = text.chars().filter_map(|digit| digit.to_digit(16)).collect();
         digits.chunks(2).map(|pair| (pair[0] * 16 + pair[1]) as u8).collect()
-    }
-
-    #[test]
-    fn keys_are_derived_as_rfc_5869_says() {
-        let check = |salt: &str, secret: &str, info: &str, expected: &str| {
-            let mut into = [0; 42];
-            expand(&hex(salt), &hex(secret), &hex(info), &mut into);
-            assert_eq!(into.as_slice(), hex(expected));
-        };
-        let secret = "0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b";
-        // Appendix A.1 and A.3.
-        check(
-            "000102030405060708090a0b0c",
-            secret,
-            "f0f1f2f3f4f5f6f7f8f9",
-            "3cb25f25faacd57a90434f64d0362f2a2d2d0a90cf1a5a4c5db02d56ecc4c5bf34007208d5b887185865",
-        );
-        check(
-            "",
-            secret,
-            "",
-            "8da4e775a563c18f715f802a063c5a31b8a11f5c5ee1879ec3454e5f3c738d2d9d201395faa4b61a96c8",
-        );
     }
 
     #[test]
