@@ -8,7 +8,7 @@
 //! that denies, and no order: a line closes what was open to all, and opens it to those that it
 //! names.
 
-use super::text::TrustProblem;
+use super::text::{PEERS_END, TrustProblem};
 use crate::NodeName;
 use std::fmt;
 
@@ -179,7 +179,7 @@ impl PolicyLine {
         const FORM: &str = "`only PEER… may VERB… on OBJECT [by CONTRACT]`, or `end`";
         let form = || TrustProblem::expected(FORM);
         let Some((&"only", rest)) = words.split_first() else { return Err(form()) };
-        let may = rest.iter().position(|word| *word == "may").ok_or_else(form)?;
+        let may = rest.iter().position(|word| *word == PEERS_END).ok_or_else(form)?;
         let (peers, rest) = (&rest[..may], &rest[may + 1..]);
         let on = rest.iter().position(|word| *word == "on").ok_or_else(form)?;
         let (verbs, contract) = (&rest[..on], rest.get(on + 3));

@@ -14,7 +14,7 @@
 
 use super::crypto::{PublicKey, PublicKeys, SIGNATURE_BYTES, Seed};
 use super::policy::{Permission, PolicyLine, Role, Verb, permission};
-use super::text::{Lines, TrustError, TrustProblem, decode, encode, public_key};
+use super::text::{Lines, PEERS_END, TrustError, TrustProblem, decode, encode, public_key};
 use crate::NodeName;
 use crate::net::NodeId;
 use std::cmp::Ordering;
@@ -95,8 +95,12 @@ impl NodeRoster {
     /// Lists one more node.
     ///
     /// # Errors
-    /// Its name, its number or a key of it is another node's, or the list is full.
+    /// Its name, its number or a key of it is another node's, its name is a word of policy lines, or
+    /// the list is full.
     pub fn add(&mut self, node: RosterNode) -> Result<(), TrustProblem> {
+        if node.name.as_str() == PEERS_END {
+            return Err(TrustProblem::ReservedName);
+        }
         if self.nodes.len() >= ROSTER_NODES {
             return Err(TrustProblem::TooManyNodes { most: ROSTER_NODES });
         }

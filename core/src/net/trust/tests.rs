@@ -122,6 +122,7 @@ fn a_changed_list_and_one_of_another_robot_are_refused() {
 fn nodes_that_cannot_be_told_apart_are_not_listed_together() {
     let mut full = roster();
     assert_eq!(full.add(node("base", 50, Role::Node)), Err(TrustProblem::NodeTwice(name("base"))));
+    assert_eq!(full.add(node("may", 51, Role::Node)), Err(TrustProblem::ReservedName));
     assert_eq!(full.add(node("other", 2, Role::Node)), Err(TrustProblem::KeyTwice(name("arm"))));
     // Two words with one FNV-1a hash of 32 bits.
     full.add(node("costarring", 50, Role::Node)).expect("there is room");

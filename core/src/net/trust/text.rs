@@ -6,6 +6,9 @@ use crate::{NameError, NodeName};
 use std::fmt;
 use zeroize::Zeroize;
 
+/// The word of a policy line that ends its peers: no node has this name.
+pub(super) const PEERS_END: &str = "may";
+
 /// What is wrong with a file, and in which line. A word of the file is never repeated where it
 /// could be a secret.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -71,6 +74,9 @@ pub enum TrustProblem {
         /// Who has it.
         other: NodeName,
     },
+    /// The name of a node is the word that ends the peers of a policy line.
+    #[error("no node is called `{PEERS_END}`: the word ends the peers of a policy line")]
+    ReservedName,
     /// A signed text differs from how it would be written.
     #[error("the text is not as the signer writes it: copy the file again")]
     NotCanonical,
