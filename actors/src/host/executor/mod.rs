@@ -104,8 +104,6 @@ pub(crate) struct ComponentExecutor<C: Component> {
     logged: Option<Box<LoggedMessage>>,
     /// When the incarnation began, until it first awaits something.
     began: Option<Instant>,
-    /// The supervisor knows that the incarnation did not come to work.
-    start_failed: bool,
     /// This incarnation is over, and none comes after it here.
     over: bool,
     /// When its guard restarted the component. There only where it has.
@@ -143,7 +141,6 @@ impl<C: Component> ComponentExecutor<C> {
             followed: false,
             logged: None,
             began: None,
-            start_failed: false,
             over: false,
             deaths: None,
             outbox: Vec::new(),

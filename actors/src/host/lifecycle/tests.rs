@@ -102,7 +102,8 @@ fn a_failed_initialisation_is_fatal() {
     assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
     let reported = reports(&mut lifecycle);
     assert_eq!(states(&reported), [Created, Fatal, Finalized]);
-    assert_eq!(answers(reported), [ChildEvent::StartFailed { reason: "no device".into() }]);
+    assert_eq!(answers(reported), [], "the next one may not begin before this one has ended");
+    assert_eq!(lifecycle.take_start_failure().as_deref(), Some("no device"));
 }
 
 #[test]
@@ -125,7 +126,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 }
 
 #[test]
-fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
+fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of_at_the_end() {
     for hook in [Hook::Startup, Hook::Activated] {
         let mut lifecycle = IncarnationLifecycle::new(true);
         while let LifecycleStep::Run(next) = lifecycle.next() {
@@ -136,9 +137,24 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of() {
             lifecycle.handle_done(next, Ok(()));
         }
         assert_eq!(lifecycle.state, Error);
-        let failed = ChildEvent::StartFailed { reason: "jammed".into() };
-        assert_eq!(answers(reports(&mut lifecycle)), [failed]);
+        let last = [Hook::Aborting, Hook::Error, Hook::Shutdown, Hook::Finalize];
+        assert_eq!(run(&mut lifecycle), last);
+        assert_eq!(answers(reports(&mut lifecycle)), []);
+        assert_eq!(lifecycle.take_start_failure().as_deref(), Some("jammed"));
     }
+}
+
+#[test]
+fn a_failed_start_that_is_told_to_stop_answers_that_only() {
+    let mut lifecycle = IncarnationLifecycle::new(true);
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+    lifecycle.handle_done(Hook::Initialize, failed("no device"));
+
+    lifecycle.handle_stop(EndReason::Replaced);
+
+    assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
+    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Replaced));
+    assert_eq!(lifecycle.take_start_failure(), None);
 }
 
 #[test]

@@ -368,7 +368,9 @@ impl Supervisor {
         // A new guard begins to count.
         child.on_the_spot = None;
         let (name, incarnation) = (child.name.clone(), child.incarnation);
-        let due = now + child.rules.ready_within;
+        // One that fails says so when its last hooks have run, which is bounded as a stop is.
+        let rules = &child.rules;
+        let due = now + rules.ready_within.saturating_add(rules.shutdown_within);
         self.set_state(key, ChildPhase::Starting { due });
         self.outputs.push_back(SupervisorOutput::Start { child: name, incarnation });
     }
