@@ -140,13 +140,13 @@ pub(crate) struct IncarnationLifecycle {
 }
 
 impl IncarnationLifecycle {
-    /// An incarnation that is about to be initialised and activated. `announced`: its supervisor
-    /// waits to hear of it.
-    pub(crate) fn new(announced: bool) -> Self {
+    /// An incarnation that is about to be initialised and activated. Its supervisor waits to hear of
+    /// it.
+    pub(crate) fn new() -> Self {
         IncarnationLifecycle {
             state: Lifecycle::Created,
             hooks: smallvec![Hook::Initialize, Hook::Startup, Hook::Activated],
-            awaited: announced.then_some(Awaited::Start),
+            awaited: Some(Awaited::Start),
             start_failure: None,
             retried: None,
             end: None,

@@ -71,7 +71,7 @@ impl<C: Component> ComponentExecutor<C> {
             Some(next) => {
                 self.cell.record.cold().exits.set_restarted(incarnation, next);
                 self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
-                self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
+                self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
                 let subscriptions = self.cell.subscriptions();
                 subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.cell));

@@ -127,7 +127,7 @@ impl<C: Component> ComponentExecutor<C> {
         let mut executor = ComponentExecutor {
             cell,
             state,
-            lifecycle: IncarnationLifecycle::new(true),
+            lifecycle: IncarnationLifecycle::new(),
             component: None,
             service: Service::Idle,
             slots_in_use: Vec::new(),
@@ -170,7 +170,7 @@ impl<C: Component> ComponentExecutor<C> {
         let is_newest = record.enter(self.state.incarnation, placement);
         self.schedule.begin(record.limits.interval);
         self.slot.activity.run_every(record.limits.interval);
-        self.began = self.lifecycle.is_starting().then(platform::now);
+        self.began = Some(platform::now());
         // An incarnation that was abandoned before its placement was known was not told so.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();

@@ -19,7 +19,7 @@ fn run(lifecycle: &mut IncarnationLifecycle) -> Vec<Hook> {
 
 /// An incarnation that has come as far as `state`, its reports told.
 fn incarnation(state: Lifecycle) -> IncarnationLifecycle {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     match state {
         Created => {}
         Initialized => {
@@ -73,7 +73,7 @@ fn answers(reports: Vec<LifecycleReport>) -> Vec<ChildEvent> {
 
 #[test]
 fn an_incarnation_is_initialised_started_and_activated() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
 
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
 
@@ -85,15 +85,8 @@ fn an_incarnation_is_initialised_started_and_activated() {
 }
 
 #[test]
-fn an_incarnation_that_nobody_waits_for_tells_no_supervisor() {
-    let mut lifecycle = IncarnationLifecycle::new(false);
-    run(&mut lifecycle);
-    assert_eq!(answers(reports(&mut lifecycle)), []);
-}
-
-#[test]
 fn a_failed_initialisation_is_fatal() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
 
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
@@ -128,7 +121,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 #[test]
 fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of_at_the_end() {
     for hook in [Hook::Startup, Hook::Activated] {
-        let mut lifecycle = IncarnationLifecycle::new(true);
+        let mut lifecycle = IncarnationLifecycle::new();
         while let LifecycleStep::Run(next) = lifecycle.next() {
             if next == hook {
                 lifecycle.handle_done(next, failed("jammed"));
@@ -146,7 +139,7 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of_at_
 
 #[test]
 fn a_failed_start_that_is_told_to_stop_answers_that_only() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
 
@@ -204,7 +197,7 @@ fn stop_ends_every_state_in_its_own_way() {
 
 #[test]
 fn a_stop_that_overtakes_the_activation_deactivates_again() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     for hook in [Hook::Initialize, Hook::Startup] {
         assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
         lifecycle.handle_done(hook, Ok(()));
@@ -298,7 +291,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
 
 #[test]
 fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_incarnation() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     let mut waited = Vec::new();
     for _ in 0..10 {
         assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
@@ -334,7 +327,7 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
 #[test]
 fn an_incarnation_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
-        let mut lifecycle = IncarnationLifecycle::new(true);
+        let mut lifecycle = IncarnationLifecycle::new();
         while let LifecycleStep::Run(next) = lifecycle.next() {
             lifecycle.handle_done(next, if next == hook { missing() } else { Ok(()) });
         }
