@@ -247,9 +247,12 @@ impl World {
             Turn::DiesOnTheSpot(at) => {
                 let name = name(at);
                 if self.orders.contains(&name)
-                    && let Some((incarnation, _)) = self.present.get_mut(&name)
+                    && let Some((incarnation, phase)) = self.present.get_mut(&name)
                 {
                     let old = *incarnation;
+                    if *phase != Phase::Stopping {
+                        *phase = Phase::Starting;
+                    }
                     *incarnation = incarnation.next();
                     let next = *incarnation;
                     self.last.insert(name.clone(), next);

@@ -118,8 +118,6 @@ impl<C: Component> Child for ComponentChild<C> {
     }
 
     fn retire(&mut self) {
-        // A component whose start has failed may still run its last hooks, as before the next
-        // start.
         self.abandon();
         self.cell.end();
     }

@@ -130,6 +130,9 @@ pub(crate) struct IncarnationLifecycle {
     /// At most one per hook, the next one first.
     hooks: SmallVec<[Hook; HOOK_COUNT]>,
     awaited: Option<Awaited>,
+    /// Why it did not come to work. The supervisor, which waits for the start, hears of it when the
+    /// incarnation has ended: only then may the next one begin.
+    start_failure: Option<String>,
     /// A hook found that something is not there yet.
     retried: Option<Retried>,
     end: Option<EndReason>,
@@ -137,13 +140,14 @@ pub(crate) struct IncarnationLifecycle {
 }
 
 impl IncarnationLifecycle {
-    /// An incarnation that is about to be initialised and activated. `announced`: its supervisor
-    /// waits to hear of it.
-    pub(crate) fn new(announced: bool) -> Self {
+    /// An incarnation that is about to be initialised and activated. Its supervisor waits to hear of
+    /// it.
+    pub(crate) fn new() -> Self {
         IncarnationLifecycle {
             state: Lifecycle::Created,
             hooks: smallvec![Hook::Initialize, Hook::Startup, Hook::Activated],
-            awaited: announced.then_some(Awaited::Start),
+            awaited: Some(Awaited::Start),
+            start_failure: None,
             retried: None,
             end: None,
             reports: VecDeque::from([LifecycleReport::State(Lifecycle::Created, None)]),
@@ -153,6 +157,11 @@ impl IncarnationLifecycle {
     /// The supervisor still waits to hear that the incarnation has begun.
     pub(crate) fn is_starting(&self) -> bool {
         self.awaited == Some(Awaited::Start)
+    }
+
+    /// What the supervisor is to be told of an incarnation that has ended before it came to work.
+    pub(crate) fn take_start_failure(&mut self) -> Option<String> {
+        self.start_failure.take()
     }
 
     /// Nothing but messages, timers and rounds.
@@ -317,9 +326,7 @@ impl IncarnationLifecycle {
     fn answer_failed(&mut self, reason: &str) {
         let reason = reason.to_owned();
         match self.awaited.take() {
-            Some(Awaited::Start) => {
-                self.reports.push_back(LifecycleReport::Child(ChildEvent::StartFailed { reason }));
-            }
+            Some(Awaited::Start) => self.start_failure = Some(reason),
             Some(Awaited::Reset) => {
                 self.reports.push_back(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }
@@ -335,6 +342,7 @@ impl IncarnationLifecycle {
                 || (end == EndReason::Replaced && self.end != Some(EndReason::Stopped))
             {
                 self.end = Some(end);
+                self.start_failure = None;
             }
             return;
         }

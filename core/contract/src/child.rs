@@ -92,7 +92,7 @@ pub enum ChildEvent {
         /// What it waits for, as the component said it.
         reason: String,
     },
-    /// It could not be built, initialised or activated.
+    /// It could not be built, initialised or activated, and has ended: its last hooks have run.
     StartFailed {
         /// Why, as the component said it.
         reason: String,

@@ -316,3 +316,22 @@ async fn a_supervisor_that_cannot_start_escalates_and_is_recovered_when_it_works
     node.advance(Duration::from_secs(1)).await;
     assert_eq!(open_faults(&node).await, []);
 }
+
+#[blastema_testkit::test]
+async fn a_fault_is_recovered_when_the_replacement_has_started() {
+    for hook in ["on_aborting", "on_error", "on_reset"] {
+        let strings = Strings::default();
+        let mut node = TestNode::start(Node::builder("module1").child(strings.spec("arm"))).await;
+        let start = Duration::from_millis(500);
+        strings.pull("arm", hook, Pull::Panic("boom"));
+        strings.pull("arm", "on_initialize", Pull::Wait(start));
+
+        ask(&node, "arm", Deed::Fail("bent".into())).await.unwrap();
+        node.await_fault(FaultKind::Panic, "arm").await;
+        let within = node.await_recovered(FaultKind::Panic, "arm").await;
+
+        assert!(within >= start, "{hook}: {within:?}");
+        assert_eq!(incarnation(&node, "arm").await, 2, "{hook}");
+        assert_eq!(open_faults(&node).await, [], "{hook}");
+    }
+}

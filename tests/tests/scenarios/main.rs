@@ -20,6 +20,7 @@ mod groups;
 mod hangs;
 mod initialization;
 mod isolation;
+mod last_hooks;
 mod names;
 mod networks;
 mod panics;

@@ -71,8 +71,7 @@ impl<C: Component> ComponentExecutor<C> {
             Some(next) => {
                 self.cell.record.cold().exits.set_restarted(incarnation, next);
                 self.state = Rc::new(IncarnationState::new(next, self.slot.activity));
-                self.lifecycle = IncarnationLifecycle::new(self.lifecycle.is_starting());
-                self.start_failed = false;
+                self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
                 let subscriptions = self.cell.subscriptions();
                 subscriptions.iter().for_each(|subscription| subscription.attach(&self.cell));
@@ -102,8 +101,7 @@ impl<C: Component> ComponentExecutor<C> {
         let Some(RestartGrant { times, period, .. }) = self.cell.record.order() else {
             return false;
         };
-        // The supervisor has the report of one that did not begin to work: it decides.
-        if self.lifecycle.is_ending() || self.start_failed {
+        if self.lifecycle.is_ending() {
             return false;
         }
         let now = platform::now();
@@ -134,14 +132,14 @@ impl<C: Component> ComponentExecutor<C> {
             Down { object, node: None, incarnation, ending }
         });
         let mut supervisor = None;
-        let event = match (exit, self.lifecycle.is_starting() && restarted_as.is_none()) {
-            (ExitReason::Stopped, _) => Some(ChildEvent::Stopped),
-            (ExitReason::Panicked { text, at, .. }, true) => {
+        let starting = self.lifecycle.is_starting() && restarted_as.is_none();
+        let event = match (exit, self.lifecycle.take_start_failure()) {
+            // One that has not come to work does not die in addition.
+            (_, Some(reason)) => Some(ChildEvent::StartFailed { reason }),
+            (ExitReason::Stopped, None) => Some(ChildEvent::Stopped),
+            (ExitReason::Panicked { text, at, .. }, None) if starting => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
-            // An incarnation of which the supervisor knows that it never began does not die in
-            // addition.
-            _ if self.start_failed => None,
             _ => {
                 supervisor = Some(&self.supervisor);
                 None

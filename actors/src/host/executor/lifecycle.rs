@@ -5,7 +5,6 @@ use super::outbox::DeferredReport;
 use crate::component::{Component, Failure};
 use crate::host::lifecycle::{Hook, LifecycleReport};
 use crate::host::schedule::DueWork;
-use blastema_contract::child::ChildEvent;
 use blastema_contract::reports::{FaultDeclared, StateReported};
 use blastema_core::{FaultKind, Lifecycle};
 
@@ -40,13 +39,12 @@ impl<C: Component> ComponentExecutor<C> {
                 }
                 LifecycleReport::Child(event) => {
                     self.schedule.cancel_limit(DueWork::ReadyLimit);
-                    self.start_failed = matches!(event, ChildEvent::StartFailed { .. });
                     self.outbox.push(DeferredReport::Child(event, self.state.incarnation));
                 }
             }
         }
         if self.lifecycle.is_ending() {
-            // Also of a failure, whose end its supervisor has been notified of already.
+            // Also of a failure, which its supervisor has not ordered to stop.
             self.schedule.limit(DueWork::StopLimit, self.cell.record.limits.shutdown_within);
         }
     }

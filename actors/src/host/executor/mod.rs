@@ -104,8 +104,6 @@ pub(crate) struct ComponentExecutor<C: Component> {
     logged: Option<Box<LoggedMessage>>,
     /// When the incarnation began, until it first awaits something.
     began: Option<Instant>,
-    /// The supervisor knows that the incarnation did not come to work.
-    start_failed: bool,
     /// This incarnation is over, and none comes after it here.
     over: bool,
     /// When its guard restarted the component. There only where it has.
@@ -129,7 +127,7 @@ impl<C: Component> ComponentExecutor<C> {
         let mut executor = ComponentExecutor {
             cell,
             state,
-            lifecycle: IncarnationLifecycle::new(true),
+            lifecycle: IncarnationLifecycle::new(),
             component: None,
             service: Service::Idle,
             slots_in_use: Vec::new(),
@@ -143,7 +141,6 @@ impl<C: Component> ComponentExecutor<C> {
             followed: false,
             logged: None,
             began: None,
-            start_failed: false,
             over: false,
             deaths: None,
             outbox: Vec::new(),
@@ -173,7 +170,7 @@ impl<C: Component> ComponentExecutor<C> {
         let is_newest = record.enter(self.state.incarnation, placement);
         self.schedule.begin(record.limits.interval);
         self.slot.activity.run_every(record.limits.interval);
-        self.began = self.lifecycle.is_starting().then(platform::now);
+        self.began = Some(platform::now());
         // An incarnation that was abandoned before its placement was known was not notified.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();

@@ -19,7 +19,7 @@ fn run(lifecycle: &mut IncarnationLifecycle) -> Vec<Hook> {
 
 /// An incarnation that has come as far as `state`, its reports told.
 fn incarnation(state: Lifecycle) -> IncarnationLifecycle {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     match state {
         Created => {}
         Initialized => {
@@ -73,7 +73,7 @@ fn answers(reports: Vec<LifecycleReport>) -> Vec<ChildEvent> {
 
 #[test]
 fn an_incarnation_is_initialised_started_and_activated() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
 
     assert_eq!(run(&mut lifecycle), [Hook::Initialize, Hook::Startup, Hook::Activated]);
 
@@ -85,15 +85,8 @@ fn an_incarnation_is_initialised_started_and_activated() {
 }
 
 #[test]
-fn an_incarnation_that_nobody_waits_for_tells_no_supervisor() {
-    let mut lifecycle = IncarnationLifecycle::new(false);
-    run(&mut lifecycle);
-    assert_eq!(answers(reports(&mut lifecycle)), []);
-}
-
-#[test]
 fn a_failed_initialisation_is_fatal() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
 
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
@@ -102,7 +95,8 @@ fn a_failed_initialisation_is_fatal() {
     assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
     let reported = reports(&mut lifecycle);
     assert_eq!(states(&reported), [Created, Fatal, Finalized]);
-    assert_eq!(answers(reported), [ChildEvent::StartFailed { reason: "no device".into() }]);
+    assert_eq!(answers(reported), [], "the next one may not begin before this one has ended");
+    assert_eq!(lifecycle.take_start_failure().as_deref(), Some("no device"));
 }
 
 #[test]
@@ -125,9 +119,9 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 }
 
 #[test]
-fn a_failed_activation_at_the_start_is_reported_to_the_supervisor() {
+fn a_failed_activation_at_the_start_is_reported_at_the_end() {
     for hook in [Hook::Startup, Hook::Activated] {
-        let mut lifecycle = IncarnationLifecycle::new(true);
+        let mut lifecycle = IncarnationLifecycle::new();
         while let LifecycleStep::Run(next) = lifecycle.next() {
             if next == hook {
                 lifecycle.handle_done(next, failed("jammed"));
@@ -136,9 +130,24 @@ fn a_failed_activation_at_the_start_is_reported_to_the_supervisor() {
             lifecycle.handle_done(next, Ok(()));
         }
         assert_eq!(lifecycle.state, Error);
-        let failed = ChildEvent::StartFailed { reason: "jammed".into() };
-        assert_eq!(answers(reports(&mut lifecycle)), [failed]);
+        let last = [Hook::Aborting, Hook::Error, Hook::Shutdown, Hook::Finalize];
+        assert_eq!(run(&mut lifecycle), last);
+        assert_eq!(answers(reports(&mut lifecycle)), []);
+        assert_eq!(lifecycle.take_start_failure().as_deref(), Some("jammed"));
     }
+}
+
+#[test]
+fn a_failed_start_that_is_told_to_stop_answers_that_only() {
+    let mut lifecycle = IncarnationLifecycle::new();
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+    lifecycle.handle_done(Hook::Initialize, failed("no device"));
+
+    lifecycle.handle_stop(EndReason::Replaced);
+
+    assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
+    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Replaced));
+    assert_eq!(lifecycle.take_start_failure(), None);
 }
 
 #[test]
@@ -188,7 +197,7 @@ fn stop_ends_every_state_in_its_own_way() {
 
 #[test]
 fn a_stop_that_overtakes_the_activation_deactivates_again() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     for hook in [Hook::Initialize, Hook::Startup] {
         assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
         lifecycle.handle_done(hook, Ok(()));
@@ -282,7 +291,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
 
 #[test]
 fn a_hook_without_its_device_is_called_again_with_back_off() {
-    let mut lifecycle = IncarnationLifecycle::new(true);
+    let mut lifecycle = IncarnationLifecycle::new();
     let mut waited = Vec::new();
     for _ in 0..10 {
         assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
@@ -318,7 +327,7 @@ fn a_reset_whose_device_is_missing_goes_on_by_itself() {
 #[test]
 fn an_incarnation_that_waits_is_stopped_fails_and_is_not_activated_twice() {
     let waiting = |hook| {
-        let mut lifecycle = IncarnationLifecycle::new(true);
+        let mut lifecycle = IncarnationLifecycle::new();
         while let LifecycleStep::Run(next) = lifecycle.next() {
             lifecycle.handle_done(next, if next == hook { missing() } else { Ok(()) });
         }

@@ -28,9 +28,7 @@ impl ReplacementCause {
     /// What a fault says about the incarnation that it struck.
     pub fn of(fault: &Fault) -> Self {
         match fault.kind {
-            FaultKind::Panic | FaultKind::UnexpectedExit | FaultKind::InitializationFailed => {
-                ReplacementCause::Died
-            }
+            FaultKind::Panic | FaultKind::UnexpectedExit => ReplacementCause::Died,
             FaultKind::Hang if fault.symptom_of.is_some() => ReplacementCause::Behind,
             FaultKind::Hang | FaultKind::Silence => ReplacementCause::Stuck,
             _ => ReplacementCause::Faulty,

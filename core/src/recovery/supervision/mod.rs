@@ -294,9 +294,9 @@ impl Supervisor {
             }
             Some(_) => {}
         }
-        if self.kept(key).goal == ChildTarget::Run
-            && let Err(why) = self.replace(key, cause, now)
-        {
+        if self.kept(key).goal != ChildTarget::Run {
+            self.end_unanswering(key, cause, now);
+        } else if let Err(why) = self.replace(key, cause, now) {
             self.refuse(call, why);
         }
         self.advance(now);
@@ -382,12 +382,13 @@ impl Supervisor {
     pub fn handle_started(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
         let state = self.kept(key).state;
-        if !matches!(state, ChildPhase::Starting { .. } | ChildPhase::Unavailable)
-            || self.going.contains(&key)
-        {
+        if !matches!(state, ChildPhase::Starting { .. } | ChildPhase::Unavailable) {
             return;
         }
         self.set_state(key, ChildPhase::Running);
+        if self.going.contains(&key) {
+            return;
+        }
         self.coming.remove(&key);
         self.grant(key, now);
         self.advance(now);

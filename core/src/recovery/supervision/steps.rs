@@ -149,10 +149,8 @@ impl Supervisor {
         let child = self.kept(key);
         let waits = child.state == ChildPhase::Down && child.failed.is_none();
         let stops = matches!(child.state, ChildPhase::Stopping { .. }) || self.going.contains(&key);
-        if stops && !matches!(cause, ReplacementCause::Faulty | ReplacementCause::Asked) {
-            // It would not answer the stop that it was sent, or is going to be sent.
-            self.end_now(key, cause);
-            self.after_end(key, now);
+        if stops {
+            self.end_unanswering(key, cause, now);
         }
         if stops || (waits && self.coming.contains(&key)) {
             return Ok(());
@@ -252,6 +250,15 @@ impl Supervisor {
         if self.kept(key).is_alive() {
             self.ask_to_stop(key, now);
         } else {
+            self.after_end(key, now);
+        }
+    }
+
+    /// Ends one that would not answer the stop that it was sent, or is going to be sent.
+    pub(super) fn end_unanswering(&mut self, key: ChildKey, cause: ReplacementCause, now: Instant) {
+        let answers = matches!(cause, ReplacementCause::Faulty | ReplacementCause::Asked);
+        if !answers && self.kept(key).is_alive() {
+            self.end_now(key, cause);
             self.after_end(key, now);
         }
     }
@@ -368,9 +375,15 @@ impl Supervisor {
         // A new guard begins to count.
         child.on_the_spot = None;
         let (name, incarnation) = (child.name.clone(), child.incarnation);
-        let due = now + child.rules.ready_within;
-        self.set_state(key, ChildPhase::Starting { due });
+        self.await_start(key, now);
         self.outputs.push_back(SupervisorOutput::Start { child: name, incarnation });
+    }
+
+    /// One that fails says so when its last hooks have run, which is bounded as a stop is.
+    fn await_start(&mut self, key: ChildKey, now: Instant) {
+        let rules = self.kept(key).rules;
+        let due = now + rules.ready_within.saturating_add(rules.shutdown_within);
+        self.set_state(key, ChildPhase::Starting { due });
     }
 
     fn ask_to_stop(&mut self, key: ChildKey, now: Instant) {
@@ -446,9 +459,8 @@ impl Supervisor {
         child.restarts += 1;
         let window = || Box::new(RestartWindow::new(counted, period));
         child.on_the_spot.get_or_insert_with(window).add(now);
-        if let ChildPhase::Resetting { .. } = child.state {
-            self.set_state(key, ChildPhase::Down);
-            self.set_state(key, ChildPhase::Running);
+        if !matches!(child.state, ChildPhase::Down | ChildPhase::Stopping { .. }) {
+            self.await_start(key, now);
         }
         if self.at_work() && self.count_restart(key, now) {
             self.grant(key, now);

@@ -75,14 +75,31 @@ fn a_standing_order_draws_from_the_budget_and_returns_as_the_window_moves() {
     assert_eq!(rig.started("a", 1), ["order a x2", "start b #1"]);
     assert_eq!(rig.started("b", 1), ["order b x2", "all started"]);
 
-    assert_eq!(rig.died_on_the_spot("a", 1), ["order a x2"]);
+    assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
+    assert_eq!(rig.started("a", 2), ["order a x2"]);
     assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
     rig.pass(30);
     assert_eq!(rig.died_on_the_spot("b", 1), ["withdraw a", "withdraw b"]);
+    assert_eq!(rig.started("b", 2), [""; 0]);
     assert_eq!(rig.pass(30), [""; 0]);
     rig.now = rig.machine.poll_timeout().expect("it waits for the window to move");
     assert_eq!(rig.pass(0), ["order a x1", "order b x2"]);
     assert_eq!(rig.machine.poll_timeout(), None);
+}
+
+#[test]
+fn a_restart_on_the_spot_has_recovered_the_child_when_it_is_active() {
+    let mut rig = Rig::with(Strategy::OneForOne, 3, &[("a", on_the_spot())]);
+    rig.begin();
+    rig.started("a", 1);
+
+    assert_eq!(rig.died_on_the_spot("a", 1), [""; 0]);
+    assert_eq!(rig.restart("a", ReplacementCause::Died, 1), [""; 0], "it has not started yet");
+    assert_eq!(rig.state("a"), ChildState::Starting);
+    assert_eq!(rig.died_on_the_spot("a", 2), [""; 0], "its guard goes on");
+    assert_eq!(rig.started("a", 2), [""; 0]);
+
+    assert_eq!(rig.started("a", 3), ["order a x3", "1 recovered a #3"]);
 }
 
 #[test]

@@ -88,6 +88,7 @@ fn a_standing_order_draws_from_the_childs_own_count() {
     assert_eq!(rig.died_on_the_spot("a", 1), ["withdraw a"]);
     // One more than was granted, by a hair of the clocks: it lives, and it stays.
     assert_eq!(rig.died_on_the_spot("a", 2), [""; 0]);
+    rig.started("a", 3);
     assert_eq!(rig.state("a"), ChildState::Running);
     assert_eq!(rig.machine.restarts_left(rig.now), 0);
 

@@ -16,9 +16,10 @@ fn children_come_and_go_while_it_is_at_work() {
     assert_eq!(rig.remove("b"), ["stop b"]);
     assert_eq!(
         rig.restart("b", ReplacementCause::Died, 1),
-        ["2 gave b up: it is in the safe state"]
+        ["left b", "1 let b go", "retire b", "2 let b go"],
+        "its stop is not waited for"
     );
-    assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go"]);
+    assert_eq!(rig.stopped("b", 1), [""; 0]);
     assert_eq!(rig.remove("b"), ["3 gave b up: no such child"]);
     assert_eq!(rig.end(), ["stop d"]);
     assert_eq!(rig.stopped("d", 1), ["stop c"]);

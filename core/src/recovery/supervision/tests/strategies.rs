@@ -184,6 +184,28 @@ fn a_temporary_member_ends_with_its_group_and_does_not_return() {
 }
 
 #[test]
+fn a_temporary_member_behind_anothers_hang_is_abandoned_with_it() {
+    let guest = kept(Restart::Temporary);
+    let children = [("a", permanent()), ("guest", guest), ("c", permanent())];
+    for hangs in ["a", "c"] {
+        let mut rig = Rig::with(Strategy::OneForAll, 3, &children);
+        rig.begin();
+        for child in ["a", "guest", "c"] {
+            rig.started(child, 1);
+        }
+
+        rig.restart(hangs, ReplacementCause::Stuck, 1);
+        let other = if hangs == "a" { "c" } else { "a" };
+        let mut outputs = rig.restart(other, ReplacementCause::Behind, 1);
+        outputs.extend(rig.restart("guest", ReplacementCause::Behind, 1));
+
+        let abandoned = ["abandon guest", "start a #2"].map(str::to_owned);
+        assert!(abandoned.iter().all(|output| outputs.contains(output)), "{outputs:?}");
+        assert_eq!(rig.started("a", 2), ["start c #2"]);
+    }
+}
+
+#[test]
 fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
     let sub = ChildRules::supervisor();
     let children = [("a", permanent()), ("sub", sub), ("c", permanent())];
