@@ -1,6 +1,7 @@
 //! What a user writes: a component, and what it does with each contract.
 
 pub(crate) mod cell;
+mod cold_state;
 pub(crate) mod context;
 pub(crate) mod control;
 pub(crate) mod declaration;

@@ -80,7 +80,7 @@
 //!
 //! | feature | brings |
 //! | --- | --- |
-//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
+//! | `network` | what takes more than one node: [`Network`], [`Link`] and [`Cable`], networks in memory and over [media](medium) of an application's own; [services](manual::services); [names of the whole robot](manual::names); what a node says of networks, links, routes and sessions ([`NetworkSnapshot`], [`Node::connected`]), and [`Node::isolate`] |
 //! | `ip`, `unix`, `serial`, `can`, `slcan` | one medium each, and `network` |
 //! | `unix` | [`NodeBuilder::inspection_socket`] too, at which `blastema monitor` looks |
 //! | `journal` | `journal` and `NodeBuilder::journal`, by SQLite: needs a C compiler |
@@ -200,7 +200,8 @@ pub use blastema_macros::main;
 pub use blastema_transports::endpoint::{EndpointError, EndpointProblem};
 #[cfg(feature = "network")]
 pub use node::{
-    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkSnapshot,
+    Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network, NetworkRow,
+    NetworkSnapshot,
 };
 pub use node::{
     FaultEvents, Node, NodeBuilder, NodeSnapshot, NodeState, RestartError, RestartedChild,
@@ -220,6 +221,7 @@ pub use blastema_core::{Fault, FaultId, FaultKind, FaultLocation, Instant, Lifec
 #[cfg(feature = "network")]
 pub mod medium {
     pub use blastema_contract::transport::MediumAddress;
+    pub use blastema_transports::Reach;
     pub use blastema_transports::frame_medium::{
         FrameMedium, MediumEvent, OpenedMedium, QueueLimits, SendResult,
     };

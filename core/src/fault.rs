@@ -64,6 +64,9 @@ pub enum FaultKind {
     /// No thread of this node ran for a while: its process was stopped, or its computer stood
     /// still. What it finds of links and other nodes just then is a symptom of that.
     NodePaused,
+    /// A network leaves the computer without authentication: every station on it can command the
+    /// robot. It stands while the node runs.
+    Insecure,
     /// A fault of the application's own list.
     Custom(Arc<str>),
 }
@@ -91,7 +94,7 @@ impl fmt::Display for Severity {
 
 impl FaultKind {
     /// Every built-in kind, in the order of its code.
-    pub const BUILT_IN: [FaultKind; 24] = [
+    pub const BUILT_IN: [FaultKind; 25] = [
         FaultKind::Panic,
         FaultKind::UnexpectedExit,
         FaultKind::Hang,
@@ -116,9 +119,10 @@ impl FaultKind {
         FaultKind::Unavailable,
         FaultKind::CrashLoop,
         FaultKind::NodePaused,
+        FaultKind::Insecure,
     ];
 
-    /// The code by which logs, tables and manuals know this kind: `B01` to `B24`, or the
+    /// The code by which logs, tables and manuals know this kind: `B01` to `B25`, or the
     /// application's own.
     pub fn code(&self) -> &str {
         match self {
@@ -146,6 +150,7 @@ impl FaultKind {
             FaultKind::Unavailable => "B22",
             FaultKind::CrashLoop => "B23",
             FaultKind::NodePaused => "B24",
+            FaultKind::Insecure => "B25",
             FaultKind::Custom(code) => code,
         }
     }
@@ -177,6 +182,7 @@ impl FaultKind {
             FaultKind::Unavailable => "unavailable",
             FaultKind::CrashLoop => "crash loop",
             FaultKind::NodePaused => "node paused",
+            FaultKind::Insecure => "insecure network",
             FaultKind::Custom(code) => code,
         }
     }
@@ -189,7 +195,8 @@ impl FaultKind {
             | FaultKind::CheckFailed
             | FaultKind::CommanderGone
             | FaultKind::Unreplicated
-            | FaultKind::NodePaused => Severity::Warning,
+            | FaultKind::NodePaused
+            | FaultKind::Insecure => Severity::Warning,
             FaultKind::Fatal
             | FaultKind::NodeLost
             | FaultKind::RestartStorm

@@ -127,12 +127,9 @@ fn the_attributes_become_the_contract() {
     assert_eq!(Scan::VERSION, 3);
     assert_eq!(Scan::MAX_SIZE, 4096);
     assert_eq!(Scan::MAX_AGE, Some(Duration::from_millis(100)));
-    assert!(!Scan::is_expired(Duration::from_millis(100)));
-    assert!(Scan::is_expired(Duration::from_millis(101)));
 
     assert_eq!((Nearest::NAME, Nearest::VERSION), ("Nearest", 1));
     assert_eq!(Nearest::MAX_AGE, None);
-    assert!(!Nearest::is_expired(Duration::MAX));
     let reply: <Nearest as Contract>::Reply = Some(1.0f32);
     assert_eq!(reply, Some(1.0));
 }

@@ -1,6 +1,7 @@
 //! Bytes from outside: garbage, and messages that were true once and were changed on the way.
 //! Nothing panics, everything is counted, and nothing grows without bound.
 
+use blastema_core::net::OrderingKey;
 use blastema_core::net::link::LinkConfig;
 use blastema_core::net::peer_protocol::PeerProtocolOutput;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
@@ -312,7 +313,9 @@ fn an_acknowledgement_of_what_was_never_sent_is_refused_and_an_absurd_window_bou
     let greedy = Segment::Acknowledge { tag, control: None, data: Some(ack), redundant: None };
     session.handle_segment(greedy.encode(), Instant::ORIGIN);
     for _ in 0..8000 {
-        let _ = session.handle_send(Stream::Data, Bytes::from_static(&[0; 1000]), Instant::ORIGIN);
+        let (along, bytes) =
+            ((Stream::Data, OrderingKey::default()), Bytes::from_static(&[0; 1000]));
+        let _ = session.handle_send_along(along, bytes, Instant::ORIGIN);
     }
     // No more than the congestion window is on its way.
     assert!(drain(&mut session).len() <= 64);

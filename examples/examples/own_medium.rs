@@ -2,7 +2,9 @@
 //! it is as over any other medium: links, routes, sessions, faults.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
-use blastema::medium::{Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, SendResult};
+use blastema::medium::{
+    Bytes, FrameMedium, MediumAddress, MediumEvent, OpenedMedium, Reach, SendResult,
+};
 use blastema::prelude::*;
 use blastema::{Link, Network};
 use std::io;
@@ -46,6 +48,10 @@ impl Fifos {
 impl FrameMedium for Fifos {
     fn name(&self) -> String {
         format!("fifo {}", self.own.display())
+    }
+
+    fn reach(&self) -> Reach {
+        Reach::Computer // without this, the node would refuse a network that is not `insecure()`
     }
 
     fn open(&mut self) -> io::Result<OpenedMedium> {

@@ -52,7 +52,7 @@ impl RecoveryStrategy for Regrasp {
         order: &RecoveryOrder,
         tools: &StrategyContext,
     ) -> Result<RecoveryDone, RecoveryFailed> {
-        println!("attempt {} at {}", order.attempt, order.measure);
+        println!("attempt {} at {}", order.attempt, order.action);
         let gripper = tools.sender::<Grasp>("gripper").map_err(|why| why.to_string())?;
         match gripper.ask(Grasp).await {
             Ok(true) => Ok(RecoveryDone::default()),

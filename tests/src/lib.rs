@@ -2,6 +2,8 @@
 
 use blastema::{Component, Context, Handle, Ports, Request};
 use std::net::{SocketAddr, UdpSocket};
+use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use tokio::sync::watch;
 
@@ -19,7 +21,35 @@ impl Process {
     /// Starts the role with the addresses of all nodes and more variables of the environment.
     pub fn start_with(role: &str, addresses: &[String], more: &[(&str, &String)]) -> Self {
         let program = std::env::current_exe().expect("a running program has a path");
-        let child = Command::new(program)
+        Process::spawn(Command::new(program), role, addresses, more)
+    }
+
+    /// The same, as another user, who runs a copy of this program in `folder`. Needs root.
+    pub fn start_as(
+        user: u32,
+        folder: &Path,
+        role: &str,
+        addresses: &[String],
+        more: &[(&str, &String)],
+    ) -> Self {
+        let own = std::env::current_exe().expect("a running program has a path");
+        let copy = folder.join("program");
+        // By another process: a file that this one has open for writing could be inherited by what
+        // another test starts just then, and cannot be executed before that has closed it.
+        let copied = Command::new("cp").arg(own).arg(&copy).status();
+        assert!(copied.expect("there is cp").success());
+        let mut program = Command::new(copy);
+        program.uid(user);
+        Process::spawn(program, role, addresses, more)
+    }
+
+    fn spawn(
+        mut program: Command,
+        role: &str,
+        addresses: &[String],
+        more: &[(&str, &String)],
+    ) -> Self {
+        let child = program
             .args(["--exact", "a_process_plays_its_role", "--nocapture"])
             .env(ROLE, role)
             .env(ADDRESSES, addresses.join(","))
@@ -34,6 +64,11 @@ impl Process {
     pub fn signal(&self, signal: &str) {
         let status = Command::new("kill").args([signal, &self.0.id().to_string()]).status();
         assert!(status.expect("there is kill").success());
+    }
+
+    /// Waits until it ends by itself, and returns whether it succeeded.
+    pub fn succeeds(&mut self) -> bool {
+        self.0.wait().expect("it was started here").success()
     }
 
     /// As `kill -9` does.

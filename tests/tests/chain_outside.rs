@@ -263,8 +263,8 @@ fn strategies_that_block_or_fail_hold_up_no_other_strategy() {
         let mut decided = Vec::new();
         while decided.len() < 5 {
             let event = events.next().await.expect("it runs");
-            if let FaultTransition::Decided { action: measure } = event.turn {
-                decided.push(measure);
+            if let FaultTransition::Decided { action } = event.turn {
+                decided.push(action);
             }
         }
         decided.sort();

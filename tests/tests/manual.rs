@@ -35,17 +35,17 @@ fn node() -> NodeName {
 fn the_list_of_faults_is_that_of_the_code_with_the_measures_of_the_default_plan() {
     let (page, plan) = (page("faults.md"), Plan::default());
     let rung = |step: &LadderStep| match step.attempts {
-        1 => step.measure.to_string(),
-        attempts => format!("{} ×{attempts}", step.measure),
+        1 => step.action.to_string(),
+        attempts => format!("{} ×{attempts}", step.action),
     };
     for kind in &FaultKind::BUILT_IN {
         let row = row(&page, &format!("`{}`", kind.code()));
         let ladder = plan.answer(&node(), kind, &FaultLocation::Node(node()));
-        let measures: Vec<String> = ladder.steps().iter().map(rung).collect();
+        let actions: Vec<String> = ladder.steps().iter().map(rung).collect();
 
         assert_eq!(row[1], kind.text());
         assert_eq!(row[2], format!("{:?}", kind.severity()).to_lowercase());
-        assert_eq!(row[4], measures.join(", "), "{kind}");
+        assert_eq!(row[4], actions.join(", "), "{kind}");
     }
 }
 

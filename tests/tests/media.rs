@@ -73,7 +73,7 @@ impl Pair {
     async fn on_line(cable: &Cable, baud: u32) -> Self {
         let at = |own: &Path, peer: &str| {
             let endpoint = format!("serial://{}?baud={baud}", own.display());
-            Network::new("cable", &endpoint).peer(peer, "")
+            Network::new("cable", &endpoint).peer(peer, "").insecure()
         };
         Pair::on(at(&cable.left(), "module2"), at(&cable.right(), "module1")).await
     }
@@ -334,7 +334,8 @@ fn two_nodes_speak_over_can_adapters_whatever_else_these_say() {
             bus.plug(own);
             bus.inject(own, b"\x07NOISE\rt1");
             let port = bus.port(own);
-            let endpoint = format!("slcan://{}?bitrate=1000000&address={own}", port.display());
+            let endpoint =
+                format!("slcan://{}?bitrate=1000000&address={own}&insecure", port.display());
             Network::new("bus", &endpoint).peer(peer, at)
         };
 
@@ -350,7 +351,7 @@ fn two_nodes_with_one_address_on_a_bus_are_a_fault_on_both_that_names_them() {
         let start = async |own: &str, number: u8, peer: &str| {
             let port = bus.port(number);
             let endpoint = format!("slcan://{}?bitrate=1000000&address=1", port.display());
-            let network = Network::new("bus", &endpoint).peer(peer, "2");
+            let network = Network::new("bus", &endpoint).peer(peer, "2").insecure();
             Node::builder(own).network(network).start().await.expect("it starts")
         };
         let first = start("module1", 1, "module2").await;

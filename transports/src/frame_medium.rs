@@ -1,6 +1,7 @@
 //! What a medium must be able to do, for a [`FrameTransport`](crate::FrameTransport) to do the
 //! rest.
 
+use crate::reach::Reach;
 use blastema_contract::transport::MediumAddress;
 use bytes::Bytes;
 use std::io;
@@ -14,6 +15,12 @@ use std::task::{Context, Poll};
 pub trait FrameMedium: Send + 'static {
     /// How people call it, such as `serial /dev/ttyUSB0`; it stands at the beginning of errors.
     fn name(&self) -> String;
+
+    /// How far its frames travel. A node refuses to start with a medium that leaves the computer,
+    /// which is the default, unless its network is declared insecure.
+    fn reach(&self) -> Reach {
+        Reach::Network
+    }
 
     /// How much may wait for it.
     fn queue(&self) -> QueueLimits {

@@ -23,6 +23,7 @@ mod bound_address;
 mod frame_split;
 mod frame_transport;
 mod medium;
+mod reach;
 mod reopen_backoff;
 #[cfg(any(feature = "tcp", feature = "unix"))]
 mod stream;
@@ -60,6 +61,7 @@ pub use endpoint::{CanConfig, CanNodeConfig, Endpoint, EndpointError, SlcanConfi
 pub use crate::fault_injector::FaultInjector;
 #[cfg(feature = "fault")]
 pub use crate::fault_injector::FaultInjectorConfig;
+pub use crate::reach::Reach;
 pub use frame_medium::FrameMedium;
 pub use frame_transport::FrameTransport;
 #[cfg(feature = "memory")]

@@ -5,6 +5,7 @@ use blastema_contract::transport::{
     Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
 };
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
+use blastema_core::net::session::ordering_key::OrderingKey;
 use blastema_core::net::session::{Session, SessionConfig, SessionOutput};
 use blastema_core::net::wire::frame::{FRAME_HEADER, Frame, is_hello, is_urgent};
 use blastema_core::net::wire::packet::{PACKET_HEADER, Packet, Payload};
@@ -145,7 +146,8 @@ impl End {
     }
 
     fn say(&self, stream: Stream, message: Bytes) {
-        self.session.borrow_mut().handle_send(stream, message, now()).unwrap();
+        let along = (stream, OrderingKey::default());
+        self.session.borrow_mut().handle_send_along(along, message, now()).unwrap();
         self.carry_on();
     }
 

@@ -36,6 +36,18 @@ Exit status:
   0  the list was shown, whatever stands in it
   2  the command line was wrong, or a node or the journal could not be read";
 
+const KEYS_HELP: &str = "\
+Examples:
+  blastema keys new ranger base arm laptop --role laptop=operator
+  blastema keys add gripper --robot ranger.robot
+  blastema keys show
+
+Nodes of this version do not use keys yet.
+
+Exit status:
+  0  it was done
+  2  the command line or a file was wrong, or could not be read or written";
+
 /// The shortest and the longest `--within`.
 const WITHIN: RangeInclusive<Duration> = Duration::from_millis(10)..=Duration::from_secs(60 * 60);
 
@@ -92,6 +104,16 @@ pub(crate) enum Subcommand {
     /// Show faults, also those of nodes that have ended
     #[command(subcommand)]
     Fault(FaultJob),
+    /// Make and change the keys of a robot's nodes
+    ///
+    /// Nodes of this version do not use keys yet: their networks are neither authenticated nor
+    /// encrypted, whatever files there are. The files made here are those that a later version reads.
+    ///
+    /// ROBOT.robot signs the list of nodes: keep it off the robot, with a copy in a safe place.
+    /// NODE.key is the secret of one node. ROBOT.roster is the signed list of all nodes, with their
+    /// public keys, their roles and the policy. No secret is ever printed.
+    #[command(subcommand)]
+    Keys(KeysJob),
     /// Run one module of the demonstration's robot; started by the demonstration itself
     #[command(hide = true)]
     Module(ModuleOptions),
@@ -142,6 +164,89 @@ pub(crate) enum FaultJob {
     /// is shown by --all.
     #[command(after_help = FAULT_LIST_HELP)]
     List(FaultListOptions),
+}
+
+/// What can be done with keys.
+#[derive(Clone, Debug, PartialEq, clap::Subcommand)]
+pub(crate) enum KeysJob {
+    /// Make a robot's key, a key for each of its nodes, and the signed list of them
+    ///
+    /// Nodes of this version do not use keys yet. A file that is there is never overwritten.
+    #[command(after_help = KEYS_HELP)]
+    New {
+        /// The robot's name
+        robot: String,
+        /// The names of its nodes
+        #[arg(required = true, value_name = "NODE")]
+        nodes: Vec<String>,
+        /// The folder for the files
+        #[arg(long, value_name = "DIR", default_value = ".")]
+        out: PathBuf,
+        /// A node's role, where it is not `node`: operator, warden or guest
+        #[arg(long = "role", value_name = "NODE=ROLE")]
+        roles: Vec<String>,
+    },
+    /// Show names, roles, fingerprints and serial numbers, and never a secret
+    ///
+    /// The signature of a list is checked by the robot's public key, which stands in ROBOT.robot and
+    /// in each NODE.key: name one of them too.
+    #[command(after_help = KEYS_HELP)]
+    Show {
+        /// Files of robots, nodes and lists; by default all of them in this folder
+        #[arg(value_name = "FILE")]
+        files: Vec<PathBuf>,
+    },
+    /// Make keys for further nodes, and list them
+    #[command(after_help = KEYS_HELP)]
+    Add {
+        /// The names of the nodes
+        #[arg(required = true, value_name = "NODE")]
+        nodes: Vec<String>,
+        #[command(flatten)]
+        robot: RobotOption,
+        /// A node's role, where it is not `node`: operator, warden or guest
+        #[arg(long = "role", value_name = "NODE=ROLE")]
+        roles: Vec<String>,
+    },
+    /// Take nodes off the list, and out of the lines of the policy
+    #[command(after_help = KEYS_HELP)]
+    Revoke {
+        /// The names of the nodes
+        #[arg(required = true, value_name = "NODE")]
+        nodes: Vec<String>,
+        #[command(flatten)]
+        robot: RobotOption,
+    },
+    /// Make new keys for listed nodes; the files of the old ones must be moved away before
+    #[command(after_help = KEYS_HELP)]
+    Replace {
+        /// The names of the nodes
+        #[arg(required = true, value_name = "NODE")]
+        nodes: Vec<String>,
+        #[command(flatten)]
+        robot: RobotOption,
+    },
+    /// Change roles and the policy in an editor ($VISUAL, $EDITOR or vi)
+    ///
+    /// The text is checked, and signed with the next serial number. Names, keys and the serial number
+    /// stay as they are.
+    #[command(after_help = KEYS_HELP)]
+    Edit {
+        #[command(flatten)]
+        robot: RobotOption,
+        /// Take the changed text from this file instead
+        #[arg(long, value_name = "FILE")]
+        from: Option<PathBuf>,
+    },
+}
+
+/// Which robot is meant.
+#[derive(Args, Clone, Debug, PartialEq)]
+pub(crate) struct RobotOption {
+    /// The robot's file; by default the only one in this folder. Keys and the list are written
+    /// beside it
+    #[arg(long = "robot", value_name = "FILE")]
+    pub(crate) file: Option<PathBuf>,
 }
 
 /// Which faults are to be shown, and how.

@@ -3,13 +3,14 @@
 //! `blastema` without arguments runs the demonstration: a robot of three processes that is killed,
 //! hung and unplugged, and recovers. Exit status: 0 all promises kept, 1 a promise broken, 2 not
 //! run. `blastema monitor` shows the state of a running node, `blastema fault list` its
-//! faults, also those of earlier runs.
+//! faults, also those of earlier runs, and `blastema keys` makes the keys of a robot's nodes.
 
 mod args;
 mod demo;
 mod fault;
 #[cfg(test)]
 mod golden;
+mod keys;
 mod module;
 mod monitor;
 
@@ -32,6 +33,7 @@ fn main() -> ExitCode {
         Subcommand::Fault(FaultJob::List(options)) => {
             fault::run(&options).map(|()| true).map_err(|error| error.to_string())
         }
+        Subcommand::Keys(job) => keys::run(&job).map(|()| true),
         Subcommand::Module(options) => {
             module::run(&options).map(|()| true).map_err(|error| error.to_string())
         }

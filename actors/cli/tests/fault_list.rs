@@ -166,7 +166,12 @@ fn faults_outlive_a_killed_process_and_those_that_stood_have_ended_with_it() {
     assert_eq!(rows(&["--all", "--journal", journal]), both);
     assert_eq!(rows(&[socket]), stands, "the node shows the same");
     assert_eq!(rows(&["--all", socket]), both);
-    assert_eq!(rows(&["--node", "module2", "--all", "--journal", journal]), []);
+    for source in [&["--journal", journal][..], &[socket]] {
+        let misspelt = list(&[&["--node", "module2", "--all"], source].concat());
+        assert!(!misspelt.status.success());
+        let said = String::from_utf8_lossy(&misspelt.stderr);
+        assert!(said.contains("module2") && said.contains("module1"), "{said}");
+    }
     robot.kill();
 
     assert_eq!(rows(&["--journal", journal]), [], "nothing of it stands any more");

@@ -1,11 +1,8 @@
 //! The messages between a commander and an actuator's node.
 
+use crate::messaging::error::encode_kind;
 use blastema_core::DeliveryError;
-use blastema_core::contract::codec;
 use blastema_macros::{Request, Structure};
-
-/// The most bytes of an error on its way.
-const WHY_MAX: usize = 16 * 1024;
 
 /// What a commander wants. It is asked at the actuator's name.
 #[derive(Clone, Debug, Request)]
@@ -52,16 +49,6 @@ pub(crate) enum CommandReply {
 
 impl CommandReply {
     pub(crate) fn refused(why: &DeliveryError) -> Self {
-        let mut bytes = Vec::new();
-        if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
-            bytes.clear();
-        }
-        CommandReply::Refused { why: bytes }
-    }
-
-    /// Reads an error that [`refused`](Self::refused) wrote.
-    pub(crate) fn why(bytes: &[u8]) -> DeliveryError {
-        codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
-            .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
+        CommandReply::Refused { why: encode_kind(why) }
     }
 }

@@ -13,6 +13,7 @@ pub(crate) mod table;
 pub use table::ActuatorRow;
 pub(crate) use table::{ActuatorTable, DeclaredActuator};
 
+use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::platform;
 use crate::registry::Registry;
@@ -183,7 +184,7 @@ impl CommanderState {
         let order = ActuatorCommand { identity: self.identity.clone(), wish };
         let asked = self.sender.ask_within(order, within).await;
         match asked.map_err(|error| error.kind)? {
-            CommandReply::Refused { why } => Err(CommandReply::why(&why)),
+            CommandReply::Refused { why } => Err(decode_kind(&why)),
             ordered => Ok(ordered),
         }
     }

@@ -7,20 +7,20 @@ use super::environment::ComponentEnvironment;
 use crate::arbiter::deadline::Cancel;
 use crate::arbiter::heartbeat;
 use crate::arbiter::pool::ArbiterSlot;
+use crate::component::cold_state::ColdState;
 use crate::component::control::CommandQueue;
 use crate::component::declaration::CellListener;
 use crate::component::envelope::{BoxedEnvelope, Times, enqueue_time, seal_message};
-use crate::component::exits::{DueExits, UntoldExits};
+use crate::component::exits::DueExits;
 use crate::component::subscription::Subscriptions;
 use crate::component::{Component, Handle};
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label;
 use crate::liveness::limits::SharedLimits;
 use crate::liveness::sampler::AliveSource;
-use crate::messaging::death_watch::{Down, Watchers};
+use crate::messaging::death_watch::Down;
 use crate::messaging::error::{Receiver, RequestError, SendError, Unavailable};
 use crate::messaging::incarnation::IncarnationToken;
-use crate::messaging::injection::InjectionState;
 use crate::messaging::message_log;
 use crate::messaging::queue::{BoundedQueue, WhenFull};
 use crate::messaging::reply::{ReplyFuture, Responder};
@@ -29,7 +29,6 @@ use crate::platform;
 use crate::platform::panics::{self, PanicRecord};
 use blastema_contract::child::RestartGrant;
 use blastema_contract::reports::{DeclaredFaultCleared, ExitReason, FaultDeclared};
-use blastema_core::delivery::quarantine::Quarantine;
 use blastema_core::detection::hang::QueueReading;
 use blastema_core::{
     Contract, DeliveryError, FaultKind, Incarnation, Instant, Lifecycle, MessageId, ObjectName,
@@ -70,16 +69,6 @@ pub(crate) struct CellCore {
     cold: OnceLock<Box<ColdState>>,
 }
 
-/// What few components come to use: it is there once one of it was.
-#[derive(Default)]
-pub(crate) struct ColdState {
-    pub(crate) watchers: Watchers,
-    pub(crate) injected: InjectionState,
-    quarantine: Mutex<Quarantine>,
-    listeners: Mutex<Vec<Arc<dyn CellListener>>>,
-    pub(crate) exits: UntoldExits,
-}
-
 /// Where a component stands, and where it lives.
 struct CellStatus {
     state: Lifecycle,
@@ -96,7 +85,7 @@ pub(crate) struct CurrentPlacement {
     pub(crate) token: Arc<IncarnationToken>,
 }
 
-/// Who is to be told if the message in service brings death. It stands here and not with the
+/// The sender to notify if the message in service causes death. It is kept here and not with the
 /// executor, so that a hung callee cannot keep it.
 #[derive(Default)]
 pub(crate) struct MessageInService {
@@ -164,16 +153,16 @@ impl CellCore {
         }
     }
 
-    /// Tells a feature what becomes of the component.
+    /// Notifies a feature of what becomes of the component.
     pub(crate) fn listen(&self, listener: impl CellListener + 'static) {
-        lock(&self.cold().listeners).push(Arc::new(listener));
+        self.cold().listen(listener);
     }
 
-    /// Tells the features.
+    /// Notifies the features.
     pub(crate) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
-        let Some(cold) = self.cold_if_used() else { return };
-        let listeners = lock(&cold.listeners).clone();
-        listeners.iter().for_each(|listener| what(&**listener));
+        if let Some(cold) = self.cold_if_used() {
+            cold.announce(what);
+        }
     }
 
     pub(crate) fn incarnation(&self) -> Incarnation {
@@ -253,7 +242,8 @@ impl CellCore {
         }
     }
 
-    /// Tells the monitor, and the supervisor, of the incarnations up to this one that have ended.
+    /// Notifies the monitor, and the supervisor, of the incarnations up to this one that have
+    /// ended.
     pub(crate) fn tell_exits(&self, until: Incarnation) {
         self.tell(DueExits::Until(until));
     }
@@ -283,18 +273,17 @@ impl CellCore {
         drop(followed);
     }
 
-    /// The incarnation ends with the message that it serves: its asker is told, and it is blamed.
+    /// The incarnation ends with the message that it serves: its caller is notified, and the
+    /// message is blamed.
     pub(crate) fn record_fatal_message(&self, incarnation: Incarnation) {
         let MessageInService { asker, id } = std::mem::take(&mut *lock(&self.service));
         if let Some(asker) = asker {
             asker.cancel(DeliveryError::PeerDied { incarnation });
         }
-        if let Some(id) = id {
-            let mut quarantine = lock(&self.cold().quarantine);
-            quarantine.handle_kill(id, incarnation);
-            if quarantine.is_active() {
-                self.flags.fetch_or(QUARANTINE, Relaxed);
-            }
+        if let Some(id) = id
+            && self.cold().record_kill(id, incarnation)
+        {
+            self.flags.fetch_or(QUARANTINE, Relaxed);
         }
     }
 
@@ -312,8 +301,7 @@ impl CellCore {
         if flags & ISOLATED != 0 {
             return Some(DeliveryError::Isolated { object: self.name.to_string() });
         }
-        let kills = lock(&self.cold_if_used()?.quarantine).refuses(id?)?;
-        Some(DeliveryError::Quarantined { kills })
+        self.cold_if_used()?.refusal(id?)
     }
 
     pub(crate) fn record_dead_letter(&self, contract: &'static str, why: &DeliveryError) {
@@ -418,8 +406,8 @@ impl<C: Component> ComponentCell<C> {
         }
     }
 
-    /// Tells the incarnation that watches of an end, whether its queue is full or not. A notice of
-    /// an earlier end of the same object that it has not taken yet is replaced.
+    /// Notifies the incarnation that watches of an end, whether its queue is full or not. A notice
+    /// of an earlier end of the same object that it has not taken yet is replaced.
     pub(crate) fn notify(&self, watcher: Incarnation, down: Down)
     where
         C: Handle<Down>,
@@ -505,7 +493,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
         &self,
         message: M,
         id: Option<MessageId>,
-        // The caller is in this process: its responder tells whether it still waits.
+        // The caller is in this process: its responder shows whether it still waits.
         _: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>> {
         let (answer, reply) = Responder::awaited();
@@ -517,7 +505,7 @@ impl<C: Handle<M>, M: Contract> MessageSink<M> for ComponentCell<C> {
 }
 
 impl<C: Component> ComponentCell<C> {
-    /// Tells the component what was posted then.
+    /// Sends the component what was posted then.
     #[inline]
     pub(crate) fn tell_at<M: Contract>(
         &self,

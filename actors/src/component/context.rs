@@ -279,9 +279,9 @@ impl<C: Component> Context<C> {
     /// such a one it is also told when its node is lost, and it is watched further when that is
     /// back.
     ///
-    /// What is told comes before the messages that wait, and though the queue is full. Of an object
-    /// that ended twice before the component had its turn the last end is told. The watch ends with
-    /// the present incarnation, and so does what it has not taken.
+    /// A notice comes before the messages that wait, and though the queue is full. Of an object
+    /// that ended twice before the component had its turn the last end is reported. The watch ends
+    /// with the present incarnation, and so does what it has not taken.
     ///
     /// # Errors
     /// The name does not parse.

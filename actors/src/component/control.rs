@@ -1,4 +1,4 @@
-//! What the framework tells the host of a component.
+//! The commands of the framework to the host of a component.
 
 use std::mem::discriminant;
 use std::sync::atomic::AtomicBool;
@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering::{Acquire, Release};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 
-/// What the framework tells a host, on the control queue.
+/// A command to a host, on the control queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum HostCommand {
     /// End in order.
@@ -62,7 +62,7 @@ impl CommandQueue {
         }
     }
 
-    /// Whom to wake from now on. Set before [`take`](Self::take), so that no command is missed.
+    /// The task to wake from now on. Set before [`take`](Self::take), so that no command is missed.
     pub(crate) fn set_waker(&self, waker: Option<Waker>) {
         let before = std::mem::replace(&mut self.lock().waker, waker);
         drop(before);

@@ -1,5 +1,5 @@
-//! What a feature adds to a component while it is declared, and what it is told of the component
-//! afterwards.
+//! What a feature adds to a component while it is declared, and the notices that it gets of the
+//! component afterwards.
 
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
@@ -22,7 +22,7 @@ pub(crate) trait Declarations<C: Component>: Any {
     fn bind(self: Box<Self>, cell: &Arc<ComponentCell<C>>) -> Result<(), SpecError>;
 }
 
-/// Is told by the cell of a component what becomes of the component.
+/// Gets a notice from the cell of a component of each change in its life.
 pub(crate) trait CellListener: Send + Sync {
     /// An incarnation is active.
     fn activated(&self) {}

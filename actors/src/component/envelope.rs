@@ -1,8 +1,8 @@
 //! A message on its way, type-erased towards its receiver.
 //!
-//! A letter is plain data and crosses threads sealed. Its handler's future is built on the
+//! An envelope is plain data and crosses threads sealed. Its handler's future is built on the
 //! receiving thread, in a future slot: a pinned place that is kept per component and contract and
-//! filled again and again, so that a message costs one allocation, the letter. The future owns a
+//! filled again and again, so that a message costs one allocation, the envelope. The future owns a
 //! share of the component's slot and borrows the component for as long as it runs. The guard owns
 //! the other share, so that an unwinding handler never drops the component.
 
@@ -25,7 +25,7 @@ use std::time::Duration;
 
 pub(crate) type BoxedEnvelope<C> = Box<dyn Envelope<C> + Send>;
 
-/// What the executor must know of a letter before it opens it.
+/// What the executor needs of an envelope before it opens it.
 pub(crate) struct EnvelopeHeader {
     pub(crate) contract: TypeId,
     pub(crate) name: &'static str,
@@ -69,7 +69,7 @@ pub(crate) trait Envelope<C: Component> {
     fn id(&self) -> Option<MessageId>;
     /// The request, for the code that resolves it when the receiver dies or hangs.
     fn revocable(&self) -> Option<Arc<dyn Cancel>>;
-    /// Tells the asker that the message was not taken up, and gives it back.
+    /// Reports to the caller that the message was not accepted, and returns it.
     fn give_back(&mut self, why: DeliveryError);
     /// A slot for the futures of this contract.
     fn future_slot(&self) -> Pin<Box<dyn FutureSlot<C>>>;
@@ -96,7 +96,7 @@ struct Contents<M: Contract> {
     answer: Option<Responder<M>>,
 }
 
-/// A letter that stays what it is: plain data, and `Send` by itself.
+/// An envelope that stays what it is: plain data, and `Send` by itself.
 struct Sealed<M: Contract, G> {
     make: G,
     contents: Contents<M>,

@@ -1,6 +1,6 @@
 //! Ends of a component's incarnations that were not reported yet.
 //!
-//! They stand with the cell and not with the executor, so that they are told also where what
+//! They stand with the cell and not with the executor, so that they are reported also where what
 //! follows an end blocks its thread: by the watch, or by the supervisor that gives the next
 //! incarnation up.
 
@@ -15,19 +15,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 #[derive(Default)]
 pub(crate) struct UntoldExits(Mutex<Vec<UntoldExit>>);
 
-/// An end that was not told yet.
+/// An end that was not reported yet.
 struct UntoldExit {
     incarnation: Incarnation,
     exit: Arc<ExitReason>,
     restarted_as: Option<Incarnation>,
-    /// The supervisor, where it is to be told as well.
+    /// The supervisor, where it is to be notified as well.
     supervisor: Option<Arc<Recipient<ChildReport>>>,
-    /// What follows is decided, and nothing of the component is to be told before it: all of the
-    /// above stays as it is.
+    /// What follows is decided, and nothing of the component is to be reported before it: all of
+    /// the above stays as it is.
     is_settled: bool,
 }
 
-/// Which ends are told.
+/// Which ends are reported.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum DueExits {
     /// Those of the incarnations up to this one.
@@ -65,8 +65,8 @@ impl UntoldExits {
         self.change(incarnation, |exited| exited.restarted_as = Some(next));
     }
 
-    /// What follows this end is decided; the supervisor is to be told as well, where it is given.
-    /// Where it is the next report of its component, the watch may tell it.
+    /// What follows this end is decided; the supervisor is to be notified as well, where it is
+    /// given. Where it is the next report of its component, the watch may tell it.
     pub(crate) fn settle(
         &self,
         incarnation: Incarnation,
@@ -83,7 +83,7 @@ impl UntoldExits {
         self.lock().retain(|exited| exited.incarnation != incarnation);
     }
 
-    /// Tells the monitor, and the supervisor, each end once.
+    /// Reports each end once to the monitor and the supervisor.
     pub(crate) fn tell(&self, which: DueExits, object: &ObjectName, reports: &FaultReports) {
         let is_reported = |exited: &mut UntoldExit| match which {
             DueExits::Until(until) => exited.incarnation <= until,

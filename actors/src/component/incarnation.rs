@@ -33,7 +33,7 @@ pub(crate) enum TimerMode {
 /// When an entry of the schedule is due, and which of those of one instant it is.
 pub(crate) type ScheduleEntry = (Instant, u64);
 
-/// Timers of one component at one time. Who has more has lost count of them.
+/// Timers of one component at one time. A component with more has lost count of them.
 const TIMERS: usize = 1024;
 
 /// A timer that stands.

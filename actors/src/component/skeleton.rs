@@ -36,7 +36,7 @@ impl<C: Handle<M>, M: Contract> LocalSkeleton<C, M> {
         reply_to: Option<ReplyTo>,
     ) -> Result<(), DeliveryError> {
         match reply_to {
-            // Its sender is elsewhere, and has been told that it was sent.
+            // Its sender is elsewhere, and has been notified that it was sent.
             None => {
                 let posted_at = arrived_posting_time::<M>(age);
                 self.cell.tell_at(message, posted_at).map_err(|SendError { kind: why, .. }| {

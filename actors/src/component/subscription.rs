@@ -6,11 +6,9 @@ use std::sync::Arc;
 
 /// A component's subscription to one topic, for all its incarnations.
 pub(crate) trait Subscription<C: Component>: Send + Sync {
-    /// From now on events are delivered by the hub of the present arbiter.
+    /// An incarnation begins: from now on events are delivered by the hub of its arbiter, first the
+    /// one that the topic keeps for those who join.
     fn attach(&self, cell: &Arc<ComponentCell<C>>);
-    /// Another incarnation of the component has begun where the one before it ended: it is given
-    /// what the topic keeps for those who join.
-    fn catch_up(&self, cell: &Arc<ComponentCell<C>>);
     /// From now on none are.
     fn end(&self, cell: &ComponentCell<C>);
 }

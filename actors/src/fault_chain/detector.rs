@@ -81,8 +81,8 @@ impl DetectorActor {
 
     fn tell(&mut self, event: FaultEvent) {
         self.log.step(&self.node, &event);
-        // A fault is told at most once per turn, and repetitions at powers of two: the latches are
-        // what bounds a slow listener's mailbox.
+        // A fault is reported at most once per turn, and repetitions at powers of two: the latches
+        // are what bounds a slow listener's mailbox.
         self.listeners.retain(Recipient::connected);
         for listener in &self.listeners {
             listener.do_send(event.clone());
@@ -93,12 +93,8 @@ impl DetectorActor {
 impl MachineActor for DetectorActor {
     type Machine = detection::Detector;
 
-    fn machine(&mut self) -> &mut detection::Detector {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut detection::Detector, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: DetectorOutput, context: &mut Context<Self>) {

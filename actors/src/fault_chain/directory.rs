@@ -57,7 +57,7 @@ impl SupervisorDirectory {
         self.entries().supervisor_of.remove(child);
     }
 
-    /// Who keeps this object.
+    /// The supervisor of this object.
     pub(crate) fn supervisor_of(&self, object: &ObjectName) -> Option<Arc<SupervisorRecipients>> {
         self.entries().supervisor_of.get(object).cloned()
     }

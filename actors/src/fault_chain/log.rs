@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_printed_fault_is_one_line_with_the_node_the_object_and_the_particulars() {
+    fn a_printed_fault_is_one_line_with_node_object_and_detail() {
         let node = NodeName::new("module1").unwrap();
         let line = line(&node, &fault(FaultKind::Panic, None), &FaultTransition::Found);
         assert_eq!(line, "blastema: error on node module1: panic of module1:arm: boom at arm.rs:7");

@@ -17,10 +17,8 @@ pub(crate) mod monitor;
 pub(crate) mod notifier;
 pub(crate) mod outside;
 pub(crate) mod recoverer;
-#[cfg(test)]
-pub(crate) mod scripted;
 pub(crate) mod strategy;
 pub(crate) mod supervisor;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

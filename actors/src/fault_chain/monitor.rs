@@ -65,12 +65,8 @@ fn progress(alive: Alive) -> WorkProgress {
 impl MachineActor for MonitorActor {
     type Machine = detection::Monitor;
 
-    fn machine(&mut self) -> &mut detection::Monitor {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut detection::Monitor, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: MonitorOutput, context: &mut Context<Self>) {

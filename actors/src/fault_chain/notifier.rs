@@ -12,7 +12,7 @@ use blastema_core::detection::{self, FaultNotice, NotifierLimits, NotifierOutput
 use blastema_core::sorted::SortedMap;
 use tracing::error;
 
-/// Tells the recoverers, here and on other nodes.
+/// Notifies the recoverers, here and on other nodes.
 pub(crate) struct NotifierActor {
     machine: detection::Notifier,
     wake: WakeTimer,
@@ -80,12 +80,8 @@ fn await_confirmation(
 impl MachineActor for NotifierActor {
     type Machine = detection::Notifier;
 
-    fn machine(&mut self) -> &mut detection::Notifier {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut detection::Notifier, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: NotifierOutput, context: &mut Context<Self>) {

@@ -72,7 +72,7 @@ impl ChainWatch {
         let (tell, ended) = mpsc::sync_channel(1);
         platform::start_thread("chain-watch", move || {
             runtime.block_on(Watching::new(setup).run(end_order));
-            // Who started it may not wait.
+            // The caller that started it may not wait.
             let _ = tell.send(());
         })?;
         Ok(ChainWatch { end: Some(end), ended })
@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn watchdogs_are_stroked_while_each_actor_of_the_chain_answers_and_closed_at_an_orderly_end() {
+    fn watchdogs_are_stroked_while_each_actor_of_the_chain_answers() {
         System::new().block_on(async {
             let (seen, stuck) = (Seen::default(), Arc::new(AtomicBool::new(false)));
             let pings = ["first", "second"].map(|name| {

@@ -29,7 +29,7 @@ pub(crate) struct RecovererSetup {
     pub(crate) strategies: StrategyTable,
     /// What strategies are given.
     pub(crate) tools: StrategyContext,
-    /// Is told what becomes of every fault.
+    /// Gets a report of what becomes of every fault.
     pub(crate) detector: Recipient<FaultOutcome>,
     /// Keeps the strategies alive.
     pub(crate) guardian: Guardian,
@@ -65,19 +65,19 @@ impl RecovererActor {
         RecovererActor { machine, wake, strategies, tools, detector, guardian, engaged, callbacks }
     }
 
-    fn strategy(&mut self, measure: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
-        if !self.engaged.get(measure).is_some_and(EngagedStrategy::is_usable) {
+    fn strategy(&mut self, action: &RecoveryAction) -> Result<&EngagedStrategy, RecoveryFailed> {
+        if !self.engaged.get(action).is_some_and(EngagedStrategy::is_usable) {
             let (guardian, tools) = (&self.guardian, self.tools.clone());
-            let strategy = self.strategies.make(measure, guardian, tools, &self.callbacks)?;
-            self.engaged.insert(measure.clone(), strategy);
+            let strategy = self.strategies.make(action, guardian, tools, &self.callbacks)?;
+            self.engaged.insert(action.clone(), strategy);
         }
-        Ok(self.engaged.get(measure).expect("it was just put in"))
+        Ok(self.engaged.get(action).expect("it was just put in"))
     }
 
     fn have_carried_out(&mut self, order: RecoveryOrder, context: &mut Context<Self>) {
         let due = platform::now() + order.within;
-        info!(location = %order.fault.location, measure = %order.measure, attempt = order.attempt, "recovering");
-        let strategy = self.strategy(&order.measure);
+        info!(location = %order.fault.location, action = %order.action, attempt = order.attempt, "recovering");
+        let strategy = self.strategy(&order.action);
         let strategy = strategy.map(|strategy| (strategy.orders.clone(), strategy.blocked_by()));
         let given = order.clone();
         let carried_out = async move {
@@ -110,7 +110,7 @@ impl RecovererActor {
             Answer::Outcome(outcome) => outcome,
             Answer::Blocked(culprit) if culprit == order.number => {
                 let limit = self.callbacks.limit().unwrap_or_default();
-                Err(format!("the strategy {} blocked its thread for {limit:?}", order.measure)
+                Err(format!("the strategy {} blocked its thread for {limit:?}", order.action)
                     .into())
             }
             // It waited behind another order, which failed.
@@ -142,23 +142,23 @@ async fn blocked(blocked_by: Option<watch::Receiver<Option<u64>>>) -> u64 {
 /// What the detector's record says about a fault; `None` where the detector has to find out itself.
 fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
     Some(match settled {
-        FaultResolution::Decided { measure, attempt: 1 } => {
-            RecoveryOutcome::Decided { measure: measure.to_string() }
+        FaultResolution::Decided { action, attempt: 1 } => {
+            RecoveryOutcome::Decided { action: action.to_string() }
         }
-        FaultResolution::Decided { measure, attempt } => {
-            RecoveryOutcome::Decided { measure: format!("{measure}, attempt {attempt}") }
+        FaultResolution::Decided { action, attempt } => {
+            RecoveryOutcome::Decided { action: format!("{action}, attempt {attempt}") }
         }
-        FaultResolution::Failed { measure, reason } => {
-            RecoveryOutcome::Failed { measure: measure.to_string(), reason }
+        FaultResolution::Failed { action, reason } => {
+            RecoveryOutcome::Failed { action: action.to_string(), reason }
         }
         FaultResolution::Observed => {
-            RecoveryOutcome::Decided { measure: RecoveryAction::Observe.to_string() }
+            RecoveryOutcome::Decided { action: RecoveryAction::Observe.to_string() }
         }
         FaultResolution::Recovered { .. } => RecoveryOutcome::Recovered,
         FaultResolution::Waits => RecoveryOutcome::Waits,
         FaultResolution::GaveUp { reason } => RecoveryOutcome::GaveUp { reason },
-        FaultResolution::Contained { measure } => RecoveryOutcome::GaveUp {
-            reason: format!("contained by {measure}; service is not restored"),
+        FaultResolution::Contained { action } => RecoveryOutcome::GaveUp {
+            reason: format!("contained by {action}; service is not restored"),
         },
         _ => return None,
     })
@@ -167,12 +167,8 @@ fn outcome_of(settled: FaultResolution) -> Option<RecoveryOutcome> {
 impl MachineActor for RecovererActor {
     type Machine = recovery::Recoverer;
 
-    fn machine(&mut self) -> &mut recovery::Recoverer {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut recovery::Recoverer, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: RecovererOutput, context: &mut Context<Self>) {
@@ -183,8 +179,8 @@ impl MachineActor for RecovererActor {
                     self.detector.do_send(FaultOutcome { id: fault, at: platform::now(), what });
                 }
             }
-            RecovererOutput::Release { measure } => {
-                self.engaged.remove(&measure);
+            RecovererOutput::Release { action } => {
+                self.engaged.remove(&action);
             }
             RecovererOutput::GiveUpLife { fault } => self.tools.give_up_incarnation(&fault),
             RecovererOutput::LastResort { fault, reason } => {

@@ -41,13 +41,13 @@ pub(crate) struct SupervisorSetup {
     pub(crate) rules: SupervisorRules,
     /// Its children in their start order.
     pub(crate) children: Vec<(Box<dyn Child>, ChildRules)>,
-    /// Is told of starts that took too long, and when it gives up.
+    /// Gets a report of starts that took too long, and when it gives up.
     pub(crate) monitor: Recipient<FaultDeclared>,
-    /// Is told when it is at work, and when it has ended.
+    /// Gets a report when it is at work, and when it has ended.
     pub(crate) states: Recipient<StateReported>,
-    /// Is told who may not send and receive.
+    /// Gets the objects that may not send and receive.
     pub(crate) isolation: Recipient<IsolationReported>,
-    /// Where strategies find who keeps an object.
+    /// Where strategies find the supervisor of an object.
     pub(crate) directory: SupervisorDirectory,
 }
 
@@ -57,7 +57,7 @@ pub(crate) struct SupervisorActor {
     machine: Supervisor,
     wake: WakeTimer,
     children: SortedMap<ObjectName, Box<dyn Child>>,
-    /// Who waits for the outcome of a request; bounded by the machine.
+    /// The callers that wait for the outcome of a request; bounded by the machine.
     waiting: SortedMap<CallId, oneshot::Sender<RecoveryResult>>,
     calls: u64,
     parent: Option<Arc<Recipient<ChildReport>>>,
@@ -69,12 +69,12 @@ pub(crate) struct SupervisorActor {
     directory: SupervisorDirectory,
     /// Where its incarnations can be watched.
     watched: Deaths,
-    /// It was told to end in order to be restarted.
+    /// It was ordered to end in order to be restarted.
     again: bool,
 }
 
 impl SupervisorActor {
-    /// Starts a supervisor under the guardian. It does nothing until it is told to begin, by its
+    /// Starts a supervisor under the guardian. It does nothing until it is ordered to begin, by its
     /// parent, or by the node if it is the root.
     pub(crate) fn start(
         guardian: &Guardian,
@@ -200,12 +200,8 @@ impl SupervisorActor {
 impl MachineActor for SupervisorActor {
     type Machine = Supervisor;
 
-    fn machine(&mut self) -> &mut Supervisor {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Supervisor, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, action: SupervisorOutput, context: &mut Context<Self>) {
@@ -440,7 +436,8 @@ impl Handler<ChildReport> for SupervisorActor {
     }
 }
 
-/// What a guard told the monitor may be told to the supervisor too; it counts a death only once.
+/// What a guard reported to the monitor may be reported to the supervisor too; it counts a death
+/// only once.
 impl Handler<Exited> for SupervisorActor {
     type Result = ();
 
@@ -591,7 +588,7 @@ impl Child for SupervisorChild {
     }
 
     fn set_restart_grant(&mut self, _: Option<RestartGrant>) {
-        // The guardian restarts it by reflex; it needs no permission.
+        // The guardian restarts it itself; it needs no permission.
     }
 }
 

@@ -1,5 +1,7 @@
 //! Monitor, detector and notifier together, with probes where their half of the chain ends.
 
+pub(crate) mod scripted;
+
 use super::detector::DetectorActor;
 use super::monitor::MonitorActor;
 use super::notifier::NotifierActor;
@@ -132,7 +134,7 @@ fn a_silent_arm_is_reported_once_and_cleared_when_it_speaks_again() {
         chain.silence("arm");
         let fault = chain.recoverer.expect().await.fault;
         assert_eq!(fault.kind, FaultKind::Silence);
-        let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+        let decided = RecoveryOutcome::Decided { action: "restart".into() };
         let at = platform::now();
         chain.detector.do_send(FaultOutcome { id: fault.id, at, what: decided });
         chain.recoverer.expect_none_for(Duration::from_secs(10)).await;

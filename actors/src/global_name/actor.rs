@@ -253,12 +253,8 @@ impl Supervised for GlobalNamesActor {
 impl MachineActor for GlobalNamesActor {
     type Machine = GlobalNames;
 
-    fn machine(&mut self) -> &mut GlobalNames {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut GlobalNames, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: GlobalNamesOutput, _: &mut Context<Self>) {

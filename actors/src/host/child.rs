@@ -249,7 +249,7 @@ impl<C: Component> Watchable for ComponentCell<C> {
     }
 }
 
-/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is told.
+/// An incarnation on its way to its arbiter. If that goes away first, the supervisor is notified.
 struct PendingStart<C: Component> {
     cell: Option<Arc<ComponentCell<C>>>,
     incarnation: Incarnation,

@@ -73,9 +73,9 @@ pub(crate) fn is_message(during: &str) -> bool {
 /// How an incarnation ends that does not panic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EndReason {
-    /// It was told to.
+    /// It was ordered to.
     Stopped,
-    /// It was told to, and another incarnation follows.
+    /// It was ordered to, and another incarnation follows.
     Replaced,
     /// It ended itself.
     Returned,
@@ -94,7 +94,7 @@ pub(crate) enum LifecycleStep {
     End(EndReason),
 }
 
-/// What is to be told.
+/// What is to be reported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum LifecycleReport {
     State(Lifecycle, Option<String>),
@@ -337,7 +337,7 @@ impl IncarnationLifecycle {
     /// The incarnation is to end in order.
     pub(crate) fn handle_stop(&mut self, end: EndReason) {
         if self.end.is_some() {
-            // Who asks to be told that it stopped is told so, whatever it ends of.
+            // A caller that waits for its stop is notified, whatever it ends of.
             if end == EndReason::Stopped
                 || (end == EndReason::Replaced && self.end != Some(EndReason::Stopped))
             {

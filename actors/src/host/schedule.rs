@@ -24,7 +24,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::time::Sleep;
 
-/// Tasks of one component at one time. Who has more has lost count of them.
+/// Tasks of one component at one time. A component with more has lost count of them.
 const TASKS: usize = 1024;
 /// Tasks that may end in one poll; then the rest of the arbiter has its turn.
 const BUDGET: usize = 64;
@@ -104,7 +104,7 @@ impl<C: Component> Default for ScheduledWork<C> {
     }
 }
 
-/// The tick after the one of `due`, for who sees that one at `now`.
+/// The tick after the one of `due`, for a caller that sees that one at `now`.
 fn next_tick(due: Instant, every: Duration, now: Instant) -> Instant {
     // A timer of no interval would keep the arbiter for itself.
     let every = every.max(Duration::from_micros(1));

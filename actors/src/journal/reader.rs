@@ -72,7 +72,7 @@ pub struct JournalEntry {
     /// The number of its root in the same run.
     pub symptom_of: Option<u64>,
     /// The recovery action that was chosen last.
-    pub measure: Option<String>,
+    pub action: Option<String>,
     /// Why the recoverer ceased to try.
     pub given_up: Option<String>,
     /// When it was found.
@@ -181,7 +181,7 @@ fn check(connection: &Connection, path: &Path) -> rusqlite::Result<Result<(), Re
 fn entries(connection: &Connection, running: bool) -> rusqlite::Result<Vec<JournalEntry>> {
     let mut statement = connection.prepare(
         "SELECT sequence, node, run.incarnation AS node_incarnation, id, code, kind, severity,
-             place, fault.incarnation AS incarnation, detail, count, symptom_of, measure, given_up,
+             place, fault.incarnation AS incarnation, detail, count, symptom_of, measure AS action, given_up,
              found_us, found_ns, recovered_us, recovered_ns, repaired_us, repaired_ns, ended,
              run.run = (SELECT max(run) FROM run) AS is_last
          FROM fault JOIN run USING (run) ORDER BY sequence",
@@ -224,7 +224,7 @@ fn entry(row: &Row<'_>, running: bool) -> rusqlite::Result<JournalEntry> {
         detail: row.get("detail")?,
         count: unsigned(row.get("count")?),
         symptom_of: row.get::<_, Option<i64>>("symptom_of")?.map(unsigned),
-        measure: row.get("measure")?,
+        action: row.get("action")?,
         given_up,
         found_at: WallTime::from_micros(row.get("found_us")?),
         recovered,

@@ -122,7 +122,7 @@ pub(super) struct Moment {
 pub(super) struct JournalRow {
     pub(super) fault: Fault,
     pub(super) found: Moment,
-    pub(super) measure: Option<String>,
+    pub(super) action: Option<String>,
     pub(super) recovered: Option<Moment>,
     pub(super) repaired: Option<Moment>,
     pub(super) given_up: Option<String>,
@@ -291,7 +291,7 @@ fn put(statement: &mut Statement<'_>, run: i64, line: &JournalRow) -> rusqlite::
         fault.symptom_of.map(|root| number(root.0)),
         line.found.wall.as_micros(),
         number(line.found.monotonic.as_nanos()),
-        line.measure,
+        line.action,
         wall(line.recovered),
         monotonic(line.recovered),
         wall(line.repaired),

@@ -58,7 +58,7 @@ fn line(id: u64, found: Moment) -> JournalRow {
         symptom_of: None,
         count: 1,
     };
-    JournalRow { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+    JournalRow { fault, found, action: None, recovered: None, repaired: None, given_up: None }
 }
 
 fn statuses(path: &Path) -> Vec<(u64, JournalStatus)> {
@@ -74,7 +74,7 @@ fn a_fault_is_read_as_it_was_written_step_by_step() {
     assert_eq!(statuses(&path), [(1, JournalStatus::Open)]);
 
     let given_up = JournalRow { given_up: Some("no path".to_owned()), ..line(1, found) };
-    store.write(&[JournalRow { measure: Some("re-route".to_owned()), ..line(1, found) }]).unwrap();
+    store.write(&[JournalRow { action: Some("re-route".to_owned()), ..line(1, found) }]).unwrap();
     store.write(&[given_up]).unwrap();
     assert_eq!(statuses(&path), [(1, JournalStatus::GivenUp)]);
     let recovered = JournalRow { recovered: Some(moment(130, 5_030_000)), ..line(1, found) };
@@ -86,9 +86,9 @@ fn a_fault_is_read_as_it_was_written_step_by_step() {
 
     let entries = read(&path).unwrap();
     let [entry] = entries.as_slice() else { panic!("one fault, and not {entries:?}") };
-    let JournalEntry { node, code, location, measure, given_up, recovered, repaired, .. } = entry;
+    let JournalEntry { node, code, location, action, given_up, recovered, repaired, .. } = entry;
     assert_eq!((node.as_str(), code.as_str(), location.as_str()), ("a", "B11", "a -eth-"));
-    assert_eq!((measure.as_deref(), given_up.as_deref()), (Some("re-route"), None));
+    assert_eq!((action.as_deref(), given_up.as_deref()), (Some("re-route"), None));
     let span = Duration::from_millis;
     assert_eq!(*recovered, Some((WallTime::from_micros(5_030_000), span(30))));
     assert_eq!(*repaired, Some((WallTime::from_micros(5_800_000), span(800))));

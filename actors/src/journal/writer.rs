@@ -258,7 +258,7 @@ impl Now {
         let over = fault.is_repaired_by_recovery();
         let mut line = self.blank(fault);
         match turn {
-            FaultTransition::Decided { action } => line.measure = Some(action),
+            FaultTransition::Decided { action } => line.action = Some(action),
             FaultTransition::Recovered => {
                 line.recovered = Some(at);
                 line.repaired = over.then_some(at);
@@ -273,7 +273,7 @@ impl Now {
     fn line_of_entry(&self, entry: FaultEntry) -> JournalRow {
         let FaultEntry { fault, decided, recovered_at, repaired_at, given_up } = entry;
         JournalRow {
-            measure: decided.map(|(_, measure)| measure),
+            action: decided.map(|(_, action)| action),
             recovered: recovered_at.map(|at| self.moment(at)),
             repaired: repaired_at.map(|at| self.moment(at)),
             given_up: given_up.map(|(_, reason)| reason),
@@ -283,7 +283,7 @@ impl Now {
 
     fn blank(&self, fault: blastema_core::Fault) -> JournalRow {
         let found = self.moment(fault.found_at);
-        JournalRow { fault, found, measure: None, recovered: None, repaired: None, given_up: None }
+        JournalRow { fault, found, action: None, recovered: None, repaired: None, given_up: None }
     }
 }
 

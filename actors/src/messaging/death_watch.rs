@@ -94,7 +94,7 @@ impl Watchers {
         watchers.push(watcher);
     }
 
-    /// Tells all of them what `down` says, which is asked only where there is one.
+    /// Sends all of them what `down` returns, which is called only where there is one.
     pub(crate) fn tell(&self, down: impl FnOnce() -> Down) {
         let watchers = {
             let mut watchers = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -105,7 +105,7 @@ impl Watchers {
             return;
         }
         let down = down();
-        // Outside of the lock: a watcher may be watched by whom it mourns.
+        // Outside of the lock: a watcher may be watched by the object that it watches.
         watchers.iter().for_each(|watcher| (watcher.tell)(down.clone()));
     }
 
@@ -181,7 +181,7 @@ impl Deaths {
 
 /// What can be watched.
 pub(crate) trait Watchable: Send + Sync {
-    /// Tells at once if it is not alive, and whenever an incarnation of it ends.
+    /// Reports at once if it is not alive, and whenever an incarnation of it ends.
     fn watch(&self, watcher: Watcher);
     /// Its cell, where it is a component.
     fn cell(self: Arc<Self>) -> Option<Arc<dyn Any + Send + Sync>> {

@@ -1,6 +1,7 @@
 //! Why a message was not taken, or a request not answered, and the message itself where it is given
 //! back.
 
+use blastema_core::contract::codec;
 use blastema_core::{DeliveryError, NodeName, ObjectName, Outcome};
 use std::fmt;
 use std::time::Duration;
@@ -50,6 +51,23 @@ impl fmt::Display for Receiver {
     }
 }
 
+/// The most bytes of an error's kind in a reply.
+const KIND_MAX: usize = 16 * 1024;
+
+/// The bytes of a reply that holds an error; none if they were more than [`KIND_MAX`].
+pub(crate) fn encode_kind(kind: &DeliveryError) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    // A failed encoding leaves the buffer empty.
+    let _ = codec::encode_bounded(kind, KIND_MAX, &mut bytes);
+    bytes
+}
+
+/// Reads what [`encode_kind`] wrote.
+pub(crate) fn decode_kind(bytes: &[u8]) -> DeliveryError {
+    codec::decode_bounded::<DeliveryError, KIND_MAX>(bytes)
+        .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
+}
+
 /// A message that was not handed over.
 #[derive(PartialEq, Eq)]
 pub struct SendError<M> {
@@ -78,7 +96,7 @@ macro_rules! name_receiver_in {
                 self
             }
 
-            /// Whom the message was for, where that is known.
+            /// The receiver of the message, where that is known.
             pub fn receiver(&self) -> Option<&Receiver> {
                 self.receiver.as_deref()
             }
@@ -139,7 +157,8 @@ impl<M> fmt::Display for RequestError<M> {
     }
 }
 
-/// Says which message to whom met with what, with the limit that the receiver alone does not know.
+/// Writes which message to which receiver failed and how, with the limit that the receiver alone
+/// does not know.
 fn describe(
     f: &mut fmt::Formatter<'_>,
     receiver: Option<&Receiver>,

@@ -50,7 +50,7 @@ pub(crate) fn served(id: LogId, contract: &str, to: &ObjectName, replied: bool) 
     debug!(target: TARGET, id, contract, to = to.as_str(), step);
 }
 
-/// It was not let in, and is returned to who sent it.
+/// It was refused, and is returned to its sender.
 #[cold]
 pub(crate) fn refused(id: LogId, contract: &str, to: &ObjectName, why: &DeliveryError) {
     debug!(target: TARGET, id, contract, to = to.as_str(), step = "refused", reason = %why);

@@ -49,7 +49,7 @@ pub(crate) struct Pushed<T> {
 /// A bounded queue from many senders to the one incarnation that owns it.
 pub(crate) struct BoundedQueue<T> {
     inner: Mutex<Inner<T>>,
-    /// Written under the lock; a hint for those who only want to know whether anything is there.
+    /// Written under the lock; a hint for callers that only check whether anything is there.
     length: AtomicUsize,
     /// Nothing is taken while set.
     held: AtomicBool,
@@ -61,7 +61,7 @@ struct Inner<T> {
     queue: VecDeque<T>,
     /// Boxed, since few components watch others.
     notices: Option<Box<Notices<T>>>,
-    /// Who may take; `None` between two incarnations.
+    /// The incarnation that may take; `None` between two incarnations.
     owner: Option<Incarnation>,
     /// The last incarnation that has owned it.
     newest: Incarnation,
@@ -131,7 +131,7 @@ impl<T> BoundedQueue<T> {
         Ok(displaced)
     }
 
-    /// The same for who wakes the owner later.
+    /// The same for a caller that wakes the owner later.
     #[inline]
     pub(crate) fn push_quietly<M>(
         &self,
@@ -183,8 +183,8 @@ impl<T> BoundedQueue<T> {
         replaced
     }
 
-    /// Completes when there may be room. Who wakes then tries again; a claim that is dropped is
-    /// passed on to the next.
+    /// Completes when there may be capacity. The caller then tries again; a claim that is dropped
+    /// is passed on to the next.
     pub(crate) fn space(&self) -> impl Future<Output = ()> + '_ {
         let mut claim = SpaceWaiter { queue: self, ticket: None };
         poll_fn(move |cx| claim.poll(cx.waker()))
@@ -267,7 +267,7 @@ impl<T> BoundedQueue<T> {
         notices
     }
 
-    /// Who may take.
+    /// The incarnation that may take.
     pub(crate) fn owner(&self) -> Option<Incarnation> {
         self.lock().owner
     }
@@ -299,6 +299,11 @@ impl<T> BoundedQueue<T> {
     /// Looks at the oldest message.
     pub(crate) fn with_oldest<R>(&self, look: impl FnOnce(&T) -> R) -> Option<R> {
         self.lock().queue.front().map(look)
+    }
+
+    /// Whether this is true of what came last of all that waits.
+    pub(crate) fn newest_is(&self, is_true: impl FnOnce(&T) -> bool) -> bool {
+        self.lock().queue.back().is_some_and(is_true)
     }
 
     /// A copy of everything that waits.
@@ -445,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lane_without_an_incarnation_keeps_what_it_has_and_says_restarting_when_full() {
+    fn a_queue_without_an_incarnation_keeps_its_messages() {
         let queue = queue(1, WhenFull::Refuse);
         assert!(queue.leave(LIFE));
 
@@ -472,7 +477,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_lane_hands_out_what_was_left_and_opens_for_the_next_incarnation() {
+    fn a_stopped_queue_returns_its_messages_and_opens_again() {
         let queue = queue(2, WhenFull::Refuse);
         push(&queue, 1).unwrap();
 

@@ -146,7 +146,7 @@ impl<M: Contract> Drop for Responder<M> {
 }
 
 /// The caller's end of a slot: resolves to the reply, or to the reason why there is none. Dropping
-/// it tells the callee that the caller does not wait any more.
+/// it shows the callee that the caller does not wait any more.
 pub(crate) struct ReplyFuture<M: Contract> {
     slot: Arc<ReplySlot<M>>,
     limit: Limit,

@@ -21,7 +21,8 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
         refused: &DeliveryError,
     ) -> Pin<Box<dyn Future<Output = ()> + Send + 'a>>;
 
-    /// Hands a request over. It is not begun when `within` has passed; who waits minds it as well.
+    /// Hands a request over. It is not begun when `within` has passed; the caller observes it as
+    /// well.
     fn ask(
         &self,
         message: M,
@@ -29,7 +30,7 @@ pub(crate) trait MessageSink<M: Contract>: Send + Sync {
         within: Option<Duration>,
     ) -> Result<ReplyFuture<M>, RequestError<M>>;
 
-    /// Whom its errors name.
+    /// The receiver that its errors name.
     fn receiver(&self) -> Option<Receiver> {
         None
     }

@@ -313,12 +313,8 @@ impl Supervised for DiscoveryActor {
 impl MachineActor for DiscoveryActor {
     type Machine = Discovery;
 
-    fn machine(&mut self) -> &mut Discovery {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Discovery, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: DiscoveryOutput, _: &mut Context<Self>) {

@@ -359,12 +359,8 @@ impl Supervised for LinksActor {
 impl MachineActor for LinksActor {
     type Machine = LinkSet;
 
-    fn machine(&mut self) -> &mut Self::Machine {
-        &mut self.bundle
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer) {
+        (&mut self.bundle, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: LinkSetOutput, _: &mut Context<Self>) {

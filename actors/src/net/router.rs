@@ -163,12 +163,8 @@ impl Supervised for RouterActor {
 impl MachineActor for RouterActor {
     type Machine = net::Router;
 
-    fn machine(&mut self) -> &mut net::Router {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut net::Router, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: RouterOutput, _: &mut Context<Self>) {

@@ -219,12 +219,8 @@ impl Supervised for SessionsActor {
 impl MachineActor for SessionsActor {
     type Machine = MachineSet<NodeId, Session>;
 
-    fn machine(&mut self) -> &mut Self::Machine {
-        &mut self.machines
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer) {
+        (&mut self.machines, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: (NodeId, SessionOutput), _: &mut Context<Self>) {

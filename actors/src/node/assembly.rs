@@ -99,6 +99,8 @@ async fn start(mut builder: NodeBuilder) -> Result<Node, StartError> {
     #[cfg(feature = "unix")]
     let inspection = assembly.make_inspection(builder.shown_at).await;
     assembly.enrol_all(preparation.tree).await?;
+    #[cfg(feature = "network")]
+    assembly.declare_insecure_networks();
     assembly.start_sampler(builder.grace)?;
     let manager = assembly.watch_chain(builder.process_watchdogs)?;
     let node = assembly.into_node(Root::of(&preparation.root), preparation.dependencies, manager);

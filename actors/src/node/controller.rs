@@ -395,7 +395,7 @@ impl Handler<Shutdown> for NodeController {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fault_chain::scripted::{Script, ScriptedReply};
+    use crate::fault_chain::tests::scripted::{Script, ScriptedReply};
     use blastema_core::ObjectName;
     use blastema_doubles::{Probe, paused, settle};
 

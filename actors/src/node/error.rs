@@ -52,6 +52,19 @@ pub enum StartError {
     #[cfg(feature = "network")]
     #[error("{0}")]
     Network(String),
+    /// A network leaves this computer, and it was not declared insecure.
+    #[cfg(feature = "network")]
+    #[error(
+        "network {network} leaves this computer ({medium}), and nothing on it is authenticated or \
+         encrypted: write `.insecure()` at the network, or `?insecure` in its endpoint, if every \
+         station on it may command this robot"
+    )]
+    Insecure {
+        /// The network.
+        network: String,
+        /// Its medium.
+        medium: String,
+    },
     /// A service has a mistake in its nodes, or its component cannot be built.
     #[cfg(feature = "network")]
     #[error("service {name}: {reason}")]

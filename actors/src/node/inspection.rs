@@ -11,13 +11,15 @@ use super::{Node, NodeState, Shared};
 use crate::runtime::guardian::answers_the_monitor;
 use crate::runtime::reports::FaultReports;
 use actix::prelude::*;
-use blastema_transports::unix::{PathListener, explain};
+use blastema_transports::unix::{AllowedUsers, PathListener, explain};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 use tokio::sync::watch;
 
 /// Processes of the owner may connect, and no others.
 const MODE: u32 = 0o600;
+/// Root may connect as well. It can read the node's memory and its files in any case.
+const ROOT: u32 = 0;
 
 /// Shows the node, once there is one.
 pub(super) struct InspectionActor {
@@ -49,7 +51,8 @@ impl InspectionActor {
 
     fn show(&self, listener: Option<PathListener>, context: &mut Context<Self>) {
         let (path, node, reports) = (self.path.clone(), self.node.clone(), self.reports.clone());
-        let showing = InspectionServer::new(path, node, reports, listener);
+        let showing =
+            InspectionServer::new((path, AllowedUsers::new(&[ROOT])), node, reports, listener);
         let mut state = self.state.clone();
         let until_the_end = async move {
             tokio::select! {

@@ -22,6 +22,8 @@ mod faults;
 pub(crate) mod inspection;
 #[cfg(feature = "network")]
 mod network;
+#[cfg(feature = "network")]
+mod network_row;
 mod restart;
 mod safety;
 pub(crate) mod snapshot;
@@ -35,6 +37,8 @@ pub use error::StartError;
 pub use faults::FaultEvents;
 #[cfg(feature = "network")]
 pub use network::{Cable, Direction, Impairment, IsolateError, Link, MemoryMedium, Network};
+#[cfg(feature = "network")]
+pub use network_row::NetworkRow;
 pub use restart::{RestartError, RestartedChild};
 #[cfg(feature = "network")]
 pub use snapshot::NetworkSnapshot;

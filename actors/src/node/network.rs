@@ -6,6 +6,7 @@ pub(in crate::node) mod checks;
 mod claims;
 mod connections;
 pub(in crate::node) mod description;
+mod exposure;
 mod isolation;
 pub(in crate::node) mod services;
 pub(in crate::node) mod signs;
@@ -16,7 +17,9 @@ use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use actix::Addr;
 use blastema_contract::transport::{Cut, Impair, MediumAddress, Partition, Restore};
 use blastema_transports::frame_medium::FrameMedium;
-use blastema_transports::{Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig};
+use blastema_transports::{
+    Endpoint, EndpointError, FaultInjector, FrameTransport, MemoryConfig, Reach,
+};
 #[cfg(feature = "ip")]
 use blastema_transports::{TcpConfig, UdpConfig};
 use std::fmt;
@@ -34,6 +37,9 @@ pub use isolation::IsolateError;
 /// that is up is used, and the next takes over when it fails, without loss or duplicates for what
 /// is sent reliably. Nodes that are no neighbours reach each other through those that are.
 ///
+/// A network that leaves this computer must be declared [`insecure`](Network::insecure), or the
+/// node does not start.
+///
 /// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
 ///
 /// ```
@@ -41,8 +47,11 @@ pub use isolation::IsolateError;
 ///
 /// let ethernet = Network::new("ethernet", "udp://0.0.0.0:7400?interface=eth0")
 ///     .peer("module2", "192.168.0.2:7400")
-///     .link(Link::to("module3", "192.168.0.3:7400").cost(20));
-/// let cable = Network::new("cable", "serial:///dev/ttyUSB0?baud=921600").peer("module2", "");
+///     .link(Link::to("module3", "192.168.0.3:7400").cost(20))
+///     .insecure();
+/// let cable = Network::new("cable", "serial:///dev/ttyUSB0?baud=921600")
+///     .peer("module2", "")
+///     .insecure();
 /// ```
 #[must_use = "a network does nothing until it is given to a node"]
 pub struct Network {
@@ -54,6 +63,7 @@ pub struct Network {
     admission: Option<Admitted>,
     /// The group by which beacons are sent, as it was written.
     beacons: Option<String>,
+    insecure: bool,
 }
 
 /// Who is admitted, as it was written.
@@ -67,7 +77,11 @@ enum Medium {
     /// The endpoint does not parse. The node's start returns the error.
     Unreadable(EndpointError),
     Memory(MemoryConfig),
-    Own(Box<dyn FnOnce() -> FrameTransport + Send>),
+    Own {
+        make: Box<dyn FnOnce() -> FrameTransport + Send>,
+        name: String,
+        reach: Reach,
+    },
 }
 
 impl Medium {
@@ -96,13 +110,19 @@ impl Network {
     /// A text that is wrong is [`StartError::Endpoint`](crate::StartError::Endpoint) when the node
     /// starts.
     pub fn new(name: &str, endpoint: &str) -> Self {
-        let medium = endpoint.parse().map_or_else(Medium::Unreadable, Medium::At);
-        Network::over(name, medium)
+        match Endpoint::parse(endpoint) {
+            Ok((endpoint, insecure)) => {
+                Network { insecure, ..Network::over(name, Medium::At(endpoint)) }
+            }
+            Err(error) => Network::over(name, Medium::Unreadable(error)),
+        }
     }
 
     /// A medium of the application's own.
     pub fn own(name: &str, medium: impl FrameMedium) -> Self {
-        Network::over(name, Medium::Own(Box::new(|| FrameTransport::new(medium))))
+        let (medium_name, reach) = (medium.name(), medium.reach());
+        let make = Box::new(|| FrameTransport::new(medium));
+        Network::over(name, Medium::Own { make, name: medium_name, reach })
     }
 
     /// UDP, at this address of our own, which is no group's. Links name the neighbours; frames from
@@ -142,7 +162,20 @@ impl Network {
             interface,
             admission: None,
             beacons: None,
+            insecure: false,
         }
+    }
+
+    /// Accepts that every station on this network can read its traffic and command this robot:
+    /// networks are neither authenticated nor encrypted. Without this word, or `insecure` in the
+    /// endpoint's text, a network that leaves this computer is
+    /// [`StartError::Insecure`](crate::StartError::Insecure). Such a network has the fault
+    /// [`Insecure`](crate::FaultKind::Insecure) for as long as the node runs. The word changes
+    /// nothing about a network that stays within this computer. See the
+    /// [manual](crate::manual::security).
+    pub fn insecure(mut self) -> Self {
+        self.insecure = true;
+        self
     }
 
     /// Adds a neighbour with default settings: the node of this name, at this address in the

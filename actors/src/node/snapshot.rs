@@ -212,7 +212,7 @@ fn fault(entry: &FaultEntry, now: Instant) -> Value {
         "count": fault.count,
         "symptom_of": fault.symptom_of.map(|root| root.to_string()),
         "age_ms": millis(now - fault.found_at),
-        "measure": entry.decided.as_ref().map(|(_, measure)| measure),
+        "action": entry.decided.as_ref().map(|(_, action)| action),
         "status": entry.status().to_string(),
         "given_up": entry.given_up.as_ref().map(|(_, reason)| reason),
         "recovered_ms": millis(entry.recovered_at.map(|at| now - at)),
@@ -256,6 +256,7 @@ mod tests {
                 threads: Vec::new(),
                 #[cfg(feature = "network")]
                 network: NetworkSnapshot {
+                    networks: Vec::new(),
                     links: in_time(future::ready(Vec::new())).await,
                     sessions: in_time(future::pending()).await,
                     claims: Vec::new(),

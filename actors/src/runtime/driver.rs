@@ -1,4 +1,4 @@
-//! The generic driver between a machine and the actor that is its body.
+//! The generic driver between a machine and its actor.
 
 use crate::platform;
 use actix::fut::ActorFuture;
@@ -9,16 +9,14 @@ use std::task::{self, Poll};
 
 /// An actor whose logic is a machine.
 ///
-/// A handler takes its message apart, feeds the machine, and calls [`drive`](Body::drive).
+/// A handler takes its message apart, feeds the machine, and calls
+/// [`drive`](MachineActor::drive).
 pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
     /// The logic.
     type Machine: Machine;
 
-    /// The machine.
-    fn machine(&mut self) -> &mut Self::Machine;
-
-    /// The one timer.
-    fn wake(&mut self) -> &mut WakeTimer;
+    /// The machine, and the one timer.
+    fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer);
 
     /// Does what the machine wants done.
     fn carry_out(
@@ -26,6 +24,16 @@ pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
         output: <Self::Machine as Machine>::Output,
         context: &mut Self::Context,
     );
+
+    /// The machine.
+    fn machine(&mut self) -> &mut Self::Machine {
+        self.driven().0
+    }
+
+    /// The one timer.
+    fn wake(&mut self) -> &mut WakeTimer {
+        self.driven().1
+    }
 
     /// Drives soon: after the inputs that wait already, or after a batch of them. What they lead to
     /// goes out together.
@@ -58,10 +66,10 @@ pub(crate) trait MachineActor: Actor<Context = Context<Self>> {
         }
         let timer = tokio::time::sleep_until(platform::timer_at(due));
         let handle = context.spawn(actix::fut::wrap_future::<_, Self>(timer).map(
-            |(), body: &mut Self, context: &mut Self::Context| {
-                (body.wake().armed, body.wake().handle) = (None, None);
-                body.machine().handle_timeout(platform::now());
-                body.drive(context);
+            |(), actor: &mut Self, context: &mut Self::Context| {
+                (actor.wake().armed, actor.wake().handle) = (None, None);
+                actor.machine().handle_timeout(platform::now());
+                actor.drive(context);
             },
         ));
         (self.wake().armed, self.wake().handle) = (Some(due), Some(handle));
@@ -88,18 +96,18 @@ const BATCH: usize = 64;
 /// futures are polled again with it.
 struct Soon;
 
-impl<B: MachineActor> ActorFuture<B> for Soon {
+impl<A: MachineActor> ActorFuture<A> for Soon {
     type Output = ();
 
     fn poll(
         self: Pin<&mut Self>,
-        body: &mut B,
-        context: &mut Context<B>,
+        actor: &mut A,
+        context: &mut Context<A>,
         _: &mut task::Context<'_>,
     ) -> Poll<()> {
-        if body.wake().fed > 0 {
-            body.drive(context);
-            body.wake().fed = 0;
+        if actor.wake().fed > 0 {
+            actor.drive(context);
+            actor.wake().fed = 0;
         }
         Poll::Pending
     }
@@ -143,12 +151,8 @@ mod tests {
     impl MachineActor for Lister {
         type Machine = List;
 
-        fn machine(&mut self) -> &mut List {
-            &mut self.list
-        }
-
-        fn wake(&mut self) -> &mut WakeTimer {
-            &mut self.wake
+        fn driven(&mut self) -> (&mut List, &mut WakeTimer) {
+            (&mut self.list, &mut self.wake)
         }
 
         fn carry_out(&mut self, output: Vec<u32>, _: &mut Context<Self>) {

@@ -1,10 +1,9 @@
 //! Whoever asks a service, and follows it from node to node.
 
 use super::finder::{Finder, Found, PROBE};
-use super::read_why;
 use super::roster::Roster;
 use super::words::{Answered, AskService, Task};
-use crate::messaging::error::RequestError;
+use crate::messaging::error::{RequestError, decode_kind};
 use crate::messaging::message_id::next_id;
 use crate::platform;
 use crate::registry::Registry;
@@ -242,9 +241,9 @@ impl<M: Request> ServiceRef<M> {
                 }
                 Turn::Answered(Answered::Failed { why, epoch }) => {
                     self.finder.note_epoch(&node, epoch);
-                    return Err(read_why(&why));
+                    return Err(decode_kind(&why));
                 }
-                Turn::Answered(Answered::Refused { why }) => match read_why(&why) {
+                Turn::Answered(Answered::Refused { why }) => match decode_kind(&why) {
                     DeliveryError::Full | DeliveryError::Restarting => {
                         primary = Some(node);
                         tokio::time::sleep(PROBE).await;

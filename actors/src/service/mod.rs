@@ -32,7 +32,6 @@ use crate::component::{Component, Failure, Handle};
 use crate::host::spec::ChildSpec;
 use crate::platform::panics;
 use crate::registry::ContractPort;
-use blastema_core::contract::codec;
 use blastema_core::service::ReplicaConfig;
 use blastema_core::{DeliveryError, NameError, NodeName, ObjectName};
 use bytes::Bytes;
@@ -41,9 +40,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use words::{LoadState, RoleChanged, SaveState};
-
-/// The most bytes of an error on its way.
-const WHY_MAX: usize = 16 * 1024;
 
 /// A component that can be carried over to another node. Needs the feature `network`.
 pub trait Stateful: Component {
@@ -249,19 +245,6 @@ pub(crate) fn stateful_ports<C: Stateful>() -> Vec<PortConstructor<C>> {
         ContractPort::open::<C, LoadState>,
         ContractPort::open::<C, RoleChanged>,
     ]
-}
-
-pub(crate) fn encode_why(why: &DeliveryError) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
-        bytes.clear();
-    }
-    bytes
-}
-
-fn read_why(bytes: &[u8]) -> DeliveryError {
-    codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
-        .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
 }
 
 /// The component was stopped, isolated or removed, and not only restarted.

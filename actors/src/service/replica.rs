@@ -9,6 +9,7 @@ use super::words::{
 };
 use crate::component::environment::ComponentEnvironment;
 use crate::messaging::death_watch::{Down, DownReason, Watcher};
+use crate::messaging::error::encode_kind;
 use crate::messaging::incarnation::IncarnationToken;
 use crate::messaging::reply::Responder;
 use crate::messaging::sender::Sender;
@@ -365,12 +366,8 @@ impl ReplicaBody {
 impl MachineActor for ReplicaBody {
     type Machine = Replica;
 
-    fn machine(&mut self) -> &mut Replica {
-        &mut self.machine
-    }
-
-    fn wake(&mut self) -> &mut WakeTimer {
-        &mut self.wake
+    fn driven(&mut self) -> (&mut Replica, &mut WakeTimer) {
+        (&mut self.machine, &mut self.wake)
     }
 
     fn carry_out(&mut self, output: ReplicaOutput, context: &mut Context<Self>) {
@@ -407,11 +404,11 @@ impl MachineActor for ReplicaBody {
                             Answered::Done { reply: reply.into(), epoch: self.epoch() }
                         }
                         ServiceOutcome::Served(Err(why)) => {
-                            let why = super::encode_why(&why);
+                            let why = encode_kind(&why);
                             Answered::Failed { why, epoch: self.epoch() }
                         }
                         ServiceOutcome::Refused(why) => {
-                            Answered::Refused { why: super::encode_why(&why) }
+                            Answered::Refused { why: encode_kind(&why) }
                         }
                         ServiceOutcome::Elsewhere(primary) => {
                             let primary = primary.map(|node| node.to_string());
@@ -484,7 +481,7 @@ impl Handler<Asked> for ReplicaBody {
         }
         let mut request = Vec::new();
         if codec::encode_bounded(&task, TASK_MAX, &mut request).is_err() {
-            let why = super::encode_why(&DeliveryError::TooLarge { limit: TASK_MAX });
+            let why = encode_kind(&DeliveryError::TooLarge { limit: TASK_MAX });
             return answer.give(Answered::Refused { why });
         }
         self.next += 1;

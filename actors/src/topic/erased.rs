@@ -30,7 +30,7 @@ pub(super) trait AnyTopic: Send + Sync {
     /// joins is counted under the same lock: it gets the event that is kept, and the other node
     /// goes on, or the other node sends it again.
     fn settle_interest(&self) -> bool;
-    /// Gives it the event that the topic keeps for who joins.
+    /// Sends it the event that the topic keeps for listeners that join.
     fn catch_up(&self, forward: &RemoteForward);
     fn has_publishers(&self) -> bool;
     fn row(&self, now: Instant) -> TopicRow;

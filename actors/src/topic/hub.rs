@@ -5,21 +5,20 @@
 //! takes long, the hub ends its turn and goes on from there in the next.
 
 use super::batch_position::BatchPosition;
+use super::hub_queue::{HubBatch, HubQueue, Posted};
 use super::{EventFilter, Hubs, Latch, Latched, Topic, lock};
 use crate::arbiter::heartbeat::ArbiterHeartbeat;
 use crate::arbiter::turn_budget::TurnBudget;
-use crate::component::envelope::Times;
 use crate::liveness::activity::ActivitySlotRef;
 use crate::liveness::label::CONDITION;
 use crate::messaging::message_log;
-use crate::messaging::queue::{BoundedQueue, Popped, Pushed, WhenFull};
+use crate::messaging::queue::{BoundedQueue, Popped, WhenFull};
 use crate::platform;
 use crate::platform::panics::PanicGuard;
 use blastema_core::sorted::SortedMap;
 use blastema_core::{DeliveryError, Event, Incarnation};
 use std::any::Any;
 use std::cell::{Cell, RefCell};
-use std::cmp::Ordering;
 use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -37,92 +36,6 @@ const CAPACITY: usize = 1024;
 const BUDGET: usize = 32;
 /// A hub's queue has one owner for ever.
 const OWNER: Incarnation = Incarnation::FIRST;
-
-/// What publishers know of a hub, and listeners that leave it.
-pub(crate) struct HubQueue<E> {
-    pub(super) queue: BoundedQueue<Posted<E>>,
-    pub(super) id: u64,
-    /// Changed under the topic's lock.
-    pub(super) listeners: AtomicU64,
-    /// Its last listener has left. Changed under the topic's lock.
-    retired: AtomicBool,
-    pub(super) serving: Mutex<HubBatch<E>>,
-    position: BatchPosition,
-    /// How often an entry has gone from here, so that the hub need not ask each whether it is still
-    /// here.
-    gone: AtomicU64,
-}
-
-/// What a hub has taken from its queue, or is to give to one entry before that: for listeners that
-/// leave a hub that is stuck.
-pub(super) struct HubBatch<E> {
-    events: Arc<Vec<Posted<E>>>,
-    /// They are for this entry only.
-    only: Option<u64>,
-    /// The entries that have left during this batch, and how many of its events they left to the
-    /// hub.
-    left: Vec<(u64, usize)>,
-    /// What entries brought along from the hubs that they left.
-    pub(super) brought: VecDeque<(u64, Vec<Posted<E>>)>,
-}
-
-#[derive(Clone)]
-pub(super) struct Posted<E> {
-    pub(super) event: E,
-    pub(super) at: Times,
-    /// Counts the topic's events.
-    number: u64,
-}
-
-impl<E> HubQueue<E> {
-    /// Hands an event over; a hub drops its oldest one where it has no room.
-    #[inline]
-    pub(super) fn push(&self, event: E, at: Times, number: u64) -> Pushed<Posted<E>> {
-        let pushed = self.queue.push_quietly(event, |event| Posted { event, at, number });
-        // Refused only where the hub has retired, which publishers no longer know.
-        pushed.unwrap_or(Pushed { displaced: None, parked: None })
-    }
-}
-
-impl<E: Event> HubQueue<E> {
-    /// Whether this entry's condition has an event that it has not decided on: lost where it
-    /// leaves.
-    pub(super) fn is_undecided(&self, entry: u64) -> bool {
-        let progress = self.position.read();
-        progress.entry == entry && progress.is_undecided
-    }
-
-    /// The events since `since` that an entry leaves undelivered here. `leave` ends the entry, and
-    /// `is_undecided` is set where its condition has not decided on one event more.
-    pub(super) fn leftover(
-        &self,
-        since: u64,
-        leave: impl FnOnce() -> u64,
-        is_undecided: &Cell<bool>,
-    ) -> Vec<Posted<E>> {
-        let mut serving = lock(&self.serving);
-        let entry = leave();
-        fence(SeqCst); // See `Hub::still_gets`.
-        let progress = self.position.read();
-        let past = match entry.cmp(&progress.entry) {
-            _ if serving.only.is_some_and(|only| only != entry) => serving.events.len(),
-            Ordering::Less => serving.events.len(),
-            // The event that it served when it was abandoned is not served again.
-            Ordering::Equal => progress.begun,
-            Ordering::Greater => 0,
-        };
-        is_undecided.set(entry == progress.entry && progress.is_undecided);
-        serving.left.push((entry, past - usize::from(is_undecided.get())));
-        let mut left = Vec::new();
-        if let Some(at) = serving.brought.iter().position(|(of, _)| *of == entry) {
-            left.extend(serving.brought.remove(at).into_iter().flat_map(|(_, events)| events));
-        }
-        let served = serving.events.iter().skip(past);
-        left.extend(served.filter(|p| serving.only.is_some() || p.number >= since).cloned());
-        left.extend(self.queue.snapshot().into_iter().filter(|posted| posted.number >= since));
-        left
-    }
-}
 
 /// One listener, as its hub sees it: what is looked at for every event, side by side with the
 /// others.

@@ -20,6 +20,7 @@ mod batch_position;
 mod entry;
 mod erased;
 mod hub;
+mod hub_queue;
 pub(crate) mod ports;
 mod publisher;
 mod subscription;
@@ -48,7 +49,7 @@ use blastema_core::contract::codec;
 use blastema_core::{
     DeliveryError, Event, GatherBuffer, Instant, NodeName, ObjectName, PreviousVersion,
 };
-use hub::HubQueue;
+use hub_queue::HubQueue;
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering::Relaxed;
@@ -110,7 +111,8 @@ pub(crate) struct Topic<E: Event> {
     forwards: Mutex<Arc<[RemoteForward]>>,
     is_forwarded: AtomicBool,
     listeners: AtomicU64,
-    /// Held while an event of a latched topic is handed out, so that who joins gets it once.
+    /// Held while an event of a latched topic is handed out, so that a listener that joins gets it
+    /// once.
     latch: Mutex<Latch<E>>,
     traffic: Traffic,
     /// Listeners here, and other nodes that have some.
@@ -246,7 +248,7 @@ impl<E: Event> Topic<E> {
     /// To wake across threads is a system call, and what a hub had no room for is the user's: both
     /// are dealt with outside of the lock.
     #[inline]
-    fn pushed(&self, Pushed { displaced, parked }: Pushed<hub::Posted<E>>) {
+    fn pushed(&self, Pushed { displaced, parked }: Pushed<hub_queue::Posted<E>>) {
         if let Some(waker) = parked {
             waker.wake();
         }

@@ -1,7 +1,8 @@
 //! A component's subscription to one topic: at which hub it is served, and from which event on.
 
 use super::entry::Resident;
-use super::hub::{HubQueue, ListenerEntry};
+use super::hub::ListenerEntry;
+use super::hub_queue::HubQueue;
 use super::{EventFilter, Topic, lock};
 use crate::component::cell::ComponentCell;
 use crate::component::subscription::Subscription;
@@ -50,14 +51,19 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
         let mut at = lock(&self.hub);
         let mut hubs = lock(&self.topic.hubs);
         let hub = self.topic.hub_here(&mut hubs);
-        if at.as_ref().is_some_and(|at| at.queue.id == hub.shared.id) {
+        if let Some(At { queue, since }) = at.as_ref().filter(|at| at.queue.id == hub.shared.id) {
+            let entry = self.present.load(Relaxed);
+            // The last event, unless it is yet to come.
+            if latch.is_some() && !queue.awaits(entry, *since) {
+                queue.bring(entry, self.topic.kept(&latch));
+            }
             return;
         }
         let (number, since) = (NEXT.fetch_add(1, Relaxed), hubs.next);
         let leave = || self.present.swap(number, Relaxed);
         // What still waits at the hub that the listener leaves: its arbiter is lost, or the
         // listener moves and would miss it.
-        let left = match &*at {
+        let mut left = match &*at {
             Some(At { queue, since }) => {
                 let is_undecided = Cell::new(false);
                 let leftover = || queue.leftover(*since, leave, &is_undecided);
@@ -74,9 +80,12 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             }
             None => {
                 leave();
-                self.topic.kept(&latch)
+                Vec::new()
             }
         };
+        if left.is_empty() {
+            left = self.topic.kept(&latch);
+        }
         hub.shared.listeners.fetch_add(1, Relaxed);
         let joins = at.is_none().then(|| self.topic.add_listener(&latch));
         drop((hubs, latch));
@@ -91,25 +100,12 @@ impl<C: Handle<E>, E: Event> Subscription<C> for TopicSubscription<E> {
             listener: Box::new(Resident { cell: cell.clone(), executor: RefCell::default() }),
         });
         drop(newcomers);
-        if !left.is_empty() {
-            lock(&hub.shared.serving).brought.push_back((number, left));
-            hub.shared.queue.wake();
-        }
+        hub.shared.bring(number, left);
         if let Some(old) = at.replace(At { queue: hub.shared.clone(), since }) {
             self.topic.leave(&old.queue);
         }
         if let Some(is_first) = joins {
             self.topic.listener_changed(&cell.record.name, true, is_first);
-        }
-    }
-
-    fn catch_up(&self, _: &Arc<ComponentCell<C>>) {
-        let left = self.topic.kept(&lock(&self.topic.latch));
-        if let Some(At { queue, .. }) = &*lock(&self.hub)
-            && !left.is_empty()
-        {
-            lock(&queue.serving).brought.push_back((self.present.load(Relaxed), left));
-            queue.queue.wake();
         }
     }
 

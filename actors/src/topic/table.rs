@@ -99,9 +99,9 @@ impl Topics {
         Topics { inner, interest, dead_letters, reports, joined, ended }
     }
 
-    /// This node was shut down: who publishes from outside of its components is told so.
+    /// This node was shut down: publishers outside of its components get an error.
     pub(crate) fn shut_down(&self, node: &NodeName) {
-        // It is told once.
+        // It is reported once.
         let _ = self.ended.set(node.clone());
     }
 

@@ -115,7 +115,7 @@ impl Traffic {
     /// Says once that listeners have had the time to join, and again after another has joined.
     pub(super) fn is_time_to_judge(&self, now: Instant) -> bool {
         let joined = self.joined.load(Relaxed);
-        // Who publishes to the listener that has joined may still come.
+        // A publisher for the listener that has joined may still come.
         now - self.since.max(Instant::from_nanos(joined)) >= JOINED_WITHIN
             && self.judged.swap(now.as_nanos(), Relaxed) <= joined
     }

@@ -1,13 +1,10 @@
 //! How variables are asked for, in this process and from other nodes alike.
 
-use blastema_core::contract::codec;
+use crate::messaging::error::encode_kind;
 use blastema_core::variables::{RestoreChoice, ValueReport, ValueState};
 use blastema_core::{DeliveryError, ObjectName};
 use blastema_macros::{Request, Structure};
 use std::time::Duration;
-
-/// The most bytes of an error on its way.
-const WHY_MAX: usize = 16 * 1024;
 
 /// What is wanted of a node's variables. It is asked at any object of the node that has some.
 #[derive(Clone, Debug, Request)]
@@ -93,17 +90,7 @@ impl From<RestoreMessage> for RestoreChoice {
 
 impl VariableReply {
     pub(crate) fn refused(why: &DeliveryError) -> Self {
-        let mut bytes = Vec::new();
-        if codec::encode_bounded(why, WHY_MAX, &mut bytes).is_err() {
-            bytes.clear();
-        }
-        VariableReply::Refused { why: bytes }
-    }
-
-    /// Reads an error that [`refused`](Self::refused) wrote.
-    pub(crate) fn why(bytes: &[u8]) -> DeliveryError {
-        codec::decode_bounded::<DeliveryError, WHY_MAX>(bytes)
-            .unwrap_or_else(|error| DeliveryError::Undecodable { reason: error.to_string() })
+        VariableReply::Refused { why: encode_kind(why) }
     }
 }
 

@@ -17,6 +17,7 @@ pub use blastema_core::variables::{RestorePolicy, ValueState};
 
 pub(crate) use store::{DeclaredVariable, VariableStore};
 
+use crate::messaging::error::decode_kind;
 use crate::messaging::sender::Sender;
 use crate::registry::Registry;
 use access::{
@@ -330,7 +331,7 @@ impl Transaction {
             sender.ask_within(VariableRequest::Write { writes: self.writes }, WATCH_WITHIN).await;
         match asked.map_err(|error| error.kind)? {
             VariableReply::Revision(revision) => Ok(revision),
-            VariableReply::Refused { why } => Err(VariableReply::why(&why)),
+            VariableReply::Refused { why } => Err(decode_kind(&why)),
             VariableReply::Differs { identity } => {
                 let name = PeerIdentity::decode(&identity).map(|known| known.name);
                 let name = name.unwrap_or_default();
@@ -344,7 +345,7 @@ impl Transaction {
 
 fn understood<V: Variable>(accessed: VariableReply) -> Result<VariableReply, DeliveryError> {
     match accessed {
-        VariableReply::Refused { why } => Err(VariableReply::why(&why)),
+        VariableReply::Refused { why } => Err(decode_kind(&why)),
         VariableReply::Differs { identity } => {
             let theirs = PeerIdentity::decode(&identity)
                 .map_err(|error| DeliveryError::Undecodable { reason: error.to_string() })?;

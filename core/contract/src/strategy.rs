@@ -4,7 +4,7 @@ use actix::Message;
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 use blastema_core::{Fault, FaultLocation, NodeName};
 
-/// Carry one measure out. Answered when it has worked or failed; a strategy that dies, or is silent
+/// Carry one action out. Answered when it has worked or failed; a strategy that dies, or is silent
 /// for longer than the plan gives it, has failed.
 #[derive(Clone, Debug, Message)]
 #[rtype(result = "Result<RecoveryDone, RecoveryFailed>")]

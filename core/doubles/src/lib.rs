@@ -5,6 +5,7 @@
 //! | [`Probe`] | any receiver of a message: records it, replies as told |
 //! | [`MockTransport`] | a medium: records what is sent, lets the test receive and report |
 //! | [`SimulatedNetwork`] | a medium with several ends, bad as told, the same for one seed |
+//! | [`FakeCrypto`] | the cryptography of sealed frames: fast, and panics when a nonce is used twice |
 //! | [`paused`](fn@paused), [`advance`] | the clock |
 //! | [`Record`] | what a double of your own has seen |
 //!
@@ -31,12 +32,14 @@
 //! });
 //! ```
 
+mod fake_crypto;
 mod mock_transport;
 mod network;
 mod paused;
 mod probe;
 mod record;
 
+pub use fake_crypto::{FakeCipher, FakeCrypto, FakeHandshake, NonceLedger};
 pub use mock_transport::MockTransport;
 pub use network::SimulatedNetwork;
 pub use paused::{advance, now, paused, settle};

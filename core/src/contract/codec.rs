@@ -15,7 +15,7 @@ use crate::contract::gather_buffer::GatherBuffer;
 use crate::contract::layout::{Described, LayoutOf};
 use bincode::config::{self, Config};
 use bincode::enc::EncoderImpl;
-use bincode::enc::write::{SliceWriter, Writer};
+use bincode::enc::write::Writer;
 use bincode::error::{DecodeError as Malformed, EncodeError as Refusal};
 use bytes::Bytes;
 use serde::Serialize;
@@ -79,17 +79,6 @@ pub enum DecodeError {
 /// [`EncodeError`]; the buffer is then as it was.
 pub fn encode<M: Contract>(message: &M, buffer: &mut Vec<u8>) -> Result<(), EncodeError> {
     encode_bounded(message, M::MAX_SIZE, buffer)
-}
-
-/// Encodes a reply to `M` at the end of `buffer`.
-///
-/// # Errors
-/// [`EncodeError`]; the buffer is then as it was.
-pub fn encode_reply<M: Contract>(
-    reply: &M::Reply,
-    buffer: &mut Vec<u8>,
-) -> Result<(), EncodeError> {
-    encode_bounded(reply, M::MAX_SIZE, buffer)
 }
 
 /// Encodes any value of at most `limit` bytes at the end of `buffer`.
@@ -197,17 +186,6 @@ pub(crate) fn parcel_of<T: Serialize>(
     let ParcelWriter { head, last, .. } =
         write(value, writer).map_err(|refusal| encode_error(refusal, limit))?;
     Ok(GatherBuffer::apart(head.into(), last.unwrap_or_default()))
-}
-
-/// Encodes a message into the beginning of `slice` and says how many bytes it took.
-///
-/// # Errors
-/// [`EncodeError`]; what the slice then holds is no message.
-pub fn encode_into<M: Contract>(message: &M, slice: &mut [u8]) -> Result<usize, EncodeError> {
-    let limit = slice.len().min(M::MAX_SIZE);
-    let writer = write(message, SliceWriter::new(&mut slice[..limit]))
-        .map_err(|refusal| encode_error(refusal, limit))?;
-    Ok(writer.bytes_written())
 }
 
 /// Encodes a value of this crate, which has an encoding whatever it holds.

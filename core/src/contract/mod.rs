@@ -57,11 +57,6 @@ pub trait Contract: Described + Send + 'static {
     {
         Vec::new()
     }
-
-    /// Whether a message of this age is too old to be delivered.
-    fn is_expired(age: Duration) -> bool {
-        Self::MAX_AGE.is_some_and(|limit| age > limit)
-    }
 }
 
 /// A contract without an answer, which may have many listeners.

@@ -9,7 +9,8 @@ use std::time::Duration;
 /// it is confirmed, given up loudly.
 ///
 /// Only one item is under way at any time. So items of one rank arrive in the order in which they
-/// were given, and a receiver tells a repetition by comparing with the one number that it saw last.
+/// were given, and a receiver detects a repetition by comparing with the one number that it saw
+/// last.
 ///
 /// ```text
 /// hand(item) ─► waiting ─► under way ──handle_confirmed──► done
@@ -406,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_begins_anew_sends_what_was_under_way_again_under_the_same_number() {
+    fn a_restarted_actor_retransmits_under_the_same_number() {
         let mut handover = ConfirmedQueue::new(LIMITS, 0);
         handover.hand(0, "a", at(0));
         handover.hand(0, "b", at(0));

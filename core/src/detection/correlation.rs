@@ -14,7 +14,7 @@ use std::sync::Arc;
 pub(super) struct DependencyIndex {
     node: NodeName,
     needs: SortedMap<ObjectName, Arc<[ObjectAddress]>>,
-    /// The same the other way round: who needs it.
+    /// The inverse: the objects that need each.
     users: SortedMap<ObjectAddress, SortedSet<ObjectName>>,
 }
 
@@ -91,7 +91,7 @@ impl DependencyIndex {
         down.filter(|fault| fault.location != *location).map(|fault| fault_log.root(fault.id)).min()
     }
 
-    /// Who here cannot work without `location`, directly or through others.
+    /// The objects of this node that cannot work without `location`, directly or through others.
     pub(super) fn users_of(&self, location: &FaultLocation) -> Dependents {
         let (mut objects, mut open) = (SortedSet::new(), Vec::new());
         match location {
@@ -166,6 +166,7 @@ pub(super) fn is_down(fault: &Fault) -> bool {
         | FaultKind::Unreplicated
         | FaultKind::StateLost
         | FaultKind::NodePaused
+        | FaultKind::Insecure
         | FaultKind::Custom(_) => false,
     }
 }

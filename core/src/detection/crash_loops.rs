@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn restarts_within_the_period_are_a_loop_that_is_counted_and_spread_ones_never_are() {
+    fn restarts_within_the_period_are_a_crash_loop_and_spread_ones_are_not() {
         let mut loops = CrashLoops::new(3, PERIOD);
         let mut restarted = |name: &str, second| loops.handle_restarted(&node(name), at(second));
 
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_ends_after_a_whole_period_in_one_incarnation_and_not_while_the_node_is_away() {
+    fn a_crash_loop_ends_after_a_whole_period_in_one_incarnation() {
         let mut loops = CrashLoops::new(2, PERIOD);
         let n = node("n");
         loops.handle_restarted(&n, at(0));

@@ -167,7 +167,7 @@ impl Dependencies {
 /// ```
 pub fn circle(needs: &SortedMap<&ObjectName, Vec<&ObjectName>>) -> Option<Vec<ObjectName>> {
     let needs_of = |name: &ObjectName| needs.get(name).map_or(&[][..], Vec::as_slice).iter();
-    // Everybody who was met, and whether it is still on the way.
+    // Every object that was visited, and whether it is still on the path.
     let mut met = SortedMap::new();
     for start in needs.keys().copied() {
         // The way so far, each with what is still to be looked at. No recursion: a chain may be

@@ -30,9 +30,9 @@ use std::time::Duration;
 /// * **Nothing is forgotten.** A fault on which no recoverer decides is handed over again, and in
 ///   the end given up loudly.
 ///
-/// Where the guard has already restarted a component, the fault is recorded and told, and handed to
-/// no recoverer. It is recovered when the next incarnation is active, shares what becomes of a
-/// fault of that one, and is cleared when that one ends in order and none follows.
+/// Where the guard has already restarted a component, the fault is recorded and reported, and
+/// handed to no recoverer. It is recovered when the next incarnation is active, shares what becomes
+/// of a fault of that one, and is cleared when that one ends in order and none follows.
 #[derive(Clone, Debug)]
 pub struct Detector {
     limits: DetectorLimits,
@@ -42,7 +42,7 @@ pub struct Detector {
     may_end: SortedSet<ObjectName>,
     /// Those that may not send and receive.
     isolated: SortedSet<ObjectName>,
-    /// Who stands still behind which hang.
+    /// The objects that are blocked behind each hang.
     behind: SortedMap<ObjectName, FaultId>,
     fault_log: FaultLog,
     /// Faults that may turn out to be symptoms.
@@ -50,7 +50,7 @@ pub struct Detector {
     /// Faults that the notifier knows of, and does not know to be over.
     handed: SortedSet<FaultId>,
     /// Faults that stand and that no recoverer treats: symptoms behind what keeps their thread,
-    /// which were only told, and those whose next incarnation is on its way already.
+    /// which were only reported, and those whose next incarnation is on its way already.
     unhanded: SortedSet<FaultId>,
     reminders: DecisionTimeouts,
     offences: OffenceWindow,
@@ -242,8 +242,8 @@ impl Detector {
         let rank = FaultNotice::Found(entry.fault.clone()).rank();
         self.reminders.handle_outcome(rank, id, at);
         match outcome {
-            RecoveryOutcome::Decided { measure } => self.decide(id, at, measure),
-            RecoveryOutcome::Failed { measure: action, reason } => {
+            RecoveryOutcome::Decided { action } => self.decide(id, at, action),
+            RecoveryOutcome::Failed { action, reason } => {
                 let turn = FaultTransition::Failed { action, reason };
                 let fault = entry.fault.clone();
                 self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
@@ -276,11 +276,6 @@ impl Detector {
     /// The record, roots before their symptoms.
     pub fn read_record(&self) -> FaultRecord {
         self.fault_log.read()
-    }
-
-    /// Where an object stands in its incarnation, as the detector has followed it.
-    pub fn state_of(&self, object: &ObjectName) -> Option<(Incarnation, Lifecycle)> {
-        self.objects.get(object).map(|seen| (seen.incarnation, seen.state))
     }
 
     /// How often something was seen of an incarnation that is over.
@@ -353,7 +348,7 @@ impl Detector {
         true
     }
 
-    /// Puts a fault into the record and tells it.
+    /// Puts a fault into the record and reports it.
     fn record(&mut self, scene: &Scene, kind: FaultKind, detail: String, cause: Cause) -> FaultId {
         // What stands is of an incarnation that is over.
         self.end_kind(scene, &kind);
@@ -457,7 +452,7 @@ impl Detector {
         }
     }
 
-    /// A fault is over, and those who were told of it do not know yet.
+    /// A fault is over, and this is not reported yet.
     fn withdraw(&mut self, id: FaultId, at: Instant) {
         let Some(entry) = self.fault_log.entry(id) else { return };
         let location = entry.fault.location.clone();
@@ -500,12 +495,12 @@ impl Detector {
     }
 
     /// What is done about a fault.
-    fn decide(&mut self, id: FaultId, at: Instant, measure: String) {
+    fn decide(&mut self, id: FaultId, at: Instant, action: String) {
         for id in self.sharing_the_outcome_of(id) {
             let Some(entry) = self.fault_log.entry_mut(id) else { continue };
-            entry.decided = Some((at, measure.clone()));
+            entry.decided = Some((at, action.clone()));
             let fault = entry.fault.clone();
-            let turn = FaultTransition::Decided { action: measure.clone() };
+            let turn = FaultTransition::Decided { action: action.clone() };
             self.outputs.push_back(DetectorOutput::Tell { fault, at, turn });
         }
     }

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_stands_until_its_cause_is_away_though_its_service_is_restored_or_it_is_given_up() {
+    fn a_fault_stands_until_its_cause_is_away_though_recovered() {
         let mut fault_log = FaultLog::new(8);
         fault_log.open(fault(1, cable(None), FaultKind::LinkDown, None));
         let status = |fault_log: &FaultLog| fault_log.entry(FaultId(1)).map(FaultEntry::status);

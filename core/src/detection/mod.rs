@@ -11,9 +11,9 @@
 //!
 //! `══►` is a [`ConfirmedQueue`]: repeated until it is confirmed, given up loudly. The monitor
 //! keeps the table and judges nothing but silence. The detector keeps the lifecycle of each object,
-//! compares with the list of faults, tells roots from symptoms and keeps the record. The notifier
-//! limits storms. None of them decides what is done about a fault, and none of them restarts
-//! anything.
+//! compares with the list of faults, separates roots from symptoms and keeps the record. The
+//! notifier limits storms. None of them decides what is done about a fault, and none of them
+//! restarts anything.
 //!
 //! **When it is found.** An exit, an error state, a declared fault: at once. Silence of an object
 //! that pushes: after `tolerance` and a half of its intervals, or when its start-up time is over.

@@ -1,4 +1,4 @@
-//! Who lives, in which incarnation and state: the table, and what is new in it.
+//! Which objects live, in which incarnation and state: the table, and the changes in it.
 
 use super::entry::{LastExit, MonitoredObject, NoteCause, describe};
 use super::peer_table::{PeerChange, PeerTable};
@@ -71,7 +71,7 @@ impl Default for MonitorLimits {
 pub enum MonitorOutput {
     /// Ask this object whether it is alive, and bring the answer to [`Monitor::handle_alive`].
     Ask {
-        /// Whom.
+        /// The object.
         object: ObjectName,
     },
     /// Hand this to the detector, and bring its confirmation to [`Monitor::handle_confirmed`].
@@ -156,8 +156,8 @@ impl Monitor {
             && let Some(entry) = self.alive(object, progress.incarnation, now)
         {
             entry.last_sign = Some(now);
-            // A guard tells every change, and may have told a later one: answers only stand in for
-            // guards where there are none.
+            // A guard reports every change, and may have reported a later one: answers only stand
+            // in for guards where there are none.
             let state = progress.state;
             if !entry.guarded && entry.state.replace(state) != Some(state) {
                 let finding = Finding::State { state, reason: None };
@@ -190,7 +190,8 @@ impl Monitor {
         if self.objects.get(object).is_some_and(is_older)
             && matches!(exit, ExitReason::Panicked { .. })
         {
-            // That it panicked is told in every case; of the present incarnation it says nothing.
+            // That it panicked is reported in every case; of the present incarnation it says
+            // nothing.
             let finding = Finding::Exited { exit, restarted_as };
             self.observe_object(object, incarnation, finding, now);
             return self.settle(now);
@@ -220,7 +221,7 @@ impl Monitor {
         if let Some(next) = restarted_as {
             self.admit(object, next, now);
             if is_middleware {
-                // It has no hooks: its guard tells of it when it serves again.
+                // It has no hooks: its guard reports when it serves again.
                 let progress = WorkProgress { incarnation: next, state: Lifecycle::Active };
                 self.handle_alive(object, progress, now);
             }
@@ -477,7 +478,7 @@ impl Monitor {
         if self.ending && !finding.is_own_doing() {
             return;
         }
-        // One rank for all: the detector is told things in the order in which they happened.
+        // One rank for all: the detector gets reports in the order in which things happened.
         self.handover.hand(0, Observation { location, incarnation, finding, seen_at: now }, now);
     }
 

@@ -46,7 +46,7 @@ impl Default for NotifierLimits {
         // A recoverer takes in a fault in microseconds; a robot on which two hundred things break
         // each second is better served by the most important ones.
         let local = ConfirmedQueueLimits { per_second: 200, ..ConfirmedQueueLimits::default() };
-        // A robot of more than thirty nodes tells the rest over its fleet.
+        // A robot of more than thirty nodes informs the others over its fleet.
         NotifierLimits { ports: 32, local, remote }
     }
 }
@@ -228,7 +228,7 @@ impl Lane {
         let waited = self.handover.withdraw(|waiting| waiting.id() == id).is_some();
         self.suppressed += u64::from(waited);
         match notice {
-            // The recoverer behind this port was not told of it: there is nothing to take back.
+            // The recoverer behind this port was not notified of it: there is nothing to take back.
             FaultNotice::Cleared { .. } if waited => {}
             FaultNotice::Found(_) if self.handover.under_way() == Some(notice) => {
                 self.suppressed += 1;
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_cannot_be_reached_holds_up_nobody_else_and_is_given_up_loudly() {
+    fn an_unreachable_port_delays_no_other_and_its_notices_are_given_up() {
         let mut notifier = notifier(&[RecovererPort::Local, remote()]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
 
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn one_fault_is_never_twice_in_a_queue_and_one_that_is_over_in_time_not_once() {
+    fn a_fault_is_queued_once_and_not_at_all_if_it_clears_in_time() {
         let mut notifier = notifier(&[RecovererPort::Local]);
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));
         notifier.handle_notice(fault(1, FaultKind::Panic), at(0));

@@ -70,7 +70,7 @@ pub enum Finding {
         during: &'static str,
         /// For how long at least.
         age: Duration,
-        /// Who stands still behind it.
+        /// The components that are blocked behind it.
         victims: Arc<[ObjectName]>,
     },
     /// Its handler awaits something for longer than it may; its arbiter turns.
@@ -84,7 +84,7 @@ pub enum Finding {
     Resumed,
     /// The object is blocked for good behind this culprit and must be re-created on another thread.
     Lost {
-        /// Whose handler keeps their arbiter.
+        /// The component whose handler keeps their arbiter.
         culprit: ObjectName,
     },
     /// The object answers pings, but has taken no message for so long although messages wait.
@@ -98,7 +98,7 @@ pub enum Finding {
     Overloaded {
         /// How much.
         figures: OverloadFigures,
-        /// Who is late behind it, on the same thread.
+        /// The components that are late behind it, on the same thread.
         victims: Arc<[ObjectName]>,
     },
     /// The object was stuck or overloaded and has caught up.
@@ -194,7 +194,7 @@ pub enum NodeCondition {
     },
     /// Nothing is taken from it or sent there any more. That it cannot be reached is no news then.
     Isolated {
-        /// Who decided, and why.
+        /// The node that decided, and why.
         reason: String,
     },
     /// The node is no longer isolated.
@@ -219,7 +219,7 @@ pub enum NodeCondition {
         waited_percent: u8,
         /// How late they are.
         figures: OverloadFigures,
-        /// Who is late.
+        /// The components that are late.
         victims: Arc<[ObjectName]>,
     },
     /// No component of this node is late any more because of that.

@@ -10,18 +10,18 @@ pub enum RecoveryOutcome {
     /// A recovery action was chosen.
     Decided {
         /// Which, as a person reads it: "restart", "re-route".
-        measure: String,
+        action: String,
     },
     /// The action that was chosen has not helped. Another attempt, or another action, follows.
     Failed {
         /// Which, as in `Decided`.
-        measure: String,
+        action: String,
         /// Why.
         reason: String,
     },
     /// Service is restored.
     Recovered,
-    /// Nothing more is done: the incarnation that a measure has begun waits for something that is
+    /// Nothing more is done: the incarnation that an action has begun waits for something that is
     /// not there yet. The fault stands until it is at work.
     Waits,
     /// Nothing more will be tried; what is left is safe state.
@@ -112,7 +112,7 @@ impl FaultNotice {
 pub struct FaultEntry {
     /// The fault; [`Fault::found_at`] is when it was found.
     pub fault: Fault,
-    /// The measure that was chosen last, and when.
+    /// The action that was chosen last, and when.
     pub decided: Option<(Instant, String)>,
     /// When service was restored.
     pub recovered_at: Option<Instant>,

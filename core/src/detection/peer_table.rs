@@ -6,7 +6,7 @@ use crate::{FaultLocation, Incarnation, Instant, NodeName};
 use std::mem::discriminant;
 use std::sync::Arc;
 
-/// The table of links and nodes. It tells what is change from what was said before.
+/// The table of links and nodes. It distinguishes a change from a repeated report.
 #[derive(Clone, Debug, Default)]
 pub(super) struct PeerTable {
     links: SortedMap<(NodeName, Arc<str>), LinkSeen>,
@@ -33,7 +33,7 @@ struct NodeSeen {
     status: PeerStatus,
     last_sign: Option<Instant>,
     restarts: u32,
-    /// Who has isolated it, and why.
+    /// The node that has isolated it, and why.
     isolated: Option<String>,
     /// Why it is in the safe state, as it says itself.
     rest: Option<String>,
@@ -101,7 +101,7 @@ impl PeerTable {
             (before, now) => discriminant(before) == discriminant(now),
         });
         let last_sign = if carries { Some(now) } else { before.as_ref().and_then(|b| b.last_sign) };
-        // A link that is down does not say who was at its other end.
+        // A link that is down does not report the node at its other end.
         let neighbour = neighbour.or(before.and_then(|seen| seen.neighbour));
         let location = FaultLocation::Link {
             node: node.clone(),
@@ -121,7 +121,7 @@ impl PeerTable {
     }
 
     /// The router reports how a node is. The same condition again is no change, a newer incarnation
-    /// is. What is heard of an incarnation that has left, is none. Answers an error for the end of
+    /// is. A report of an incarnation that has left is none. Returns an error for the end of
     /// an incarnation that is over, and for the rest of another one than is there.
     pub(super) fn handle_node(
         &mut self,
@@ -155,7 +155,7 @@ impl PeerTable {
         if left && before.is_some_and(|seen| seen.incarnation == incarnation) {
             return Ok(None);
         }
-        // The first that is heard of a node is no restart, whatever it is called; nor is an
+        // The first report of a node is no restart, whatever its number is; nor is an
         // incarnation of which nothing but the loss was ever known, nor one after another that had
         // left.
         let restarted = before.is_some_and(|seen| {
@@ -225,7 +225,7 @@ impl PeerTable {
             NodeCondition::InSafeState { reason } => Some(reason.clone()),
             _ => None,
         };
-        // Who says so is here.
+        // A node that reports this is present.
         let seen = self.nodes.entry(node.clone()).or_insert_with(|| NodeSeen {
             incarnation,
             status: PeerStatus::Here,
@@ -387,7 +387,7 @@ mod tests {
         check(Some((5, lost())), (6, Reachable), says(Restarted));
         // Only its loss was ever known: that it now has a number is no restart.
         check(Some((0, lost())), (6, Reachable), says(Reachable));
-        // Who has left is not lost, and returns as one that joins.
+        // A node that has left is not lost, and returns as one that joins.
         check(None, (5, Left), says(Left));
         for before in [Reachable, Restarted, lost()] {
             check(Some((5, before.clone())), (5, Left), says(Left));
@@ -425,8 +425,8 @@ mod tests {
         assert!(reported(&Reachable));
     }
 
-    /// Tells of one node's incarnations; answers whether that is change, and whether the node is at
-    /// rest then.
+    /// Reports one node's incarnations; returns whether that is a change, and whether the node is
+    /// at rest then.
     fn rest_reported() -> impl FnMut(u64, NodeCondition) -> (Result<bool, Incarnation>, bool) {
         let mut around = PeerTable::default();
         move |incarnation, condition| {
@@ -437,8 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn a_node_is_at_rest_from_when_it_says_so_until_it_says_otherwise_or_another_incarnation_is_there()
-     {
+    fn a_node_stays_in_safe_state_until_it_reports_work_or_restarts() {
         use NodeCondition::{AtWork, InSafeState, Left, Lost, Reachable};
         let mut reported = rest_reported();
         let mut reported = |incarnation, condition| {

@@ -20,7 +20,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, Default)]
 pub struct PingMonitor {
     asked: SortedMap<ObjectName, Asked>,
-    /// When to look at whom: exactly one look for each object from which something is due.
+    /// When to check which object: exactly one check for each object from which something is due.
     looks: SortedSet<(Instant, ObjectName)>,
     outputs: VecDeque<PingOutput>,
 }
@@ -30,7 +30,7 @@ pub struct PingMonitor {
 pub enum PingOutput {
     /// Ask this object.
     Ask {
-        /// Whom.
+        /// The object.
         object: ObjectName,
     },
     /// The opinion about its being alive has changed.
@@ -106,7 +106,7 @@ impl PingMonitor {
         PingMonitor::default()
     }
 
-    /// Asks an object from now on, whose incarnation `incarnation` begins or goes on.
+    /// Pings an object from now on, whose incarnation `incarnation` begins or goes on.
     pub fn enrol(
         &mut self,
         object: &ObjectName,
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_does_not_answer_is_suspect_and_then_failed_and_never_asked_twice() {
+    fn an_object_that_does_not_answer_is_suspect_then_failed() {
         let mut pings = pings();
 
         let reported = run(&mut pings, 10_000);
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_question_that_cannot_be_answered_is_asked_again_while_the_silence_goes_on() {
+    fn a_ping_without_a_reply_is_repeated_while_the_silence_lasts() {
         let mut pings = pings();
         run(&mut pings, 0);
 

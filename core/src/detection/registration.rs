@@ -93,7 +93,7 @@ pub enum RegistrationError {
     /// Dismiss what is no longer needed, or raise the limit.
     #[error("{object} is not watched: the monitor's table already has {limit} rows")]
     TableFull {
-        /// Who was to be enrolled.
+        /// The object that was to be registered.
         object: ObjectName,
         /// How many rows there may be.
         limit: usize,
@@ -101,7 +101,7 @@ pub enum RegistrationError {
     /// Give `Register::pings`, or watch the object in another way.
     #[error("{object} is to be asked for signs of life, but nothing says where it answers")]
     NowhereToAsk {
-        /// Who was to be enrolled.
+        /// The object that was to be registered.
         object: ObjectName,
     },
 }

@@ -30,8 +30,9 @@
 //! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part,
 //! and all of it but the length and their own fields.
 //!
-//! What this module does not do: encryption, multicast, congestion control towards strangers. A
-//! robot's network is its own.
+//! Links do not use [`seal`] yet: who is on a robot's network can still speak as any of its nodes.
+//!
+//! What this module does not do: multicast, congestion control towards strangers.
 
 pub mod active_alarms;
 pub mod discovery;
@@ -40,7 +41,9 @@ pub mod link;
 pub mod peer_protocol;
 pub mod refusal_alarms;
 pub mod routing;
+pub mod seal;
 pub mod session;
+pub mod trust;
 pub mod wire;
 
 pub use crate::machine_set::MachineSet;

@@ -69,7 +69,7 @@ impl fmt::Display for RecoveryAction {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LadderStep {
     /// The action of this step.
-    pub measure: RecoveryAction,
+    pub action: RecoveryAction,
     /// How often it is tried before the next rung; at least 1.
     pub attempts: u32,
     /// How long to wait between two attempts.
@@ -78,7 +78,7 @@ pub struct LadderStep {
     pub within: Duration,
 }
 
-/// Measures in the order in which they are tried.
+/// Actions in the order in which they are tried.
 ///
 /// A ladder that is exhausted ends in the safe state, whether or not that is its last rung.
 ///
@@ -92,16 +92,16 @@ pub struct LadderStep {
 pub struct Ladder(Vec<LadderStep>);
 
 impl Ladder {
-    /// A ladder whose first rung is one attempt at `measure`.
-    pub fn first(measure: RecoveryAction) -> Self {
-        Ladder(Vec::new()).then(measure)
+    /// A ladder whose first rung is one attempt at `action`.
+    pub fn first(action: RecoveryAction) -> Self {
+        Ladder(Vec::new()).then(action)
     }
 
-    /// Adds a step: one attempt at `measure`.
+    /// Adds a step: one attempt at `action`.
     #[must_use]
-    pub fn then(mut self, measure: RecoveryAction) -> Self {
-        let within = measure.usual_limit();
-        self.0.push(LadderStep { measure, attempts: 1, backoff: Backoff::default(), within });
+    pub fn then(mut self, action: RecoveryAction) -> Self {
+        let within = action.usual_limit();
+        self.0.push(LadderStep { action, attempts: 1, backoff: Backoff::default(), within });
         self
     }
 

@@ -1,14 +1,14 @@
-//! The acting half of the fault chain: which measure, and which children it touches.
+//! The acting half of the fault chain: which action, and which children it touches.
 //!
 //! ```text
 //!            Plan                    Rules
 //!             │                        │
 //! Fault ─► Recoverer ─RecoveryOrder─► strategy ─► Supervision ─► start, stop, abandon, reset, isolate
-//!          which measure               which children, in which order,
+//!          which action               which children, in which order,
 //!          by fault kind               and whether it is still worth it
 //! ```
 //!
-//! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of measures for a kind
+//! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of actions for a kind
 //! of fault, one rung after the other, and ends in the safe state. [`Supervisor`] keeps the tree as
 //! in Erlang/OTP: start in order, stop in reverse, restart one, all, or the rest; more restarts
 //! than the intensity allows, and it ends and escalates. Neither of them detects anything.

@@ -1,4 +1,4 @@
-//! Which ladder of measures answers which kind of fault: fixed when the robot is designed.
+//! Which ladder of actions answers which kind of fault: fixed when the robot is designed.
 
 use super::{Ladder, LadderStep, RecoveryAction};
 use crate::sorted::{SortedMap, SortedSet};
@@ -64,33 +64,33 @@ pub enum PlanError {
         /// The strategy that is spelt most like it.
         nearest: Option<String>,
     },
-    /// A measure does not apply to that kind of fault.
-    #[error("the plan answers {what} by {measure}, which {why}")]
+    /// An action does not apply to that kind of fault.
+    #[error("the plan answers {what} by {action}, which {why}")]
     DoesNotApply {
         /// What it answers.
         what: String,
         /// With what.
-        measure: RecoveryAction,
+        action: RecoveryAction,
         /// Why that cannot work.
         why: &'static str,
     },
     /// A rung is never tried.
     #[error(
-        "the plan answers {what} by {measure} with 0 attempts: give it at least 1, or leave it out"
+        "the plan answers {what} by {action} with 0 attempts: give it at least 1, or leave it out"
     )]
     NoAttempt {
         /// What it answers.
         what: String,
         /// With what.
-        measure: RecoveryAction,
+        action: RecoveryAction,
     },
     /// No attempt at a rung can succeed, or its pauses are none.
-    #[error("the plan answers {what} by {measure}, {why}")]
+    #[error("the plan answers {what} by {action}, {why}")]
     BadTime {
         /// What it answers.
         what: String,
         /// With what.
-        measure: RecoveryAction,
+        action: RecoveryAction,
         /// What is wrong, and what to write.
         why: &'static str,
     },
@@ -104,13 +104,13 @@ pub enum PlanError {
     },
     /// Rungs behind an `Observe` can never be reached, because observing does not fail.
     #[error(
-        "the plan answers {what} by {measure} behind observe, which never fails: let observe stand last"
+        "the plan answers {what} by {action} behind observe, which never fails: let observe stand last"
     )]
     Unreachable {
         /// What it answers.
         what: String,
         /// The rung behind.
-        measure: RecoveryAction,
+        action: RecoveryAction,
     },
 }
 
@@ -147,10 +147,12 @@ impl Default for Plan {
             FaultKind::CommanderGone => observe.clone(),
             // A user, or the application, brings it back.
             FaultKind::NodeInSafeState => observe.clone(),
-            // Who starts its process again is for the robot's service manager to say.
+            // The robot's service manager decides whether its process is started again.
             FaultKind::CrashLoop => observe.clone(),
             // It is over when it is found.
             FaultKind::NodePaused => observe.clone(),
+            // The user has accepted it.
+            FaultKind::Insecure => observe.clone(),
             // The service goes on; what is missing is on other nodes, or gone.
             FaultKind::Unreplicated | FaultKind::StateLost => observe.clone(),
             // Its nodes elect a primary by themselves as soon as they can.
@@ -210,11 +212,11 @@ impl Plan {
     }
 
     /// Whether the guard of `component` may carry out a restart after a panic by itself: only where
-    /// the plan's first measure is the built-in restart.
+    /// the plan's first action is the built-in restart.
     #[doc(hidden)]
     pub fn restarts_on_the_spot(&self, component: &ObjectName) -> bool {
         let first = &self.answer_for(&FaultKind::Panic, Some(component)).steps()[0];
-        first.measure == RecoveryAction::Restart
+        first.action == RecoveryAction::Restart
     }
 
     /// The codes of all faults of the application's own that the plan answers.
@@ -261,12 +263,12 @@ impl Plan {
             check_code(kind)?;
             check_ladder(format!("{kind} of other nodes"), kind, ladder, &strategies)?;
             let local = |step: &&LadderStep| {
-                !matches!(step.measure, RecoveryAction::Observe | RecoveryAction::Custom(_))
+                !matches!(step.action, RecoveryAction::Observe | RecoveryAction::Custom(_))
             };
             if let Some(step) = ladder.steps().iter().find(local) {
-                let (what, measure) = (format!("{kind} of other nodes"), step.measure.clone());
+                let (what, action) = (format!("{kind} of other nodes"), step.action.clone());
                 let why = "can only be carried out by that node itself: use a strategy of your own";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
         }
         for (component, kinds) in &self.components {
@@ -323,36 +325,36 @@ fn check_ladder(
     let network = link || node;
     let mut observed = false;
     for step in ladder.steps() {
-        let measure = step.measure.clone();
+        let action = step.action.clone();
         if observed {
-            return Err(PlanError::Unreachable { what, measure });
+            return Err(PlanError::Unreachable { what, action });
         }
         if step.attempts == 0 {
-            return Err(PlanError::NoAttempt { what, measure });
+            return Err(PlanError::NoAttempt { what, action });
         }
         if step.within.is_zero() {
             let why = "within no time at all, so that each attempt fails: give it some";
-            return Err(PlanError::BadTime { what, measure, why });
+            return Err(PlanError::BadTime { what, action, why });
         }
         if step.backoff.factor == 0 {
             let why = "with pauses that grow by the factor 0: write 1 for equal ones";
-            return Err(PlanError::BadTime { what, measure, why });
+            return Err(PlanError::BadTime { what, action, why });
         }
-        match &measure {
+        match &action {
             RecoveryAction::Observe => observed = true,
             RecoveryAction::Reset | RecoveryAction::Restart | RecoveryAction::MoveToOwnThread
                 if network =>
             {
                 let why = "needs a component, and there is none in a link or another node";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
             RecoveryAction::Isolate if link => {
                 let why = "needs a component or a node, and a link is neither";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
             RecoveryAction::Reroute if !network => {
                 let why = "needs a link or another node, and a component is neither";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
             RecoveryAction::Reset
                 if matches!(
@@ -364,11 +366,11 @@ fn check_ladder(
                 ) =>
             {
                 let why = "needs an incarnation, and that one has ended: use restart";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
             RecoveryAction::Reset if matches!(kind, FaultKind::Hang | FaultKind::Silence) => {
                 let why = "asks a component that does not answer: use restart";
-                return Err(PlanError::DoesNotApply { what, measure, why });
+                return Err(PlanError::DoesNotApply { what, action, why });
             }
             RecoveryAction::Custom(name) if !strategies.contains(name.as_ref()) => {
                 let nearest = nearest(name, strategies.iter().copied()).map(str::to_owned);
@@ -414,7 +416,7 @@ mod tests {
         assert_eq!(plan.check([], [], []), Ok(()));
         for kind in &FaultKind::BUILT_IN {
             let ladder = &plan.kinds[kind];
-            let last = &ladder.steps().last().expect("a rung").measure;
+            let last = &ladder.steps().last().expect("a rung").action;
             assert!(matches!(last, RecoveryAction::SafeStop | RecoveryAction::Observe), "{kind}");
         }
     }
@@ -427,7 +429,7 @@ mod tests {
         let location = FaultLocation::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Custom("X".into()), &location);
 
-        assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
+        assert_eq!(ladder.steps()[0].action, RecoveryAction::Observe);
     }
 
     #[test]
@@ -438,7 +440,7 @@ mod tests {
         let location = FaultLocation::Node(node.clone());
         let ladder = plan.answer(&node, &FaultKind::Overload, &location);
 
-        assert_eq!(ladder.steps()[0].measure, RecoveryAction::Observe);
+        assert_eq!(ladder.steps()[0].action, RecoveryAction::Observe);
     }
 
     #[test]
@@ -454,7 +456,7 @@ mod tests {
         let laser = FaultLocation::Object("module1:laser".parse().expect("a good name"));
         let first = |node: &str| {
             let node = node.parse().expect("a good name");
-            plan.answer(&node, &FaultKind::Panic, &laser).steps()[0].measure.clone()
+            plan.answer(&node, &FaultKind::Panic, &laser).steps()[0].action.clone()
         };
         assert_eq!(first("module1"), RecoveryAction::Isolate);
         assert_eq!(first("module2"), RecoveryAction::Observe);

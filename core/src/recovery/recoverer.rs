@@ -1,4 +1,4 @@
-//! Which measure answers a fault, and what comes next when it does not help.
+//! Which action answers a fault, and what comes next when it does not help.
 //!
 //! ```text
 //!  fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
@@ -35,7 +35,7 @@ const FAULTS_LIMIT: usize = 32;
 struct Noted {
     fault: Fault,
     since: u64,
-    /// It has gone by itself while a measure was under way.
+    /// It has gone by itself while an action was under way.
     over: bool,
 }
 
@@ -142,11 +142,6 @@ impl Recoverer {
         next
     }
 
-    /// How many places are being treated.
-    pub fn open_cases(&self) -> usize {
-        self.cases.len()
-    }
-
     /// A fault was found, or is reported once more.
     pub fn handle_fault(&mut self, fault: Fault, now: Instant) {
         let id = fault.id;
@@ -207,13 +202,13 @@ impl Recoverer {
         outcome: Result<RecoveryDone, RecoveryFailed>,
         now: Instant,
     ) {
-        let Some((location, measure)) = self.close_order(number, now) else { return };
+        let Some((location, action)) = self.close_order(number, now) else { return };
         let Some(case) = self.cases.get_mut(&location) else { return };
         if case.order != number {
             return;
         }
         match outcome {
-            Ok(done) => self.settle_case(&location, &measure, done, now),
+            Ok(done) => self.settle_case(&location, &action, done, now),
             Err(RecoveryFailed { reason, is_final }) => {
                 if is_final {
                     case.attempt = case.ladder.steps()[case.rung].attempts;
@@ -223,8 +218,8 @@ impl Recoverer {
         }
     }
 
-    /// The incarnation that a measure has begun has the fault too. Where it does not answer, no
-    /// other part finds out that the measure has failed.
+    /// The incarnation that an action has begun has the fault too. Where it does not answer, no
+    /// other part finds out that the action has failed.
     fn handle_struck_again(&mut self, fault: &Fault, now: Instant) {
         let case = &self.cases[&fault.location];
         if is_stuck(fault) && matches!(case.progress, Progress::Acting { .. }) {
@@ -236,7 +231,7 @@ impl Recoverer {
     fn treat(&mut self, fault: Fault, now: Instant) {
         let since = self.orders;
         let ladder = self.plan.answer(&self.node, &fault.kind, &fault.location);
-        if ladder.steps()[0].measure == RecoveryAction::Observe {
+        if ladder.steps()[0].action == RecoveryAction::Observe {
             return self.tell(&fault, FaultResolution::Observed);
         }
         if let (Some(standstill), FaultLocation::Object(_)) = (self.standstill, &fault.location) {
@@ -287,7 +282,7 @@ impl Recoverer {
             let faults: Vec<Fault> = case.faults.into_iter().map(|noted| noted.fault).collect();
             return self.release_symptoms(&ids(&faults), now);
         }
-        let measure = case.ladder.steps()[case.rung].measure.clone();
+        let action = case.ladder.steps()[case.rung].action.clone();
         case.attempt += 1;
         if case.attempt > case.ladder.steps()[case.rung].attempts {
             case.attempt = 1;
@@ -296,8 +291,8 @@ impl Recoverer {
         // At the end of its ladder the fault is given up, for this reason.
         let known = if case.rung < case.ladder.steps().len() { case.known() } else { Vec::new() };
         for fault in known {
-            let (measure, reason) = (measure.clone(), reason.clone());
-            self.tell(&fault, FaultResolution::Failed { measure, reason });
+            let (action, reason) = (action.clone(), reason.clone());
+            self.tell(&fault, FaultResolution::Failed { action, reason });
         }
         self.approach(location, reason, now);
     }
@@ -310,7 +305,7 @@ impl Recoverer {
         }
         let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
-        if step.measure == RecoveryAction::Observe {
+        if step.action == RecoveryAction::Observe {
             for fault in self.close(location, now) {
                 self.tell(&fault, FaultResolution::Observed);
             }
@@ -328,8 +323,7 @@ impl Recoverer {
     fn fall_back(&mut self, location: &FaultLocation, reason: String, now: Instant) -> bool {
         let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let untold = !std::mem::replace(&mut case.given_up, true);
-        let rested =
-            case.ladder.steps().iter().any(|step| step.measure == RecoveryAction::SafeStop);
+        let rested = case.ladder.steps().iter().any(|step| step.action == RecoveryAction::SafeStop);
         if !rested {
             case.ladder = case.ladder.clone().then(RecoveryAction::SafeStop);
         }
@@ -358,7 +352,7 @@ impl Recoverer {
         let number = self.orders;
         let case = self.cases.get_mut(location).expect("a case in treatment is open");
         let step = &case.ladder.steps()[case.rung];
-        let (measure, attempt, within) = (step.measure.clone(), case.attempt, step.within);
+        let (action, attempt, within) = (step.action.clone(), case.attempt, step.within);
         case.order = number;
         case.progress = Progress::Acting { due: now + within };
         let newest = case.faults.iter().map(|noted| noted.fault.incarnation).max();
@@ -368,20 +362,20 @@ impl Recoverer {
         let telling = telling.expect("a case has its first fault");
         let telling = telling.fault.clone();
         for fault in case.known() {
-            self.tell(&fault, FaultResolution::Decided { measure: measure.clone(), attempt });
+            self.tell(&fault, FaultResolution::Decided { action: action.clone(), attempt });
         }
-        self.open.insert(number, (location.clone(), measure.clone()));
+        self.open.insert(number, (location.clone(), action.clone()));
         let idle = Engaged { orders: 0, idle_since: now };
-        self.engaged.entry(measure.clone()).or_insert(idle).orders += 1;
-        let order = RecoveryOrder { number, measure, fault: telling, attempt, within };
+        self.engaged.entry(action.clone()).or_insert(idle).orders += 1;
+        let order = RecoveryOrder { number, action, fault: telling, attempt, within };
         self.outputs.push_back(RecovererOutput::CarryOut(order));
     }
 
-    /// The measure has worked: whatever it cured is settled, the rest is treated in its turn.
+    /// The action has worked: whatever it cured is settled, the rest is treated in its turn.
     fn settle_case(
         &mut self,
         location: &FaultLocation,
-        measure: &RecoveryAction,
+        action: &RecoveryAction,
         done: RecoveryDone,
         now: Instant,
     ) {
@@ -390,11 +384,11 @@ impl Recoverer {
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
         let faulty = known.map(|noted| noted.fault.incarnation).max();
         // Isolation leaves an incarnation alone that has followed the struck one.
-        let is_late = *measure == RecoveryAction::Isolate && done.incarnation > faulty;
+        let is_late = *action == RecoveryAction::Isolate && done.incarnation > faulty;
         let contained =
-            !is_late && matches!(measure, RecoveryAction::Isolate | RecoveryAction::SafeStop);
-        let restarted = *measure == RecoveryAction::Restart;
-        // What came while the measure was under way may already belong to the new incarnation.
+            !is_late && matches!(action, RecoveryAction::Isolate | RecoveryAction::SafeStop);
+        let restarted = *action == RecoveryAction::Restart;
+        // What came while the action was under way may already belong to the new incarnation.
         let cured = |noted: &Noted| {
             let replaced =
                 done.incarnation.is_none_or(|incarnation| noted.fault.incarnation < incarnation);
@@ -408,7 +402,7 @@ impl Recoverer {
         let cured: Vec<Fault> = cured.into_iter().map(|noted| noted.fault).collect();
         for fault in &cured {
             let settled = match contained {
-                true => FaultResolution::Contained { measure: measure.clone() },
+                true => FaultResolution::Contained { action: action.clone() },
                 false if done.waits => FaultResolution::Waits,
                 false if done.finished => {
                     FaultResolution::GaveUp { reason: GiveUpReason::Finished.to_string() }
@@ -418,7 +412,7 @@ impl Recoverer {
             self.tell(fault, settled);
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
-        if !contained && !restarted && !is_late && *measure != RecoveryAction::Reroute {
+        if !contained && !restarted && !is_late && *action != RecoveryAction::Reroute {
             self.remember((location.clone(), kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&[ids(&cured), over].concat(), now);
@@ -462,12 +456,12 @@ impl Recoverer {
         number: u64,
         now: Instant,
     ) -> Option<(FaultLocation, RecoveryAction)> {
-        let (location, measure) = self.open.remove(&number)?;
-        if let Some(engaged) = self.engaged.get_mut(&measure) {
+        let (location, action) = self.open.remove(&number)?;
+        if let Some(engaged) = self.engaged.get_mut(&action) {
             engaged.orders -= 1;
             engaged.idle_since = now;
         }
-        Some((location, measure))
+        Some((location, action))
     }
 
     fn is_open(&self, id: FaultId) -> bool {

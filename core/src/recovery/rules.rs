@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Whom a supervisor restarts together.
+/// Which children a supervisor restarts together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Strategy {
     /// Only the child that failed.
@@ -19,7 +19,7 @@ pub enum Strategy {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum WhenExceeded {
     /// Restarts are counted per child. The child that exceeds the intensity is not restarted any
-    /// more: the plan's next measure is taken, at last safe stop. Its siblings go on.
+    /// more: the plan's next action is taken, at last safe stop. Its siblings go on.
     ///
     /// Under [`OneForAll`](Strategy::OneForAll) and [`RestForOne`](Strategy::RestForOne) children
     /// depend on each other, and this is the same as [`Escalate`](Self::Escalate).
@@ -52,13 +52,13 @@ pub struct ChildRules {
     pub ready_within: Duration,
     /// The limit from the order to stop to the end. A child that takes longer is abandoned.
     pub shutdown_within: Duration,
-    /// A panic's first measure is the built-in restart, so that the guard may restart on the spot.
+    /// A panic's first action is the built-in restart, so that the guard may restart on the spot.
     pub on_the_spot: bool,
     /// The supervisor cannot do without it: if it is not worth restarting any more, or is put into
     /// the safe state because of a fault, the supervisor escalates.
     pub essential: bool,
-    /// It decides about children of its own: it is told beforehand when its incarnation is about to
-    /// end.
+    /// It decides about children of its own: it is informed beforehand when its incarnation is
+    /// about to end.
     pub supervises: bool,
 }
 
@@ -105,7 +105,7 @@ impl ChildRules {
 /// How a supervisor decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SupervisorRules {
-    /// Whom it restarts together.
+    /// Which children it restarts together.
     pub strategy: Strategy,
     /// More restarts than this in one `period`, and `when_exceeded` applies. Higher rides out more;
     /// lower reaches the next authority sooner.

@@ -70,7 +70,7 @@ fn ascending_keys_fill_whole_chunks() {
 fn descending_keys_behind_a_full_chunk_share_chunks() {
     let mut map: SortedMap<usize, ()> = (0..CHUNK_MAX).map(|n| (n, ())).collect();
 
-    (CHUNK_MAX..50 * CHUNK_MAX).rev().for_each(|n| drop(map.insert(n, ())));
+    (CHUNK_MAX..50 * CHUNK_MAX).rev().for_each(|n| assert!(map.insert(n, ()).is_none()));
 
     assert!(map.keys().copied().eq(0..50 * CHUNK_MAX));
     assert!(map.chunks.len() <= 100, "{} chunks", map.chunks.len());
@@ -86,7 +86,7 @@ fn thin_out(thin: impl FnOnce(&mut SortedMap<usize, ()>)) {
 
 #[test]
 fn the_rest_of_a_large_map_is_merged_into_few_chunks() {
-    let is_left = |n: &usize| n % CHUNK_MAX == 0;
+    let is_left = |n: &usize| n.is_multiple_of(CHUNK_MAX);
     let removed = move || (0..100 * CHUNK_MAX).filter(move |n| !is_left(n));
     thin_out(|map| removed().for_each(|n| assert!(map.remove(&n).is_some())));
     thin_out(|map| removed().rev().for_each(|n| assert!(map.remove(&n).is_some())));

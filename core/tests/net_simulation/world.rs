@@ -1,6 +1,7 @@
 //! Whole networks of link, router and session machines over wires that lose, delay, reorder and
 //! double, are cut and restored, between nodes that die and live again: one seed, one run.
 
+use blastema_core::net::OrderingKey;
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::wire::segment::Stream;
@@ -184,7 +185,9 @@ impl World {
         message.put_u64(*number);
         message.resize(32 + length, 0xee);
         let session = node.sessions.get_mut(&NodeId::of(&name(to))).unwrap();
-        let accepted = session.handle_send(stream, message.freeze(), now).is_ok();
+        let accepted = session
+            .handle_send_along((stream, OrderingKey::default()), message.freeze(), now)
+            .is_ok();
         *number += u64::from(accepted);
         self.settle(from);
         accepted

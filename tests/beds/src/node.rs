@@ -166,7 +166,8 @@ pub(crate) fn describe(
             "tcp" => Network::tcp(&link[0], own),
             other => return Err(format!("no medium is called {other}")),
         };
-        builder = builder.network(network.link(Link::new(&link[2], remote).hello_every(hello)));
+        let link_to = Link::new(&link[2], remote).hello_every(hello);
+        builder = builder.network(network.link(link_to).insecure());
         neighbours.push(link[2].clone());
     }
     neighbours.sort();

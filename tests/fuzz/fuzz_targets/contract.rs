@@ -3,7 +3,8 @@
 
 #![no_main]
 
-use blastema_core::contract::codec::{decode, decode_reply, encode, encode_reply};
+use blastema_core::Contract;
+use blastema_core::contract::codec::{decode, decode_reply, encode, encode_bounded};
 use blastema_macros::{Event, Request, Structure};
 use libfuzzer_sys::fuzz_target;
 use std::collections::{BTreeMap, VecDeque};
@@ -57,7 +58,7 @@ fuzz_target!(|bytes: &[u8]| {
     }
     sent.clear();
     if let Ok(reply) = decode_reply::<Plan>(bytes) {
-        encode_reply::<Plan>(&reply, &mut sent).expect("what was taken can be sent on");
+        encode_bounded(&reply, Plan::MAX_SIZE, &mut sent).expect("what was taken can be sent on");
         let _ = decode_reply::<Plan>(&sent).expect("what is sent is taken");
     }
 });

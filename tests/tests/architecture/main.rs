@@ -105,6 +105,14 @@ fn only_the_codec_knows_bincode() {
 }
 
 #[test]
+fn only_noise_knows_the_libraries_of_the_handshake() {
+    holds(
+        sources::handshake_libraries,
+        "ask core/src/net/seal/noise.rs, or any SealCrypto, for what they do",
+    );
+}
+
+#[test]
 fn nothing_is_unsafe_unfinished_silenced_or_skipped() {
     holds(sources::unfinished, "finish it, delete it, or make the test pass");
 }
@@ -346,6 +354,18 @@ mod a_rule_can_fail {
             ("core/src/contract/codec.rs", "use bincode::config;\n"),
         ];
         check(sources::codec, &texts, &[("core/src/lib.rs", 2)]);
+    }
+
+    #[test]
+    fn when_a_library_of_the_handshake_leaves_its_file() {
+        let texts = [
+            ("core/src/lib.rs", "mod net;\nfn a() { snow::b() }\nuse x25519_dalek::PublicKey;\n"),
+            ("core/src/net/mod.rs", "mod seal;\n"),
+            ("core/src/net/seal/mod.rs", "mod noise;\n"),
+            ("core/src/net/seal/noise.rs", "use snow::Builder;\nuse x25519_dalek::PublicKey;\n"),
+        ];
+        let outside = "core/src/lib.rs";
+        check(sources::handshake_libraries, &texts, &[(outside, 2), (outside, 3)]);
     }
 
     #[test]

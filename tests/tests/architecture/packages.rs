@@ -72,13 +72,16 @@ const EVERYTHING: &[&str] = &[
 
 /// The crates from outside that the core may use. It stays nearly bare, so that what it decides can
 /// be simulated, and one day run on a microcontroller.
-const CORE_TAKES: [&str; 4] = ["bincode", "bytes", "serde", "thiserror"];
+const CORE_TAKES: [&str; 8] =
+    ["bincode", "bytes", "ring", "serde", "snow", "thiserror", "x25519-dalek", "zeroize"];
 
 /// Crates of which only these packages may know.
-const KNOWN_BY: [(&str, &[&str]); 4] = [
+const KNOWN_BY: [(&str, &[&str]); 6] = [
     // Behind the feature `journal`: not every user has a C compiler.
     ("rusqlite", &["blastema"]),
     ("bincode", &["blastema-core"]),
+    ("snow", &["blastema-core"]),
+    ("x25519-dalek", &["blastema-core"]),
     (
         "actix",
         &[

@@ -71,6 +71,13 @@ pub(crate) fn codec(tree: &Tree) -> Vec<Breach> {
     found(tree, &["bincode"], |source, _| source.path != "core/src/contract/codec.rs")
 }
 
+/// One file, and its tests, know the libraries of the handshake.
+pub(crate) fn handshake_libraries(tree: &Tree) -> Vec<Breach> {
+    found(tree, &["snow ::", "x25519_dalek ::"], |source, _| {
+        !source.path.starts_with("core/src/net/seal/noise")
+    })
+}
+
 /// Nothing is unfinished, unsafe, silenced or skipped.
 pub(crate) fn unfinished(tree: &Tree) -> Vec<Breach> {
     let marks = [

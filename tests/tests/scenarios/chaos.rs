@@ -178,7 +178,7 @@ fn story(record: &FaultRecord) -> String {
     let line = |entry: &FaultEntry| {
         let Fault { id, kind, location, incarnation, detail, found_at, count, .. } = &entry.fault;
         let after = (*found_at - start).as_secs_f64();
-        let decided = entry.decided.as_ref().map(|(_, measure)| measure.as_str());
+        let decided = entry.decided.as_ref().map(|(_, action)| action.as_str());
         let ended = entry.repaired_at.map(|at| ((at - start).as_secs_f64(), entry.status()));
         format!(
             "{after:8.3} #{} {kind} of {location}{incarnation} ×{count}: {detail}; {decided:?} {ended:?} {:?}",

@@ -111,7 +111,7 @@ async fn a_fault_of_the_applications_own_is_found_and_answered_by_its_own_strate
     assert_eq!(node.await_recovered(grip(), "arm").await, Duration::from_millis(40));
     assert_eq!(incarnation(&node, "arm").await, 2);
     let record = node.faults().await;
-    let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
+    let decided = record.entries[0].decided.as_ref().map(|(_, action)| action.as_str());
     assert_eq!(decided, Some("open gripper"));
 }
 
@@ -138,7 +138,7 @@ async fn a_code_that_nobody_declared_says_so_and_brakes_nothing() {
     assert_eq!(fault.severity, Severity::Error);
     node.advance(Duration::from_secs(1)).await;
     let record = node.faults().await;
-    let decided = record.entries[0].decided.as_ref().map(|(_, measure)| measure.as_str());
+    let decided = record.entries[0].decided.as_ref().map(|(_, action)| action.as_str());
     assert_eq!(decided, Some("observe"));
     assert!(!braked.load(Relaxed), "the robot goes on");
     assert_eq!(incarnation(&node, "arm").await, 1);

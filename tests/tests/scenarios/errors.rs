@@ -17,8 +17,8 @@ async fn fail(node: &TestNode, why: &str) {
 
 /// What was decided last about each fault, in the order in which they were found.
 fn decided(record: &FaultRecord) -> Vec<&str> {
-    let measure = |entry: &blastema::core::detection::FaultEntry| entry.decided.is_some();
-    assert!(record.entries.iter().all(measure), "{record:?}");
+    let action = |entry: &blastema::core::detection::FaultEntry| entry.decided.is_some();
+    assert!(record.entries.iter().all(action), "{record:?}");
     record.entries.iter().filter_map(|e| e.decided.as_ref()).map(|(_, m)| m.as_str()).collect()
 }
 

@@ -154,7 +154,7 @@ async fn under_rest_for_one_a_panic_takes_the_whole_chain() {
 
     let record = node.faults().await;
     let entry = &record.entries[0];
-    assert_eq!(entry.decided.as_ref().map(|(_, measure)| measure.as_str()), Some("restart"));
+    assert_eq!(entry.decided.as_ref().map(|(_, action)| action.as_str()), Some("restart"));
     assert!(entry.recovered_at.is_some());
     assert_eq!(incarnation(&node, "laser").await, 2);
 }

@@ -59,14 +59,14 @@ async fn at_rest_nothing_is_treated_any_more_and_the_outputs_are_applied_once() 
 
     assert_eq!(applied.lock().unwrap().len(), 1, "{applied:?}");
     node.shutdown().await;
-    let mut measures = 0;
+    let mut actions = 0;
     while let Some(event) = events.next().await {
-        if let FaultTransition::Decided { action: measure } = event.turn {
-            assert!(event.at <= rested_at || measure == "observe", "{measure}");
-            measures += 1;
+        if let FaultTransition::Decided { action } = event.turn {
+            assert!(event.at <= rested_at || action == "observe", "{action}");
+            actions += 1;
         }
     }
-    assert!(measures > 0);
+    assert!(actions > 0);
 }
 
 #[blastema_testkit::test]

@@ -1,4 +1,4 @@
-//! What is done about a fault: measures that help, fail, panic, or take too long.
+//! What is done about a fault: actions that help, fail, panic, or take too long.
 
 use crate::puppet::{Deed, News, Note, Pull, Strings, ask, incarnation, strike};
 use blastema::core::recovery::{Backoff, ChildState, RecoveryDone, RecoveryFailed, RecoveryOrder};

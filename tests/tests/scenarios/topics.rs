@@ -17,9 +17,18 @@ struct Image(u32);
 #[contract(name = "map", latched)]
 struct Map(u32);
 
+/// How an incarnation ends.
 #[derive(Clone, Debug, Request)]
 #[contract(reply = ())]
-struct Fail;
+enum End {
+    Panic,
+    Fatal,
+    Return,
+    Hang,
+}
+
+/// A map at which the viewer panics.
+const BAD: Map = Map(13);
 
 type Seen = Arc<Mutex<Vec<(u32, Option<Instant>)>>>;
 
@@ -30,7 +39,7 @@ impl Component for Viewer {
     fn ports(ports: &mut Ports<Self>) {
         ports.listen::<Image>();
         ports.listen::<Map>();
-        ports.serve::<Fail>();
+        ports.serve::<End>();
     }
 }
 
@@ -41,14 +50,20 @@ impl Handle<Image> for Viewer {
 }
 
 impl Handle<Map> for Viewer {
-    async fn handle(&mut self, Map(n): Map, cx: &mut Context<Self>) {
-        self.0.lock().unwrap().push((n, cx.captured_at()));
+    async fn handle(&mut self, map: Map, cx: &mut Context<Self>) {
+        self.0.lock().unwrap().push((map.0, cx.captured_at()));
+        assert_ne!(map, BAD);
     }
 }
 
-impl Handle<Fail> for Viewer {
-    async fn handle(&mut self, _: Fail, _: &mut Context<Self>) {
-        panic!("the viewer fails");
+impl Handle<End> for Viewer {
+    async fn handle(&mut self, how: End, cx: &mut Context<Self>) {
+        match how {
+            End::Panic => panic!("the viewer fails"),
+            End::Fatal => cx.fail(Failure::fatal("no use")),
+            End::Return => cx.stop(),
+            End::Hang => std::future::pending().await,
+        }
     }
 }
 
@@ -128,11 +143,32 @@ async fn a_latched_topic_gives_its_last_event_once_to_who_joins_and_to_each_new_
     node.settle().await;
     assert_eq!((numbers(&seen), numbers(&seen_late)), (vec![2, 3, 4], vec![4]));
 
-    let viewer = node.sender::<Fail>("viewer").unwrap();
-    viewer.ask(Fail).await.expect_err("it fails");
+    let viewer = node.sender::<End>("viewer").unwrap();
+    let mut expected = vec![2, 3, 4];
+    for how in [End::Panic, End::Fatal, End::Return, End::Hang] {
+        viewer.tell(how.clone()).unwrap();
+        node.advance(Duration::from_secs(60)).await;
+        expected.push(4);
+        assert_eq!(numbers(&seen), expected, "the incarnation after {how:?} knows nothing");
+    }
+    node.restart_child("viewer").await.unwrap();
     node.settle().await;
-    assert_eq!(numbers(&seen), [2, 3, 4, 4], "the next incarnation knows nothing");
+    expected.push(4);
+    assert_eq!(numbers(&seen), expected);
     assert_eq!(numbers(&seen_late), [4]);
+}
+
+#[blastema_testkit::test]
+async fn an_incarnation_gets_what_is_latched_in_order_and_once_with_what_waited() {
+    let node = TestNode::start(Node::builder("module1")).await;
+    let maps = node.publisher::<Map>("map").unwrap();
+    let (spec, seen) = viewer("viewer");
+    node.add_child(spec).await.unwrap();
+
+    [Map(1), BAD, Map(14), Map(15)].into_iter().for_each(|map| maps.publish(map).unwrap());
+    node.settle().await;
+
+    assert_eq!(numbers(&seen), [1, 13, 14, 15]);
 }
 
 /// Two nodes on one network, in this order.

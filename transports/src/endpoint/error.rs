@@ -25,7 +25,7 @@ pub enum EndpointProblem {
     /// Nothing says which medium is meant.
     #[error("an endpoint begins with its medium, as in udp://0.0.0.0:7400")]
     NoMedium,
-    /// No medium has this name, or this program was built without it.
+    /// No medium has this name.
     #[error("no medium is called `{found}`: {}", suggest(.nearest.as_ref(), .known))]
     UnknownMedium {
         /// What stands there.
@@ -34,6 +34,17 @@ pub enum EndpointProblem {
         nearest: Option<String>,
         /// All that there are.
         known: Vec<String>,
+    },
+    /// This program was built without the medium.
+    #[error(
+        "this program was built without `{medium}`: add the feature `{feature}` to the dependency \
+         on blastema"
+    )]
+    NotCompiled {
+        /// The medium.
+        medium: &'static str,
+        /// The feature of the package `blastema` that it needs.
+        feature: &'static str,
     },
     /// There is no IP address where one must stand. Names of hosts are not looked up: who answers
     /// would depend on a server, and it takes time.
@@ -171,7 +182,7 @@ pub enum EndpointProblem {
 fn suggest(nearest: Option<&String>, known: &[String]) -> String {
     match nearest {
         Some(nearest) => format!("did you mean `{nearest}`?"),
-        None if known.is_empty() => "it has none".to_owned(),
+        None if known.len() == 1 => format!("there is {} alone", known[0]),
         None => format!("there are {}", known.join(", ")),
     }
 }

@@ -11,6 +11,8 @@
 
 mod can;
 mod error;
+mod media;
+mod reach;
 mod settings;
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod validation;
@@ -31,7 +33,6 @@ use crate::udp::UdpConfig;
 use crate::unix::UnixConfig;
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::routing::MTU_MIN;
-use blastema_core::suggestion::nearest;
 #[cfg(feature = "udp")]
 use std::net::Ipv4Addr;
 #[cfg(any(feature = "udp", feature = "tcp"))]
@@ -57,12 +58,13 @@ const LONGEST: Duration = Duration::from_secs(3600);
 /// | `udp://239.255.0.1:7400` | UDP, hearing a multicast group | those, and `own` (the address that we send from), `hops` |
 /// | `udp://10.0.1.1:7400?interface=firewire0` | IP over IEEE 1394, bound to its interface | as UDP |
 /// | `tcp://10.0.0.1:7400` | TCP | `interface`, `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `user_timeout` |
-/// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout` |
+/// | `unix:///run/x.sock` | a Unix-domain socket | `mode` (octal), `mtu`, `peers`, `strangers`, `queue_bytes`, `connect_timeout`, `hello_timeout`, `users` |
 /// | `serial:///dev/ttyUSB0` | a serial line | `baud`, `parity`, `stop_bits`, `flow`, `rs485`, `rts`, `rts_before`, `rts_after`, `mtu`, `queue_time` |
 /// | `can://can0` | a CAN interface | `fd`, `bit_rate_switch`, `bitrate`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `slcan:///dev/ttyACM0` | a CAN adapter on a serial port | `bitrate`, `fd`, `bit_rate_switch`, `data_bitrate`, `baud`, `address`, `short_ids`, `mtu`, `queue_frames`, `block_size`, `separation` |
 /// | `memory://name` | between nodes of one process | |
 ///
+/// Each takes `insecure` too, with or without `=true`: see [`Endpoint::parse`].
 /// Times have a unit (`500ms`). In a path, `%3F` is a question mark, and `%25` a percent sign.
 ///
 /// ```
@@ -99,59 +101,49 @@ pub enum Endpoint {
     Memory(String),
 }
 
-/// All media that this program was built with.
-const MEDIA: &[&str] = &[
-    #[cfg(feature = "udp")]
-    "udp",
-    #[cfg(feature = "tcp")]
-    "tcp",
-    #[cfg(feature = "unix")]
-    "unix",
-    #[cfg(feature = "serial")]
-    "serial",
-    "can",
-    "slcan",
-    "memory",
-];
-
 impl FromStr for Endpoint {
     type Err = EndpointError;
 
     fn from_str(text: &str) -> Result<Self, EndpointError> {
-        let Some((medium, rest)) = text.split_once("://") else {
-            return Err(EndpointError::new(text, 0..0, EndpointProblem::NoMedium));
-        };
-        let (place, query) = match rest.split_once('?') {
-            Some((place, query)) => (place, Some(query)),
-            None => (rest, None),
-        };
-        let at = medium.len() + 3..medium.len() + 3 + place.len();
-        let parts = Parts { text, place, at, query };
-        match medium {
-            #[cfg(feature = "udp")]
-            "udp" => udp(&parts),
-            #[cfg(feature = "tcp")]
-            "tcp" => tcp(&parts),
-            #[cfg(feature = "unix")]
-            "unix" => unix(&parts),
-            #[cfg(feature = "serial")]
-            "serial" => serial(&parts),
-            "can" => can(&parts),
-            "slcan" => slcan(&parts),
-            "memory" => memory(&parts),
-            _ => {
-                let problem = EndpointProblem::UnknownMedium {
-                    found: medium.to_owned(),
-                    nearest: nearest(medium, MEDIA.iter().copied()).map(str::to_owned),
-                    known: MEDIA.iter().map(|&medium| medium.to_owned()).collect(),
-                };
-                Err(EndpointError::new(text, 0..medium.len(), problem))
-            }
-        }
+        Endpoint::parse(text).map(|(endpoint, _)| endpoint)
     }
 }
 
 impl Endpoint {
+    /// Parses an endpoint, and returns whether its text has the setting `insecure`, which every
+    /// medium takes: it belongs to the network, not to the transport.
+    ///
+    /// # Errors
+    /// The text is no endpoint.
+    pub fn parse(text: &str) -> Result<(Self, bool), EndpointError> {
+        let Some((medium, rest)) = text.split_once("://") else {
+            return Err(EndpointError::new(text, 0..0, EndpointProblem::NoMedium));
+        };
+        let split = rest.split_once('?');
+        let (place, query) = split.map_or((rest, None), |(place, query)| (place, Some(query)));
+        let medium = media::find(&media::MEDIA, medium)
+            .map_err(|problem| EndpointError::new(text, 0..medium.len(), problem))?;
+        let at = medium.len() + 3..medium.len() + 3 + place.len();
+        let parts = Parts { text, place, at };
+        let mut settings = Settings::new(text, medium, query)?;
+        let endpoint = match medium {
+            #[cfg(feature = "udp")]
+            "udp" => udp(&parts, &mut settings),
+            #[cfg(feature = "tcp")]
+            "tcp" => tcp(&parts, &mut settings),
+            #[cfg(feature = "unix")]
+            "unix" => unix(&parts, &mut settings),
+            #[cfg(feature = "serial")]
+            "serial" => serial(&parts, &mut settings),
+            "can" => can(&parts, &mut settings),
+            "slcan" => slcan(&parts, &mut settings),
+            _ => memory(&parts),
+        }?;
+        let insecure = settings.flag("insecure")?;
+        settings.finish()?;
+        Ok((endpoint, insecure))
+    }
+
     /// The medium's name, as it stands before `://`.
     pub fn medium(&self) -> &'static str {
         match self {
@@ -284,14 +276,9 @@ struct Parts<'a> {
     place: &'a str,
     /// Where `place` stands in `text`.
     at: Range<usize>,
-    query: Option<&'a str>,
 }
 
-impl<'a> Parts<'a> {
-    fn settings(&self, medium: &'static str) -> Result<Settings<'a>, EndpointError> {
-        Settings::new(self.text, medium, self.query)
-    }
-
+impl Parts<'_> {
     fn error(&self, problem: EndpointProblem) -> EndpointError {
         EndpointError::new(self.text, self.at.clone(), problem)
     }
@@ -374,8 +361,7 @@ fn ip(text: &str, at: Range<usize>, found: &str) -> Result<SocketAddr, EndpointE
 }
 
 #[cfg(feature = "udp")]
-fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("udp")?;
+fn udp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let address = ip(parts.text, parts.at.clone(), parts.place)?;
     parts.no_broadcast(address)?;
     let mut config = UdpConfig { bind: address, ..UdpConfig::default() };
@@ -404,17 +390,15 @@ fn udp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
         config.group = Some(address);
     }
     config.interface = settings.interface()?;
-    config.mtu = largest_frame(&mut settings, 65_507)?;
+    config.mtu = largest_frame(settings, 65_507)?;
     settings.number("receive_buffer", 4_096..=1 << 30, &mut config.receive_buffer)?;
     settings.number("send_buffer", 4_096..=1 << 30, &mut config.send_buffer)?;
     settings.number("queue_frames", 1..=65_536, &mut config.queue_frames)?;
-    settings.finish()?;
     Ok(Endpoint::Udp(config))
 }
 
 #[cfg(feature = "tcp")]
-fn tcp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("tcp")?;
+fn tcp(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let bind = ip(parts.text, parts.at.clone(), parts.place)?;
     parts.no_broadcast(bind)?;
     if bind.ip().is_multicast() {
@@ -430,13 +414,11 @@ fn tcp(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
     settings.span("hello_timeout", times.clone(), &mut config.hello_timeout)?;
     settings.span("user_timeout", times, &mut config.user_timeout)?;
-    settings.finish()?;
     Ok(Endpoint::Tcp(config))
 }
 
 #[cfg(feature = "unix")]
-fn unix(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("unix")?;
+fn unix(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let path = parts.path("unix:///run/robot.sock")?;
     let length = path.as_os_str().len();
     if length > SOCKET_PATH {
@@ -447,6 +429,10 @@ fn unix(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
         u32::from_str_radix(text, 8).ok().filter(|mode| *mode <= 0o777)
     })?;
     config.mode = mode.unwrap_or(config.mode);
+    let users = settings.take("users", "numbers of users, as in 1001,1002", |text| {
+        text.split(',').map(|user| user.parse().ok()).collect()
+    })?;
+    config.users = users.unwrap_or_default();
     settings.number("mtu", LEAST_BYTES..=MOST_BYTES, &mut config.mtu)?;
     settings.number("peers", 1..=65_536, &mut config.peers)?;
     settings.number("strangers", 1..=65_536, &mut config.strangers)?;
@@ -454,13 +440,11 @@ fn unix(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     let times = Duration::from_millis(1)..=LONGEST;
     settings.span("connect_timeout", times.clone(), &mut config.connect_timeout)?;
     settings.span("hello_timeout", times, &mut config.hello_timeout)?;
-    settings.finish()?;
     Ok(Endpoint::Unix(config))
 }
 
 #[cfg(feature = "serial")]
-fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("serial")?;
+fn serial(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let mut config = SerialConfig::new(parts.path("serial:///dev/ttyUSB0")?);
     settings.number("baud", BAUD, &mut config.baud)?;
     let parities = [("none", Parity::None), ("odd", Parity::Odd), ("even", Parity::Even)];
@@ -470,15 +454,14 @@ fn serial(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
     // XON and XOFF are not among them: their bytes stand in frames, too.
     let flows = [("none", false), ("hardware", true)];
     settings.choice("flow", &flows, &mut config.hardware_flow)?;
-    config.rs485 = rs485(&mut settings)?;
+    config.rs485 = rs485(settings)?;
     if config.hardware_flow && matches!(config.rs485, DirectionControl::Driver(_)) {
         return Err(
             settings.contradiction("flow", "RTS turns the line with rs485=true: leave flow out")
         );
     }
-    config.mtu = largest_frame(&mut settings, 65_535)?;
+    config.mtu = largest_frame(settings, 65_535)?;
     settings.span("queue_time", Duration::from_millis(1)..=LONGEST, &mut config.queue_time)?;
-    settings.finish()?;
     Ok(Endpoint::Serial(config))
 }
 
@@ -513,8 +496,7 @@ const BAUD: std::ops::RangeInclusive<u64> = 50..=50_000_000;
 
 const ONLY_FD: &str = "only CAN FD frames can switch the bit rate: add fd=true";
 
-fn can(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("can")?;
+fn can(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     if !is_interface(parts.place) {
         let (what, example) = ("an interface", "can://can0");
         return Err(parts.error(EndpointProblem::NoName { what, example }));
@@ -526,13 +508,11 @@ fn can(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
         return Err(settings.contradiction("bit_rate_switch", ONLY_FD));
     }
     settings.number("bitrate", 10_000..=1_000_000, &mut config.bitrate)?;
-    can_node(&mut settings, &mut config.node)?;
-    settings.finish()?;
+    can_node(settings, &mut config.node)?;
     Ok(Endpoint::Can(config))
 }
 
-fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
-    let mut settings = parts.settings("slcan")?;
+fn slcan(parts: &Parts<'_>, settings: &mut Settings<'_>) -> Result<Endpoint, EndpointError> {
     let mut config = SlcanConfig::new(parts.path("slcan:///dev/ttyACM0")?);
     let rates = SLCAN_BIT_RATES.map(|rate| rate.to_string()).join(", ");
     let known = |text: &str| text.parse().ok().filter(|rate| SLCAN_BIT_RATES.contains(rate));
@@ -551,8 +531,7 @@ fn slcan(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
         config.data_bitrate = rate;
     }
     settings.number("baud", BAUD, &mut config.baud)?;
-    can_node(&mut settings, &mut config.node)?;
-    settings.finish()?;
+    can_node(settings, &mut config.node)?;
     Ok(Endpoint::Slcan(config))
 }
 
@@ -585,7 +564,6 @@ fn memory(parts: &Parts<'_>) -> Result<Endpoint, EndpointError> {
         let (what, example) = ("our end", "memory://left");
         return Err(parts.error(EndpointProblem::NoName { what, example }));
     }
-    parts.settings("memory")?.finish()?;
     Ok(Endpoint::Memory(parts.place.to_owned()))
 }
 

@@ -43,8 +43,6 @@ impl<'a> Settings<'a> {
                 Some(EndpointProblem::NoName { what, example: "?mtu=1000" })
             } else if pairs.iter().any(|pair| pair.key == key) {
                 Some(EndpointProblem::Twice { key: key.to_owned() })
-            } else if value.is_empty() {
-                Some(EndpointProblem::NoValue { key: key.to_owned() })
             } else {
                 None
             };
@@ -65,6 +63,10 @@ impl<'a> Settings<'a> {
     ) -> Result<Option<T>, EndpointError> {
         self.asked.push(key);
         let Some(pair) = self.pairs.iter().find(|pair| pair.key == key) else { return Ok(None) };
+        if pair.value.is_empty() {
+            let problem = EndpointProblem::NoValue { key: key.to_owned() };
+            return Err(EndpointError::new(self.text, pair.key_at.clone(), problem));
+        }
         match parse(pair.value) {
             Some(value) => Ok(Some(value)),
             None => {
@@ -102,6 +104,18 @@ impl<'a> Settings<'a> {
     ) -> Result<(), EndpointError> {
         put(target, self.take(key, "true or false", |text| text.parse().ok())?);
         Ok(())
+    }
+
+    /// Whether a key is there that may stand without a value.
+    pub(super) fn flag(&mut self, key: &'static str) -> Result<bool, EndpointError> {
+        let is_bare = |pair: &Pair<'_>| pair.key == key && pair.value.is_empty();
+        if self.pairs.iter().any(is_bare) {
+            self.asked.push(key);
+            return Ok(true);
+        }
+        let mut given = false;
+        self.switch(key, &mut given)?;
+        Ok(given)
     }
 
     /// Puts a time in place of `target`, if one is given.

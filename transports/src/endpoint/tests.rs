@@ -16,6 +16,18 @@ fn bad(text: &str, part: &str, start: usize, words: &str) {
 }
 
 #[test]
+fn a_medium_that_was_left_out_is_told_with_the_feature_that_it_needs() {
+    let known: [media::KnownMedium; 2] = [("udp", "ip", false), ("memory", "network", true)];
+    assert_eq!(media::find(&known, "memory"), Ok("memory"));
+    let left_out = EndpointProblem::NotCompiled { medium: "udp", feature: "ip" };
+    assert_eq!(media::find(&known, "udp"), Err(left_out));
+    let Err(EndpointProblem::UnknownMedium { known, .. }) = media::find(&known, "udq") else {
+        panic!("there is no such medium");
+    };
+    assert_eq!(known, ["memory"]);
+}
+
+#[test]
 fn udp_is_read_with_all_its_settings() {
     let Endpoint::Udp(plain) = good("udp://0.0.0.0:7400") else { panic!() };
     assert_eq!((plain.bind, plain.group), ("0.0.0.0:7400".parse().unwrap(), None));
@@ -256,11 +268,16 @@ fn a_wrong_path_or_name_is_pointed_at() {
 #[test]
 fn a_wrong_setting_is_pointed_at() {
     bad("serial:///dev/ttyS0?buad=9600", "buad", 20, "did you mean `baud`?");
-    bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`: it has none");
+    bad("memory://left?mtu=9", "mtu", 14, "memory has no key `mtu`: there is insecure alone");
     bad("udp://0.0.0.0:1?hops=3", "hops", 16, "there are interface, mtu,");
     bad("udp://0.0.0.0:1?mtu=999&mtu=998", "mtu", 24, "said twice");
     bad("udp://0.0.0.0:1?mtu", "mtu", 16, "write mtu=…");
     bad("udp://0.0.0.0:1?mtu=", "mtu", 16, "no value");
+    bad("udp://0.0.0.0:1?insecure=1", "1", 25, "true or false");
+    bad("udp://0.0.0.0:1?insecure&insecure=true", "insecure", 25, "said twice");
+    bad("udp://0.0.0.0:1?insecur", "insecur", 16, "did you mean `insecure`?");
+    bad("unix:///run/a?users=me", "me", 20, "numbers of users, as in 1001,1002");
+    bad("unix:///run/a?users=1,", "1,", 20, "numbers of users, as in 1001,1002");
     bad("udp://0.0.0.0:1?", "", 16, "the name of a setting is missing");
     bad("udp://0.0.0.0:1?mtu=999&&hops=1", "", 24, "the name of a setting is missing");
 }

@@ -23,7 +23,7 @@ use crate::upstream::Upstream;
 use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
 use bytes::BytesMut;
 use bytes::buf::Limit;
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Debug;
 use std::future::Future;
 use std::io::{self, IoSlice};
@@ -36,6 +36,9 @@ use tokio::time::Sleep;
 pub(crate) const BACKLOG: i32 = 128;
 /// So many connections are taken in one turn.
 const ACCEPTS: usize = 16;
+/// So many different reasons why a peer is not permitted are logged, each once: a process that is
+/// refused may try again for ever.
+const DENIALS_LOGGED: usize = 64;
 /// How long no connection is taken after one could not be, for want of file descriptors mostly.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
@@ -153,6 +156,7 @@ pub(crate) struct Streams<F: StreamFamily> {
     peers: Vec<StreamPeer<F>>,
     /// Whose turn to read is first: the one before whom the outlet was full.
     first: usize,
+    denials: BTreeSet<String>,
 }
 
 struct Listener<F: StreamFamily> {
@@ -178,6 +182,7 @@ impl<F: StreamFamily> Streams<F> {
             strangers: VecDeque::new(),
             peers: Vec::new(),
             first: 0,
+            denials: BTreeSet::new(),
         }
     }
 
@@ -230,7 +235,7 @@ impl<F: StreamFamily> Streams<F> {
     /// Hears what strangers say, and gives them a peer's place.
     fn meet(&mut self, task: &mut task::Context<'_>) {
         let mut met = Vec::new();
-        let counters = &mut self.outlet.counters;
+        let (counters, denials) = (&mut self.outlet.counters, &mut self.denials);
         self.strangers.retain_mut(|stranger| match stranger.greeting.as_mut().poll(task) {
             Poll::Ready(Ok((stream, address))) => {
                 met.push((address, stream));
@@ -238,6 +243,7 @@ impl<F: StreamFamily> Streams<F> {
             }
             Poll::Ready(Err(error)) => {
                 tracing::debug!(%error, from = ?stranger.origin, "a connection came to nothing");
+                log_denial(denials, &error);
                 match error.kind() {
                     // Who hangs up has thought better of it: he was called meanwhile, perhaps.
                     io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
@@ -299,6 +305,7 @@ impl<F: StreamFamily> Streams<F> {
             let peer = &mut self.peers[index];
             if let Err(error) = peer.poll_progress(task) {
                 tracing::debug!(%error, peer = ?peer.address, "a peer cannot be reached");
+                log_denial(&mut self.denials, &error);
                 self.outlet.counters.errors += 1;
                 self.outlet.counters.dropped += peer.rest();
                 task.waker().wake_by_ref();
@@ -385,5 +392,16 @@ impl<F: StreamFamily> Streams<F> {
             self.outlet.counters.dropped += peer.outgoing.clear();
         }
         self.first = 0;
+    }
+}
+
+/// A peer is not permitted, or this process is not: a user must act.
+fn log_denial(denials: &mut BTreeSet<String>, error: &io::Error) {
+    if error.kind() == io::ErrorKind::PermissionDenied && denials.len() < DENIALS_LOGGED {
+        let text = error.to_string();
+        if !denials.contains(&text) {
+            tracing::warn!("{text}");
+            denials.insert(text);
+        }
     }
 }

@@ -67,6 +67,10 @@ pub(crate) fn hear(group: SocketAddr, own: IpAddr, config: &UdpConfig) -> io::Re
                 IpAddr::V4(own) => own,
                 IpAddr::V6(_) => Ipv4Addr::UNSPECIFIED,
             };
+            // The system's default also gives this socket what arrives on other interfaces, where
+            // another process has joined the group there.
+            #[cfg(target_os = "linux")]
+            socket.set_multicast_all_v4(false)?;
             socket.join_multicast_v4(&group, &own)?;
         }
         (IpAddr::V6(group), _) => join_v6(&socket, &group, config)?,

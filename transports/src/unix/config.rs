@@ -17,6 +17,10 @@ pub struct UnixConfig {
     pub path: PathBuf,
     /// Who may connect: the file's permissions. By default our own user only.
     pub mode: u32,
+    /// The numbers of other users whose processes may be peers, as the system tells of each
+    /// connection (`SO_PEERCRED`). Processes of our own user always may. The file's permissions
+    /// must let these users connect besides: see `mode`.
+    pub users: Vec<u32>,
     /// The largest frame, in bytes.
     pub mtu: usize,
     /// How many peers have a place; beyond, they are refused.
@@ -37,6 +41,7 @@ impl UnixConfig {
         UnixConfig {
             path: path.into(),
             mode: 0o600,
+            users: Vec::new(),
             mtu: 64 * 1024,
             peers: 64,
             strangers: 32,

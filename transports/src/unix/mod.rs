@@ -2,8 +2,9 @@
 //! (the module `stream`).
 //!
 //! * **A peer** is known by the path of its socket, which all must spell alike.
-//! * **Who may speak** is decided by the permissions of the socket file and of its folder. A
-//!   process that may connect could claim any path.
+//! * **Which processes may be peers** is decided by the permissions of the socket file and of its
+//!   folder, and by their user ([`users`]): at both ends a process of another user is refused
+//!   unless its user is listed. A process of an accepted user could claim any path.
 //! * **A file that a dead process has left behind** is taken over: a lock beside it, which dies
 //!   with its process, tells whether a process still listens there. What is no socket is never
 //!   removed.
@@ -11,9 +12,11 @@
 
 mod config;
 mod socket;
+pub mod users;
 
 pub use self::config::UnixConfig;
 pub use self::socket::{PathListener, explain};
+pub use self::users::{AllowedUsers, PeerRole};
 pub use crate::stream::framing;
 
 use self::socket::{dial, greet, introduce};
@@ -37,7 +40,8 @@ pub struct Unix(Streams<OverPaths>);
 impl Unix {
     /// A transport that opens when it is started.
     pub fn new(config: UnixConfig) -> Self {
-        Unix(Streams::new(OverPaths(config)))
+        let users = AllowedUsers::new(&config.users);
+        Unix(Streams::new(OverPaths { config, users }))
     }
 }
 
@@ -67,7 +71,10 @@ transport!(Unix);
 
 byte_stream!(UnixStream);
 
-struct OverPaths(UnixConfig);
+struct OverPaths {
+    config: UnixConfig,
+    users: AllowedUsers,
+}
 
 impl StreamFamily for OverPaths {
     type Stream = UnixStream;
@@ -77,13 +84,13 @@ impl StreamFamily for OverPaths {
     type Origin = ();
 
     fn bounds(&self) -> StreamLimits {
-        let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = self.0;
+        let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = self.config;
         StreamLimits { mtu, peers, strangers, queue_bytes }
     }
 
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
-        let path: Arc<Path> = self.0.path.as_path().into();
-        let listener = PathListener::open(&path, self.0.mode);
+        let path: Arc<Path> = self.config.path.as_path().into();
+        let listener = PathListener::open(&path, self.config.mode);
         let listener =
             listener.map_err(|error| format!("{}; trying again", explain(&path, &error)))?;
         Ok((listener, path))
@@ -97,11 +104,17 @@ impl StreamFamily for OverPaths {
     }
 
     fn dial(&self, local: &Arc<Path>, peer: &Arc<Path>) -> HandshakeFuture<UnixStream> {
-        Box::pin(dial(local.clone(), peer.clone(), self.0.connect_timeout))
+        let (local, peer, users) = (local.clone(), peer.clone(), self.users.clone());
+        Box::pin(dial(local, peer, users, self.config.connect_timeout))
     }
 
     fn greet(&self, stream: UnixStream, _: &()) -> HandshakeFuture<(UnixStream, Arc<Path>)> {
-        Box::pin(greet(stream, self.0.hello_timeout))
+        let allowed = self.users.check(&stream, &self.config.path, PeerRole::Client);
+        let greeting = greet(stream, self.config.hello_timeout);
+        Box::pin(async move {
+            allowed?;
+            greeting.await
+        })
     }
 
     fn introduce(stream: &UnixStream, local: &Arc<Path>) -> io::Result<()> {

@@ -12,6 +12,7 @@ use crate::stream::BACKLOG;
 use crate::stream::framing::{
     FramingError, LONGEST_PATH, PREAMBLE, decode_path_length, encode_path_preamble,
 };
+use crate::unix::users::{AllowedUsers, PeerRole};
 use socket2::{Domain, SockAddr, SockRef, Socket, Type};
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, Permissions, TryLockError};
@@ -177,10 +178,12 @@ pub fn explain(path: &Path, error: &io::Error) -> String {
 pub(super) async fn dial(
     local: Arc<Path>,
     peer: Arc<Path>,
+    users: AllowedUsers,
     patience: Duration,
 ) -> io::Result<UnixStream> {
     timeout(patience, async {
         let mut stream = UnixStream::connect(&peer).await?;
+        users.check(&stream, &peer, PeerRole::Listener)?;
         introduce(&stream, &local)?;
         if hear(&mut stream).await? != peer {
             return Err(io::Error::other("another node listens there"));

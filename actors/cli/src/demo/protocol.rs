@@ -164,7 +164,7 @@ pub(crate) enum ModuleEvent {
         /// The fault's number.
         id: u64,
         /// The recovery action.
-        measure: String,
+        action: String,
     },
     /// A fault was recovered.
     Recovered {
@@ -397,7 +397,7 @@ mod tests {
         }));
         round_trip(ModuleEvent::Repeated { id: 1, count: 3 });
         round_trip(ModuleEvent::Explained { id: 2, symptom_of: 1 });
-        round_trip(ModuleEvent::Decided { id: 1, measure: "restart".into() });
+        round_trip(ModuleEvent::Decided { id: 1, action: "restart".into() });
         round_trip(ModuleEvent::Recovered { id: 1, at });
         round_trip(ModuleEvent::GaveUp { id: 1, reason: "too often".into() });
         round_trip(ModuleEvent::Cleared { id: 1 });

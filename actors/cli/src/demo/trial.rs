@@ -212,8 +212,8 @@ impl FaultTrial {
                 let text = format!("{from} found {} {kind} in {location}", kind.code());
                 Some((LineTone::Finding, text))
             }
-            ModuleEvent::Decided { id, measure } if self.root() == Some((from, *id)) => {
-                Some((LineTone::Remark, format!("{from} decided: {measure}")))
+            ModuleEvent::Decided { id, action } if self.root() == Some((from, *id)) => {
+                Some((LineTone::Remark, format!("{from} decided: {action}")))
             }
             ModuleEvent::GaveUp { reason, .. } => {
                 Some((LineTone::Alarm, format!("{from} gave up: {reason}")))

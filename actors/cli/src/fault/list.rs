@@ -5,6 +5,7 @@ use crate::monitor::client::{InspectError, look};
 use crate::monitor::tables::{Column, WIDEST, table};
 use blastema::journal::{self, JournalEntry, ReadError};
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -25,6 +26,14 @@ pub(crate) enum FaultListError {
     /// The journal cannot be read.
     #[error(transparent)]
     Journal(#[from] ReadError),
+    /// A misspelt node would look like one without faults.
+    #[error("nothing is known of a node `{wanted}` here, but of {}", .known.join(", "))]
+    UnknownNode {
+        /// The node that was asked for.
+        wanted: String,
+        /// Those that there are.
+        known: Vec<String>,
+    },
     /// No reader takes what is printed.
     #[error("the list could not be printed: {0}")]
     Print(io::Error),
@@ -40,7 +49,7 @@ const COLUMNS: [Column; 12] = [
     ("times", "count"),
     ("status", "status"),
     ("symptom of", "symptom_of"),
-    ("measure", "measure"),
+    ("action", "action"),
     ("service restored after", "recovered_after_ms"),
     ("part repaired after", "repaired_after_ms"),
     ("detail", "detail"),
@@ -74,12 +83,28 @@ pub(crate) fn run(options: &FaultListOptions) -> Result<(), FaultListError> {
     }
 }
 
-fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, ReadError> {
+fn of_journal(path: &Path, options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
+    let entries = journal::read(path)?;
+    check_node(options, entries.iter().map(|entry| entry.node.as_str()))?;
     let wanted = |entry: &JournalEntry| {
         (options.all || entry.status.stands())
             && options.node.as_ref().is_none_or(|node| *node == entry.node)
     };
-    Ok(journal::read(path)?.iter().filter(|entry| wanted(entry)).map(row).collect())
+    Ok(entries.iter().filter(|entry| wanted(entry)).map(row).collect())
+}
+
+/// The node that is asked for is one of these, where there are any.
+fn check_node<'a>(
+    options: &FaultListOptions,
+    known: impl Iterator<Item = &'a str>,
+) -> Result<(), FaultListError> {
+    let Some(wanted) = &options.node else { return Ok(()) };
+    let known: BTreeSet<&str> = known.collect();
+    if known.is_empty() || known.contains(wanted.as_str()) {
+        return Ok(());
+    }
+    let known = known.into_iter().map(str::to_owned).collect();
+    Err(FaultListError::UnknownNode { wanted: wanted.clone(), known })
 }
 
 /// The keys are those of a node's picture, where that has the same.
@@ -99,7 +124,7 @@ fn row(entry: &JournalEntry) -> Value {
         "detail": entry.detail,
         "count": entry.count,
         "symptom_of": entry.symptom_of.map(fault),
-        "measure": entry.measure,
+        "action": entry.action,
         "given_up": entry.given_up,
         "status": entry.status.to_string(),
         "found_at": entry.found_at.to_string(),
@@ -111,10 +136,11 @@ fn row(entry: &JournalEntry) -> Value {
 }
 
 fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
-    let mut rows = Vec::new();
+    let (mut rows, mut nodes) = (Vec::new(), Vec::new());
     for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
         let node = &seen.picture["node"];
+        nodes.extend(node.as_str().map(str::to_owned));
         if options.node.as_ref().is_some_and(|wanted| node.as_str() != Some(wanted)) {
             continue;
         }
@@ -127,5 +153,6 @@ fn of_nodes(options: &FaultListOptions) -> Result<Vec<Value>, FaultListError> {
             rows.push(row);
         }
     }
+    check_node(options, nodes.iter().map(String::as_str))?;
     Ok(rows)
 }

@@ -24,7 +24,7 @@ pub(super) fn event_of(step: FaultEvent) -> Option<ModuleEvent> {
         FaultTransition::Explained => {
             ModuleEvent::Explained { id, symptom_of: fault.symptom_of.map_or(id, |r| r.0) }
         }
-        FaultTransition::Decided { action } => ModuleEvent::Decided { id, measure: action },
+        FaultTransition::Decided { action } => ModuleEvent::Decided { id, action },
         FaultTransition::Recovered => ModuleEvent::Recovered { id, at: MachineInstant::from(at) },
         FaultTransition::GaveUp { reason } => ModuleEvent::GaveUp { id, reason },
         FaultTransition::Cleared => ModuleEvent::Cleared { id },

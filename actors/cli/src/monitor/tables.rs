@@ -8,7 +8,7 @@ use std::fmt::Write;
 pub(crate) type Column = (&'static str, &'static str);
 
 /// The tables in their order: the title, the key in the snapshot, the columns.
-const TABLES: [(&str, &str, &[Column]); 9] = [
+const TABLES: [(&str, &str, &[Column]); 10] = [
     (
         "objects",
         "table",
@@ -44,6 +44,16 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("running", "running"),
             ("queued", "queued"),
             ("components", "components"),
+        ],
+    ),
+    (
+        "networks",
+        "networks",
+        &[
+            ("network", "network"),
+            ("medium", "medium"),
+            ("reach", "reach"),
+            ("insecure", "insecure"),
         ],
     ),
     (
@@ -151,7 +161,7 @@ const TABLES: [(&str, &str, &[Column]); 9] = [
             ("times", "count"),
             ("symptom of", "symptom_of"),
             ("found before", "age_ms"),
-            ("measure", "measure"),
+            ("action", "action"),
             ("status", "status"),
             ("service restored before", "recovered_ms"),
             ("part repaired before", "repaired_ms"),
@@ -172,6 +182,13 @@ pub(crate) fn draw(picture: &Value) -> String {
         let _ = write!(text, ": {}", plain(reason));
     }
     text.push('\n');
+    for network in picture["networks"].as_array().into_iter().flatten() {
+        if network["insecure"] == true {
+            let name = cell("", &network["network"], WIDEST);
+            let _ =
+                writeln!(text, "INSECURE: every station on network {name} can command this robot");
+        }
+    }
     for (title, name, columns) in TABLES {
         if picture.get(name).is_some_and(Value::is_null) {
             let _ = write!(text, "\n{title}: not answered\n");
@@ -254,11 +271,21 @@ mod tests {
                 { "name": "base", "node": null, "object": "b", "epoch": 12, "age_ms": 61000.0 },
             ],
             "threads": [],
+            "networks": [
+                { "network": "lan", "medium": "udp://10.0.0.1:7400", "reach": "network", "insecure": true },
+                { "network": "here", "medium": "memory://a", "reach": "this process", "insecure": false },
+            ],
             "faults": null,
         });
 
         let text = "\
 module1 running
+INSECURE: every station on network lan can command this robot
+
+networks
+ network  medium               reach         insecure
+ lan      udp://10.0.0.1:7400  network       yes
+ here     memory://a           this process  -
 
 global names
  name  node     object  epoch  known for

@@ -1,7 +1,7 @@
 use super::*;
-use crate::fault_chain::scripted::{Bench, ScriptedReply, fault};
 use crate::fault_chain::strategy::{ApplyOutputs, RecoveryStrategy, SafeOutputs, StrategyTargets};
 use crate::fault_chain::supervisor::SupervisorChild;
+use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault};
 use crate::registry::Registry;
 use crate::runtime::reports::FaultReports;
 use blastema_contract::strategy::{EnterSafeState, IsolateNode, Reroute};
@@ -87,9 +87,9 @@ impl Chain {
         while reported.last().is_none_or(|line| line != last) {
             let FaultOutcome { id: FaultId(id), what, .. } = self.outcomes.expect().await;
             reported.push(match what {
-                RecoveryOutcome::Decided { measure } => format!("{id} {measure}"),
-                RecoveryOutcome::Failed { measure, reason } => {
-                    format!("{id} {measure} failed: {reason}")
+                RecoveryOutcome::Decided { action } => format!("{id} {action}"),
+                RecoveryOutcome::Failed { action, reason } => {
+                    format!("{id} {action} failed: {reason}")
                 }
                 RecoveryOutcome::Recovered => format!("{id} recovered"),
                 RecoveryOutcome::Waits => format!("{id} waits"),

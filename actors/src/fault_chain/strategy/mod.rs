@@ -59,7 +59,7 @@ use blastema_core::recovery::{RecoveryDone, RecoveryFailed, RecoveryOrder};
 /// }
 /// ```
 pub trait RecoveryStrategy: 'static {
-    /// Carries one measure out.
+    /// Carries one action out.
     ///
     /// # Errors
     /// [`RecoveryFailed`] says why it did not help; a text converts into it.

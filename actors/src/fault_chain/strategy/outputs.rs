@@ -14,10 +14,10 @@ pub(crate) type ApplyOutputs = Arc<dyn Fn(&Fault) + Send + Sync>;
 /// Under this name stands what is wrong with the safe outputs.
 pub(crate) const SAFE_OUTPUTS: &str = "safe-outputs";
 
-/// What is told of safe outputs that block.
+/// The report of safe outputs that block.
 pub(crate) const NOT_RETURNED: &str = "the safe outputs were called, and have not returned in time";
 
-/// Whether the safe outputs were applied, or what is to be told instead.
+/// Whether the safe outputs were applied, or what is to be reported instead.
 pub(crate) type Applied = Result<(), &'static str>;
 
 /// The safe outputs of a node, and whether they are all applied already. Clones share them.

@@ -42,7 +42,7 @@ impl EngagedStrategy {
         self.orders.connected() && !blocked
     }
 
-    /// Is told the order that blocks its thread, where it has one for itself.
+    /// Gets the order that blocks its thread, where it has one for itself.
     pub(crate) fn blocked_by(&self) -> Option<watch::Receiver<Option<u64>>> {
         self.own.as_ref().map(|(_, blocked)| blocked.clone())
     }
@@ -57,9 +57,9 @@ impl Drop for EngagedStrategy {
 }
 
 /// The name under which a strategy is watched.
-pub(crate) fn object_of(measure: &RecoveryAction) -> ObjectName {
+pub(crate) fn object_of(action: &RecoveryAction) -> ObjectName {
     let plain: String =
-        measure.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+        action.name().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
     ObjectName::new(&format!("chain/strategy/{plain}"))
         .or_else(|_| ObjectName::new("chain/strategy/custom"))
         .expect("this name is well formed")
@@ -94,35 +94,34 @@ impl StrategyTable {
 
     /// The names of the application's own strategies.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
-        self.0.keys().filter_map(|measure| match measure {
+        self.0.keys().filter_map(|action| match action {
             RecoveryAction::Custom(name) => Some(name.as_ref()),
             _ => None,
         })
     }
 
-    /// Makes the strategy that carries `measure` out: a built-in one on this arbiter, one of the
+    /// Makes the strategy that carries `action` out: a built-in one on this arbiter, one of the
     /// application's own on a thread that it has for itself, unless all of the node runs on one.
     ///
     /// # Errors
     /// There is none, it keeps its share of threads already, or no thread is left for it.
     pub(crate) fn make(
         &self,
-        measure: &RecoveryAction,
+        action: &RecoveryAction,
         guardian: &Guardian,
         tools: StrategyContext,
         callbacks: &Callbacks,
     ) -> Result<EngagedStrategy, RecoveryFailed> {
-        let make =
-            self.0.get(measure).ok_or_else(|| format!("there is no strategy {measure:?}"))?;
-        let object = object_of(measure);
-        if !callbacks.have_threads() || !matches!(measure, RecoveryAction::Custom(_)) {
+        let make = self.0.get(action).ok_or_else(|| format!("there is no strategy {action:?}"))?;
+        let object = object_of(action);
+        if !callbacks.have_threads() || !matches!(action, RecoveryAction::Custom(_)) {
             let orders = make((guardian, None), object, tools, None);
             return Ok(EngagedStrategy { orders, own: None });
         }
         let arbiter = callbacks
             .check_share(&object)
             .and_then(|()| own_arbiter())
-            .map_err(|error| format!("there is no thread for the strategy {measure}: {error}"))?;
+            .map_err(|error| format!("there is no thread for the strategy {action}: {error}"))?;
         let (blocked_by, blocked) = watch::channel(None);
         let (callbacks, blocked_by) = (callbacks.clone(), Arc::new(blocked_by));
         let thread = StrategyThread { object: object.clone(), callbacks, blocked_by };
@@ -132,7 +131,7 @@ impl StrategyTable {
 
     fn insert<S: RecoveryStrategy>(
         &mut self,
-        measure: RecoveryAction,
+        action: RecoveryAction,
         make: impl Fn() -> S + Send + Sync + 'static,
     ) {
         let make: Arc<dyn Fn() -> S + Send + Sync> = Arc::new(make);
@@ -145,6 +144,6 @@ impl StrategyTable {
                 move |_: &mut Context<StrategyHost<S>>| StrategyHost::new(make, tools, thread);
             guardian.start(name, place, host).recipient()
         };
-        self.0.insert(measure, Arc::new(start));
+        self.0.insert(action, Arc::new(start));
     }
 }

@@ -95,7 +95,7 @@ impl StrategyContext {
         self.set_isolated(location, None, false, "a recovery strategy says so").await
     }
 
-    /// Isolates where the fault is, and tells the other nodes of it.
+    /// Isolates where the fault is, and reports this to the other nodes.
     pub(crate) async fn isolate_because(
         &self,
         fault: &Fault,

@@ -20,7 +20,7 @@ impl Handler<SafeStop> for SupervisorActor {
     }
 }
 
-/// Several measures may have been tried since a panic: whether the present incarnation, if there is
+/// Several actions may have been tried since a panic: whether the present incarnation, if there is
 /// one, ends is found out by asking it. Only one that does not answer is not asked.
 fn cause_of_rest(fault: &Fault, present: Option<Incarnation>) -> ReplacementCause {
     match ReplacementCause::of(fault) {

@@ -1,5 +1,5 @@
 use super::*;
-use crate::fault_chain::scripted::{Bench, ScriptedReply, fault, object};
+use crate::fault_chain::tests::scripted::{Bench, ScriptedReply, fault, object};
 use blastema_contract::supervisor::SafeStop;
 use blastema_core::recovery::{ChildState, Strategy, WhenExceeded};
 use blastema_doubles::{advance, paused, settle};
@@ -127,7 +127,7 @@ fn the_root_gives_up_when_restarts_are_not_worth_it_any_more() {
 }
 
 #[test]
-fn a_supervisor_below_escalates_and_its_next_incarnation_answers_what_was_asked_of_the_old() {
+fn a_nested_supervisor_answers_open_requests_after_its_restart() {
     paused(async {
         let bench = Bench::new();
         let inner_rules = SupervisorRules { intensity: 0, ..rules(Strategy::OneForAll) };

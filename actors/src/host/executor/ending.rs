@@ -74,14 +74,15 @@ impl<C: Component> ComponentExecutor<C> {
                 self.lifecycle = IncarnationLifecycle::new();
                 self.begin_incarnation();
                 let subscriptions = self.cell.subscriptions();
-                subscriptions.iter().for_each(|subscription| subscription.catch_up(&self.cell));
+                subscriptions.iter().for_each(|subscription| subscription.attach(&self.cell));
             }
             None => self.over = true,
         }
         self.report_exit(incarnation, &exit, restarted_as);
     }
 
-    /// What is being served ends with the incarnation: its sender is told, and it is a dead letter.
+    /// What is being served ends with the incarnation: its sender is notified, and it is a dead
+    /// letter.
     pub(super) fn lose_message(&mut self) {
         let Service::Message(_) = self.service else { return };
         let logged = self.logged.take();
@@ -115,7 +116,7 @@ impl<C: Component> ComponentExecutor<C> {
         allowed
     }
 
-    /// Tells how an incarnation has ended: the monitor, the supervisor, and those who watch.
+    /// Reports how an incarnation has ended to the monitor, the supervisor, and the watchers.
     pub(super) fn report_exit(
         &mut self,
         incarnation: Incarnation,
@@ -148,9 +149,9 @@ impl<C: Component> ComponentExecutor<C> {
         // A replacement's own reports come after the end of the incarnation that it replaces.
         let position = self.outbox.iter().position(|notice| notice.is_of_after(incarnation));
         let position = position.unwrap_or(self.outbox.len());
-        // It is told when the turn is over: the replacement's first reply does not wait for that.
-        // Where the replacement keeps its thread, the watch tells it meanwhile, unless something is
-        // to be told before it, such as why the component could not go on.
+        // It is reported when the turn is over: the replacement's first reply does not wait for
+        // that. Where the replacement keeps its thread, the sampler reports it meanwhile, unless
+        // something is to be reported before it, such as why the component could not go on.
         record.cold().exits.settle(incarnation, supervisor, position == 0);
         self.arbiter.heartbeat.owe_exits(true);
         let child = event.map(|event| DeferredReport::Child(event, incarnation));

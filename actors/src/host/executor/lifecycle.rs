@@ -57,7 +57,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.cell.record.announce(|listener| listener.activated());
         }
         let incarnation = self.state.incarnation;
-        // States that were passed through within one poll are not told one by one.
+        // States that were passed through within one poll are not reported one by one.
         if let Some(DeferredReport::State(last)) = self.outbox.last_mut()
             && last.incarnation == incarnation
             && last.reason.is_none()

@@ -171,7 +171,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.schedule.begin(record.limits.interval);
         self.slot.activity.run_every(record.limits.interval);
         self.began = Some(platform::now());
-        // An incarnation that was abandoned before its placement was known was not told so.
+        // An incarnation that was abandoned before its placement was known was not notified.
         if !is_newest || self.cell.queue.owner() != Some(self.state.incarnation) {
             self.state.token.end();
         }
@@ -182,7 +182,7 @@ impl<C: Component> ComponentExecutor<C> {
         ActivitySlotRef { index: self.slot.index, activity: self.slot.activity }
     }
 
-    /// Does what it was told to.
+    /// Executes its commands.
     fn obey(&mut self) {
         for command in self.commands.take() {
             match command {
@@ -357,7 +357,7 @@ impl<C: Component> ComponentExecutor<C> {
         self.advance(cx)
     }
 
-    /// Notes who is to be told if this message brings death; says why it is not to be served.
+    /// Notes the sender to notify if this message causes death; returns why it is not to be served.
     fn follow(&mut self, envelope: &dyn Envelope<C>) -> Option<DeliveryError> {
         if envelope.is_void() {
             self.slot.activity.expire();
@@ -546,7 +546,7 @@ impl<C: Component> ComponentExecutor<C> {
             && let Some(end) = self.lifecycle.end_reason()
         {
             let within = self.cell.record.limits.shutdown_within;
-            // Who gives it no time at all wants it cut off.
+            // A caller that gives it no time at all wants it cut off.
             if !within.is_zero() {
                 self.lifecycle.handle_cut_off(self.in_service(), within);
                 self.pass_reports();
@@ -556,7 +556,7 @@ impl<C: Component> ComponentExecutor<C> {
         }
     }
 
-    /// Gives up what is in service; its sender is told.
+    /// Gives up what is in service; its sender is notified.
     fn drop_service(&mut self) {
         if matches!(self.service, Service::Idle) {
             return;

@@ -7,7 +7,7 @@ use blastema_contract::child::{ChildEvent, ChildReport};
 use blastema_contract::reports::{FaultDeclared, StateReported};
 use blastema_core::Incarnation;
 
-/// Told when the poll is over, so that the replacement's first message does not wait for it.
+/// Reported when the poll is over, so that the replacement's first message does not wait for it.
 pub(super) enum DeferredReport {
     Exited(Incarnation),
     State(StateReported),

@@ -119,7 +119,7 @@ fn a_hook_that_fails_leads_to_error_and_a_reset_back_to_work() {
 }
 
 #[test]
-fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of_at_the_end() {
+fn a_failed_activation_at_the_start_is_reported_at_the_end() {
     for hook in [Hook::Startup, Hook::Activated] {
         let mut lifecycle = IncarnationLifecycle::new();
         while let LifecycleStep::Run(next) = lifecycle.next() {
@@ -138,7 +138,7 @@ fn a_failed_activation_at_the_start_is_an_error_that_the_supervisor_hears_of_at_
 }
 
 #[test]
-fn a_failed_start_that_is_told_to_stop_answers_that_only() {
+fn a_failed_start_that_is_stopped_reports_only_the_stop() {
     let mut lifecycle = IncarnationLifecycle::new();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
@@ -290,7 +290,7 @@ fn waits(lifecycle: &mut IncarnationLifecycle) -> Vec<Duration> {
 }
 
 #[test]
-fn a_hook_whose_device_is_missing_is_called_again_ever_later_in_the_same_incarnation() {
+fn a_hook_without_its_device_is_called_again_with_back_off() {
     let mut lifecycle = IncarnationLifecycle::new();
     let mut waited = Vec::new();
     for _ in 0..10 {

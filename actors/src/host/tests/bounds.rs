@@ -71,7 +71,7 @@ fn deliver_ends_when_the_receiver_is_stopped() {
 }
 
 #[test]
-fn before_its_first_incarnation_a_component_keeps_messages_and_says_restarting_when_full() {
+fn a_component_queues_messages_before_its_first_incarnation() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = acc("acc");

@@ -150,7 +150,7 @@ fn two_that_send_to_each_other_leave_their_neighbour_its_rounds() {
 }
 
 #[test]
-fn between_two_rounds_of_their_neighbour_the_listeners_of_a_topic_serve_one_event_each() {
+fn listeners_serve_one_event_each_between_rounds_of_a_neighbour() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let steps = Steps::default();

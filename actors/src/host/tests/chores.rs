@@ -388,7 +388,7 @@ impl Handle<Churn> for Keeper {
 }
 
 #[test]
-fn a_timer_that_is_cancelled_in_the_handler_that_set_it_holds_nothing_from_then_on() {
+fn a_timer_cancelled_in_the_handler_that_set_it_holds_nothing() {
     paused(async {
         let (stage, held) = (Stage::new(), Arc::new(()));
         let (_child, keeper) = stage.start(keeper(&held)).await;

@@ -81,7 +81,7 @@ fn thread(publisher: Publisher<Reading>) -> (Sender<u64>, Receiver<Option<Delive
 }
 
 #[test]
-fn a_publisher_in_a_thread_publishes_until_its_incarnation_ends_and_then_says_fenced() {
+fn a_publisher_in_a_thread_is_fenced_with_its_incarnation() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let bench = Bench::default();

@@ -146,7 +146,7 @@ fn name(text: &str) -> ObjectName {
 const LONG: Duration = Duration::from_secs(30);
 
 #[test]
-fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that_come_back() {
+fn a_hang_is_fenced_and_replaced_with_its_queue() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, LONG).await;
         let (mut child, blocker) = site.stage.start(site.blocker("blocker")).await;
@@ -194,7 +194,7 @@ fn a_hang_is_named_fenced_and_replaced_with_its_queue_and_spares_neighbours_that
 }
 
 #[test]
-fn an_arbiter_that_does_not_come_back_is_lost_and_its_components_move_with_their_queues() {
+fn components_of_a_lost_arbiter_move_with_their_queues() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, Duration::from_millis(100)).await;
         let reported = Arc::new(Mutex::new(vec![]));
@@ -319,7 +319,7 @@ impl Handle<Hold> for Witness {
 }
 
 #[test]
-fn a_listener_that_hangs_in_an_event_is_the_culprit_and_the_next_listener_may_speak() {
+fn a_listener_that_hangs_in_an_event_is_the_culprit() {
     actix_rt::System::new().block_on(async {
         let site = Site::new(1, LONG).await;
         let gate = site.gate.clone();

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 #[test]
-fn an_incarnation_that_is_ordered_while_the_guard_begins_one_has_a_number_of_its_own() {
+fn an_order_during_a_restart_by_the_guard_has_its_own_number() {
     paused(async {
         let stage = Stage::new();
         let (spec, _) = acc("acc");
@@ -63,7 +63,7 @@ impl Handle<Add> for Census {
 }
 
 #[test]
-fn a_panic_and_an_order_at_the_same_time_never_make_two_incarnations_of_one_number() {
+fn a_panic_and_an_order_at_once_make_no_two_equal_incarnations() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(2));
         let incarnations = Incarnations::default();

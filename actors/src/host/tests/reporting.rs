@@ -121,7 +121,7 @@ fn an_incarnation_that_is_given_up_leaves_the_report_of_the_incarnation_before_i
 }
 
 #[test]
-fn a_death_at_a_hub_is_reported_though_the_arbiter_goes_away_before_the_pumps_turn() {
+fn a_death_at_a_hub_is_reported_though_the_arbiter_ends_first() {
     let system = actix_rt::System::new();
     system.block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
@@ -192,7 +192,7 @@ impl Drop for Clingy {
 }
 
 #[test]
-fn a_panic_whose_drop_blocks_is_reported_when_the_incarnation_is_given_up_and_once() {
+fn a_panic_whose_drop_blocks_is_reported_once() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (open, held) = Held::new();
@@ -241,7 +241,7 @@ impl Handle<Sample> for Trap {
 }
 
 #[test]
-fn a_panic_whose_unwinding_blocks_is_reported_when_the_incarnation_is_given_up_and_once() {
+fn a_panic_whose_unwinding_blocks_is_reported_once() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (open, held) = Held::new();
@@ -351,7 +351,7 @@ impl Handle<Remnant> for Hoard {
 }
 
 #[test]
-fn what_waited_for_an_incarnation_that_was_given_up_is_dropped_on_no_thread_of_its_supervisor() {
+fn a_supervisors_thread_drops_no_message_of_an_abandoned_incarnation() {
     actix_rt::System::new().block_on(async {
         KEEPS.set(true);
         let stage = Stage::on(ArbiterPool::pool(1));
@@ -371,7 +371,7 @@ fn what_waited_for_an_incarnation_that_was_given_up_is_dropped_on_no_thread_of_i
 }
 
 #[test]
-fn a_message_whose_drop_blocks_on_its_return_is_named_and_the_others_are_returned() {
+fn a_message_whose_drop_blocks_on_return_delays_no_other() {
     actix_rt::System::new().block_on(async {
         let stage = Stage::on(ArbiterPool::pool(1));
         let (open, held) = Held::new();

@@ -96,7 +96,7 @@ fn bytes_that_are_no_message_are_refused_and_counted() {
 }
 
 #[test]
-fn a_message_from_outside_for_which_there_is_no_room_may_wait_and_is_counted_when_given_up() {
+fn a_message_from_outside_may_wait_for_capacity_and_is_counted() {
     paused(async {
         let stage = Stage::new();
         let (spec, log) = acc("acc");

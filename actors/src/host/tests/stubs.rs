@@ -90,7 +90,7 @@ impl RemoteStub for Narrow {
 }
 
 #[test]
-fn a_large_vector_goes_to_another_node_as_it_lies_and_comes_back_so_where_it_is_refused() {
+fn a_large_vector_is_sent_and_returned_without_a_copy() {
     paused(async {
         let registry = Stage::new().environment.registry.clone();
         let narrow = Narrow::default();

@@ -274,7 +274,7 @@ impl Handle<Sample> for Sapper {
 }
 
 #[test]
-fn events_that_panic_where_they_are_copied_or_dropped_harm_nobody_and_are_a_fault_of_their_topic() {
+fn events_whose_clone_or_drop_panics_are_a_fault_of_their_topic() {
     paused(async {
         let stage = Stage::new();
         let log = Log::default();

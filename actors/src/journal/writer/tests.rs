@@ -50,7 +50,7 @@ fn journal(path: &Path, requests: &Arc<AtomicU32>) -> (JournalActor, JournalGuar
 }
 
 #[test]
-fn a_record_that_cannot_be_read_is_asked_for_again() {
+fn a_record_that_cannot_be_read_is_requested_again() {
     let folder = tempfile::tempdir().unwrap();
     let requests = Arc::<AtomicU32>::default();
     paused(async {
@@ -65,7 +65,7 @@ fn a_record_that_cannot_be_read_is_asked_for_again() {
 }
 
 #[test]
-fn the_thread_ends_with_its_node_though_the_queue_had_no_place_for_the_end() {
+fn the_thread_ends_with_its_node_though_its_queue_was_full() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("faults");
     paused(async {

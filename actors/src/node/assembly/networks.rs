@@ -13,6 +13,7 @@ use crate::node::error::StartError;
 use crate::node::network::description::NetworkDescription;
 use crate::node::network::services::{check_service, check_service_order};
 use crate::node::network::{Cable, Network};
+use crate::node::network_row::NetworkRow;
 use crate::runtime::guardian::own_arbiter;
 use crate::service::{Carried, ReplicaBody, ServiceSpecError};
 use actix::prelude::*;
@@ -30,6 +31,7 @@ use std::time::Duration;
 pub(in crate::node) struct Networks {
     pub(in crate::node) handle: NetHandle,
     pub(in crate::node) cables: SortedMap<String, Cable>,
+    pub(in crate::node) rows: Vec<NetworkRow>,
     transports: Vec<Recipient<Close>>,
     pub(super) arbiter: Option<ArbiterHandle>,
     /// The nodes that the description names.
@@ -106,6 +108,12 @@ impl NodeAssembly {
         Ok(())
     }
 
+    /// The fault of an insecure network stands from the start of the node to its end.
+    pub(super) fn declare_insecure_networks(&self) {
+        let rows = self.networks.iter().flat_map(|networks| &networks.rows);
+        rows.filter_map(NetworkRow::fault).for_each(|fault| self.parts.monitor.do_send(fault));
+    }
+
     pub(super) fn carry_services(
         &mut self,
         services: Vec<Result<Carried, ServiceSpecError>>,
@@ -145,6 +153,8 @@ fn make_networks(
     };
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
+    let rows: Vec<NetworkRow> = networks.iter().map(Network::row).collect();
+    rows.iter().for_each(NetworkRow::log);
     for network in networks {
         let started = network.lay(node, guardian, arbiter.as_ref())?;
         if let Some(cable) = started.cable {
@@ -207,7 +217,7 @@ fn make_networks(
         let port = RecovererPort::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
-    Ok((Networks { handle, cables, transports, arbiter, described }, enrolments))
+    Ok((Networks { handle, cables, rows, transports, arbiter, described }, enrolments))
 }
 
 /// Those that are admitted by name where they are met.

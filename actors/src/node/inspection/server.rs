@@ -9,7 +9,7 @@ use crate::runtime::reports::FaultReports;
 use blastema_core::Machine;
 use blastema_core::snapshot_server::{ClientId, SnapshotId, SnapshotServer, SnapshotServerOutput};
 use blastema_core::sorted::SortedMap;
-use blastema_transports::unix::PathListener;
+use blastema_transports::unix::{AllowedUsers, PathListener, PeerRole};
 use futures_util::StreamExt;
 use futures_util::future::{AbortHandle, abortable};
 use futures_util::stream::FuturesUnordered;
@@ -21,7 +21,7 @@ use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::UnixStream;
 use tokio::time::{MissedTickBehavior, interval, sleep, sleep_until};
-use tracing::info;
+use tracing::{info, warn};
 
 /// How often it is looked whether the socket is still there. A look at the folder takes
 /// microseconds.
@@ -31,6 +31,9 @@ const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(10);
 
 pub(super) struct InspectionServer {
     path: Arc<Path>,
+    users: AllowedUsers,
+    /// Whether a client was refused. Only the first is logged: it may try again for ever.
+    refused: bool,
     node: Weak<Shared>,
     reports: FaultReports,
     /// `None` while the socket cannot be made.
@@ -55,7 +58,7 @@ enum Done {
 
 impl InspectionServer {
     pub(super) fn new(
-        path: Arc<Path>,
+        (path, users): (Arc<Path>, AllowedUsers),
         node: Weak<Shared>,
         reports: FaultReports,
         listener: Option<PathListener>,
@@ -63,6 +66,8 @@ impl InspectionServer {
         InspectionServer {
             _held: HeldHere::new(path.to_path_buf()),
             path,
+            users,
+            refused: false,
             node,
             reports,
             listener,
@@ -82,14 +87,24 @@ impl InspectionServer {
             let due = self.machine.poll_timeout();
             tokio::select! {
                 client = accept(self.listener.as_ref()), if self.machine.is_open() => {
-                    let number = self.machine.handle_arrival(platform::now());
-                    self.waiting.insert(number, client);
+                    self.admit(client);
                 }
                 Some(done) = self.work.next() => self.done(done),
                 () = until(due) => self.machine.handle_timeout(platform::now()),
                 _ = looks.tick() => self.look_after_the_socket(),
             }
         }
+    }
+
+    fn admit(&mut self, client: UnixStream) {
+        if let Err(error) = self.users.check(&client, &self.path, PeerRole::Client) {
+            if !std::mem::replace(&mut self.refused, true) {
+                warn!("a client of the inspection socket is refused: {error}");
+            }
+            return;
+        }
+        let number = self.machine.handle_arrival(platform::now());
+        self.waiting.insert(number, client);
     }
 
     /// Answers whether the node is still there.

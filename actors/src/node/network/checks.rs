@@ -89,7 +89,7 @@ impl Network {
                 return wrong(what);
             }
         }
-        Ok(())
+        self.check_exposure()
     }
 
     /// What is wrong with our own end of it.

@@ -38,8 +38,12 @@ impl Medium {
             (Remote::Written(text), Medium::Memory(_)) => {
                 Ok(MediumAddress::Memory(text.as_str().into()))
             }
-            (Remote::Written(text), Medium::Own(_)) if text.is_empty() => Ok(MediumAddress::Line),
-            (Remote::Written(text), Medium::Own(_)) => Ok(MediumAddress::Own(text.as_str().into())),
+            (Remote::Written(text), Medium::Own { .. }) if text.is_empty() => {
+                Ok(MediumAddress::Line)
+            }
+            (Remote::Written(text), Medium::Own { .. }) => {
+                Ok(MediumAddress::Own(text.as_str().into()))
+            }
         }
     }
 
@@ -117,14 +121,18 @@ impl Medium {
                 return Medium::Memory(config).start(network, object, guardian, arbiter);
             }
             Medium::At(other) => {
-                let text = format!("network {network}: this program has no {}", other.medium());
+                let text = format!(
+                    "network {network}: this program has no {}: it was built without it, or this \
+                     system has none",
+                    other.medium()
+                );
                 return Err(StartError::Network(text));
             }
             Medium::Memory(config) => {
                 let make = move |_: &mut Context<Memory>| Memory::new(config);
                 Transport::from(guardian.start(object, arbiter, make))
             }
-            Medium::Own(make) => {
+            Medium::Own { make, .. } => {
                 let make = move |_: &mut Context<FrameTransport>| make();
                 Transport::from(guardian.start(object, arbiter, make))
             }
@@ -144,7 +152,7 @@ impl Network {
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
         let link_names: Vec<String> = self.link_names().collect();
-        let Network { name, mut medium, links, faults, interface, admission, beacons } = self;
+        let Network { name, mut medium, links, faults, interface, admission, beacons, .. } = self;
         medium.name_node(own);
         let of = format!("the name of network {name:?}");
         let object =

@@ -2,6 +2,7 @@
 
 use crate::global_name::ClaimRow;
 use crate::node::Node;
+use crate::node::network_row::NetworkRow;
 use crate::node::snapshot::{in_time, millis, rows_of};
 use crate::service::ServiceRow;
 use blastema_contract::link::LinkRow;
@@ -15,6 +16,8 @@ use serde_json::{Value, json};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NetworkSnapshot {
+    /// The networks, and which of them are insecure.
+    pub networks: Vec<NetworkRow>,
     /// The links, in the order in which they were described.
     pub links: Option<Vec<LinkRow>>,
     /// The sessions with other nodes.
@@ -28,17 +31,33 @@ pub struct NetworkSnapshot {
 impl NetworkSnapshot {
     pub(in crate::node) async fn of(node: &Node) -> Self {
         let (links, sessions) = join(in_time(node.links()), in_time(node.sessions())).await;
-        NetworkSnapshot { links, sessions, claims: node.claims(), services: node.services() }
+        NetworkSnapshot {
+            networks: node.networks().to_vec(),
+            links,
+            sessions,
+            claims: node.claims(),
+            services: node.services(),
+        }
     }
 
     /// Completes the node's JSON document.
     pub(in crate::node) fn shown_in(&self, mut document: Value) -> Value {
+        document["networks"] = rows_of(&self.networks, network).into();
         document["links"] = self.links.as_deref().map(|rows| rows_of(rows, link)).into();
         document["sessions"] = self.sessions.as_deref().map(|rows| rows_of(rows, session)).into();
         document["global_names"] = rows_of(&self.claims, claim).into();
         document["services"] = rows_of(&self.services, service).into();
         document
     }
+}
+
+fn network(row: &NetworkRow) -> Value {
+    json!({
+        "network": &*row.network,
+        "medium": row.medium,
+        "reach": row.reach.to_string(),
+        "insecure": row.insecure,
+    })
 }
 
 fn link(row: &LinkRow) -> Value {

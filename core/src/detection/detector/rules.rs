@@ -98,8 +98,9 @@ impl Detector {
         }
     }
 
-    /// What is seen of an incarnation that is over changes nothing; but that it panicked is told in
-    /// every case. Its report comes late where what the panic left behind has blocked its thread.
+    /// What is seen of an incarnation that is over changes nothing; but that it panicked is
+    /// reported in every case. Its report comes late where what the panic left behind has blocked
+    /// its thread.
     fn judge_late(&mut self, scene: &Scene, finding: Finding) {
         let Finding::Exited { exit: ExitReason::Panicked { text, at, during }, .. } = finding
         else {
@@ -133,7 +134,7 @@ impl Detector {
             count => format!("; {count} others stand still behind it"),
         };
         let age = age.as_millis();
-        let detail = format!("{during} has kept its arbiter for {age} ms{behind}");
+        let detail = format!("{during} has kept its thread for {age} ms at least{behind}");
         let id = self.find(scene, FaultKind::Hang, detail, Cause::Itself);
         for victim in others.filter(|&victim| self.objects.contains_key(victim)) {
             self.behind.insert(victim.clone(), id);
@@ -242,7 +243,7 @@ impl Detector {
         let known = self.fault_log.open_fault(&scene.location, &kind);
         let known = known.filter(|&id| self.repeat(id, scene, &detail));
         let id = known.unwrap_or_else(|| self.record(scene, kind, detail, cause));
-        // A recoverer hears of it if the next incarnation dies likewise.
+        // A recoverer is notified if the next incarnation dies likewise.
         self.await_next_incarnation(id, scene.at);
     }
 
@@ -263,7 +264,7 @@ impl Detector {
         if before == state {
             return;
         }
-        // A guard tells where a turn ended, not what was passed on the way.
+        // A guard reports the state at the end of a turn, not the states that it passed.
         if !before.may_reach(state) {
             let detail = format!("it went from {before} to {state}, and no way leads there");
             self.find(scene, FaultKind::CheckFailed, detail, Cause::Itself);
@@ -292,7 +293,8 @@ impl Detector {
                     .map(|fault| fault.id)
                     .collect();
                 let is_over = |fault: &Fault| {
-                    if contained.contains(&fault.id) {
+                    // No incarnation of a transport makes its network secure.
+                    if contained.contains(&fault.id) || fault.kind == FaultKind::Insecure {
                         return false;
                     }
                     let ended =
@@ -305,8 +307,8 @@ impl Detector {
         }
     }
 
-    /// A hook that brings the component to rest has failed. The recoverer is not told: what was to
-    /// end has ended, or is recovered from already.
+    /// A hook that brings the component to rest has failed. The recoverer is not notified: what was
+    /// to end has ended, or is recovered from already.
     fn note_failed_stop(&mut self, scene: &Scene, reason: &str) {
         let known = self.fault_log.open_fault(&scene.location, &FaultKind::ErrorState);
         if !known.is_some_and(|id| self.repeat(id, scene, reason)) {

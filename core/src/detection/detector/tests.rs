@@ -63,6 +63,10 @@ impl Bench {
         Bench { detector: Detector::new(node("m"), limits, at(0)), number: 0, now: at(0) }
     }
 
+    fn state_of(&self, name: &str) -> Option<(Incarnation, Lifecycle)> {
+        self.detector.objects.get(&object(name)).map(|seen| (seen.incarnation, seen.state))
+    }
+
     fn see(&mut self, text: &str, incarnation: Incarnation, finding: Finding) {
         self.number += 1;
         let (location, seen_at) = (location(text), self.now);
@@ -147,6 +151,10 @@ fn overloaded(victims: &[&str]) -> Finding {
 
 fn declared() -> Finding {
     Finding::Declared { kind: FaultKind::CheckFailed, detail: "speed is 9".into() }
+}
+
+fn insecure() -> Finding {
+    Finding::Declared { kind: FaultKind::Insecure, detail: "network lan is insecure".into() }
 }
 
 fn unavailable() -> Finding {

@@ -163,7 +163,7 @@ impl Lateness {
             let messages = expired_here >= EXPIRED_LEAST && reading.allowance.is_zero() && seen;
             self.bad = if rounds || messages { self.bad + 1 } else { 0 };
             // A component that was late because of another is so until a window is good: the end of
-            // a load is no fault of those who were behind it.
+            // a load is no fault of the components behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
             let share = |missed: u64, due: u64| match due {
                 ROUNDS_LEAST.. => missed as f32 / due as f32,
@@ -223,14 +223,14 @@ pub(super) enum OverloadRoot {
     Component(SlotId),
 }
 
-/// An overload: who is late, and when one was so last.
+/// An overload: the components that are late, and when one was late last.
 #[derive(Debug)]
 pub(super) struct Episode {
     pub(super) latest: Instant,
     pub(super) victims: SortedSet<SlotId>,
     /// The worst of all its figures.
     pub(super) worst: OverloadFigures,
-    /// The worst of them when it was told last, if it was.
+    /// The worst of them when it was reported last, if it was.
     reported: Option<OverloadFigures>,
 }
 
@@ -240,8 +240,8 @@ impl Episode {
         Episode { latest: now, victims: SortedSet::new(), worst, reported: None }
     }
 
-    /// These are late too, or still. Says whether the overload is to be told: it is new, has more
-    /// victims, or one of its figures has doubled.
+    /// These are late too, or still. Returns whether the overload is to be reported: it is new, has
+    /// more victims, or one of its figures has doubled.
     pub(super) fn note(
         &mut self,
         victims: impl Iterator<Item = SlotId>,
@@ -259,7 +259,7 @@ impl Episode {
         is_news
     }
 
-    /// One of its figures is twice as bad as it was told. Smaller changes are told with the next,
+    /// One of its figures is twice as bad as reported. Smaller changes are reported with the next,
     /// and so is silence, which is a fault of its own: an overload that lasts is reported a few
     /// times, and not at every look.
     fn has_doubled(&self) -> bool {

@@ -179,7 +179,7 @@ impl HangDetector {
     pub(super) fn blame(&mut self, late: Vec<Late>, looked: &impl Looked, now: Instant) {
         let mut roots: SortedMap<OverloadRoot, Vec<Late>> = SortedMap::new();
         let home = |slot| Some(self.judged(slot)?.arbiter);
-        // Who kept the thread may have left it, and another may have its slot.
+        // The component that kept the thread may have left it, and another may have its slot.
         let is_known = |late: &Late| match late.root {
             OverloadRoot::Computer => true,
             OverloadRoot::Component(root) => home(root) == home(late.slot),
@@ -272,7 +272,7 @@ impl HangDetector {
     }
 }
 
-/// The worst of those who are late.
+/// The worst of the components that are late.
 fn figures(late: &[Late], own: QueueReading) -> OverloadFigures {
     let queues = late.iter().map(|late| late.queue).chain([own]);
     let worst = queues.max_by_key(|queue| queue.oldest).unwrap_or_default();

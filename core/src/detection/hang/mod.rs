@@ -8,7 +8,7 @@
 //!
 //! A component that works and is late, by its rounds, its signs of life or its messages, is
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
-//! victims. What a victim suffers is told after its root was. Where the thread itself waits for a
+//! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
 //! processor for longer than it runs, it is the computer that is overloaded. An overload stands
 //! until nothing was late because of it for a while, by half of the limits that it exceeded.
 //!
@@ -64,7 +64,7 @@ struct Arbiter {
     occupancy: Occupancy<SlotId>,
     processor: ProcessorShare,
     hang: Option<Hang>,
-    /// Who was given up while it was on the thread.
+    /// The components that were abandoned while they were on the thread.
     left: Option<ObjectName>,
     /// The root of an overload that stands.
     overloaded: Option<SlotId>,
@@ -108,7 +108,7 @@ struct ComponentRecord {
 enum Silence {
     No,
     Reported,
-    /// It was told, and what had kept the component from speaking is away: it is measured again.
+    /// It was reported, and what had blocked the component is over: it is measured again.
     Void,
 }
 
@@ -288,7 +288,7 @@ impl HangDetector {
         let mut objects = self.others_on(id, hang.slot);
         let culprit = self.judged(hang.slot);
         objects.extend(culprit.map(|culprit| culprit.object.clone()));
-        // Who stood still had no chance to speak.
+        // A blocked component could not give a sign of life.
         for (_, entry) in self.components.iter_mut() {
             if let Some(component) = entry.awake_mut()
                 && component.judged.arbiter == id
@@ -398,7 +398,7 @@ impl HangDetector {
         }
         self.blame(late, looked, now);
         self.relieve(now);
-        // What a victim suffers is told after its root.
+        // What a victim suffers is reported after its root.
         self.outputs.extend(silent);
     }
 }

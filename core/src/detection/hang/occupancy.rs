@@ -3,7 +3,7 @@
 use crate::sorted::SortedMap;
 use std::collections::VecDeque;
 
-/// Who was found on a thread in the latest looks.
+/// The components that were found on a thread in the latest samples.
 ///
 /// It costs a store for each look, and no clock. What happens in step with the looks is misjudged,
 /// as by any sample.
@@ -58,7 +58,7 @@ impl<K: Copy + Ord> Occupancy<K> {
         self.share_where(looks, |found| found == Some(who))
     }
 
-    /// Who was found most often in the latest looks, and in which share of them.
+    /// The component that was found most often in the latest samples, and in which share of them.
     pub fn largest(&self, looks: usize) -> Option<(K, f32)> {
         let mut counts: SortedMap<K, usize> = SortedMap::new();
         self.latest(looks).flatten().for_each(|who| *counts.entry(who).or_default() += 1);

@@ -90,7 +90,7 @@ impl ProcessorShare {
 }
 
 impl HangDetector {
-    /// What an arbiter's thread has had of the processors, where the system tells it: before
+    /// What an arbiter's thread has had of the processors, where the system reports it: before
     /// [`handle_activities`](Self::handle_activities).
     pub fn handle_processor_time(&mut self, id: ArbiterId, time: ProcessorTime) {
         if let (Some(at), Some(arbiter)) = (self.looked_at, self.arbiters.get_mut(&id)) {

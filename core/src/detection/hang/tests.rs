@@ -45,7 +45,7 @@ struct World {
     samples: Samples,
     /// Activity records are looked at with every so many heartbeats.
     every: u64,
-    /// What the arbiter's thread has had of the processors, where the system tells it.
+    /// What the arbiter's thread has had of the processors, where the system reports it.
     processor: Option<ProcessorTime>,
 }
 
@@ -232,7 +232,7 @@ fn who_was_given_up_before_it_was_found_to_hang_still_moves_its_victims() {
 }
 
 #[test]
-fn a_victim_of_a_hang_is_silent_after_it_and_measured_anew_when_the_hang_ends() {
+fn a_victim_is_measured_from_the_end_of_the_hang() {
     let mut world = World::new();
     world.samples.activities[2].speaks = true;
     world.look();
@@ -306,7 +306,7 @@ fn a_handler_that_awaits_too_long_waits_and_is_named_once_per_turn() {
 }
 
 #[test]
-fn a_handler_that_ends_after_it_was_found_waiting_is_told_to_have_resumed_once() {
+fn the_end_of_a_long_wait_is_reported_once() {
     let mut world = World::new();
     world.look();
     world.samples.activities[2].turn = 1;
@@ -320,7 +320,7 @@ fn a_handler_that_ends_after_it_was_found_waiting_is_told_to_have_resumed_once()
 }
 
 #[test]
-fn the_last_sign_of_life_is_the_last_that_was_given_whatever_excuses_the_silence() {
+fn an_excused_silence_does_not_move_the_last_sign_of_life() {
     let mut world = World::new();
     world.samples.activities[2].speaks = true;
     world.look();

@@ -19,7 +19,8 @@ pub struct HangDetectorConfig {
     /// what is more is not counted. Two of the usual intervals: shorter delays judgement on a
     /// machine that is merely busy.
     pub gap: Duration,
-    /// A gap that others are told of, so that they wait as much longer. Ten of the usual intervals.
+    /// A gap that is reported to others, so that they wait as much longer. Ten of the usual
+    /// intervals.
     pub stall: Duration,
     /// How long a beat may stand before the arbiter's components are not judged for awaiting too
     /// long, and not for silence where no component is on the thread. Several beats, and well below
@@ -53,7 +54,7 @@ impl Default for HangDetectorConfig {
 /// A component that is judged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JudgedComponent {
-    /// Who.
+    /// The component.
     pub object: ObjectName,
     /// The arbiter that it lives on.
     pub arbiter: ArbiterId,
@@ -213,7 +214,7 @@ pub enum LivenessEvent {
         object: ObjectName,
         /// Since when, at least.
         age: Duration,
-        /// Who stands still behind it.
+        /// The components that are blocked behind it.
         victims: Vec<ObjectName>,
     },
     /// A handler awaits something for too long.
@@ -229,7 +230,7 @@ pub enum LivenessEvent {
     },
     /// A component that should give signs of life gives none.
     Silent {
-        /// Who.
+        /// The component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
@@ -238,13 +239,13 @@ pub enum LivenessEvent {
     },
     /// A component works, and is, or makes others, later than they may be.
     Overloaded {
-        /// Who.
+        /// The component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
         /// How much.
         figures: OverloadFigures,
-        /// Who is late behind it, on the same thread.
+        /// The components that are late behind it, on the same thread.
         victims: Vec<ObjectName>,
     },
     /// Components are late because their threads, ready to run, waited for a processor.
@@ -253,7 +254,7 @@ pub enum LivenessEvent {
         waited_percent: u8,
         /// How late the components are.
         figures: OverloadFigures,
-        /// Who is late.
+        /// The components that are late.
         victims: Vec<ObjectName>,
     },
     /// No component is late any more because of that.
@@ -261,7 +262,7 @@ pub enum LivenessEvent {
     /// A component has taken no message for longer than one may wait, although some wait and its
     /// thread is free.
     Stuck {
-        /// Who.
+        /// The component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
@@ -270,30 +271,30 @@ pub enum LivenessEvent {
     },
     /// A component that was overloaded or stuck has caught up, and so have those behind it.
     Flows {
-        /// Who.
+        /// The component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
     },
     /// A component that was silent gives signs of life again.
     Spoke {
-        /// Who.
+        /// The component.
         object: ObjectName,
         /// Which incarnation.
         incarnation: Incarnation,
     },
     /// An arbiter that hung turns again.
     Resumed {
-        /// Who stood still on it and still lives there.
+        /// The components that were blocked on it and still live there.
         objects: Vec<ObjectName>,
     },
     /// The grace time of a fenced arbiter is over.
     Lost {
         /// Which.
         arbiter: ArbiterId,
-        /// Whose handler keeps it.
+        /// The component whose handler keeps it.
         culprit: ObjectName,
-        /// Who still lives on it and must be re-created elsewhere.
+        /// The components that still live on it and must be re-created elsewhere.
         victims: Vec<ObjectName>,
     },
     /// The scanner was not scheduled.
@@ -308,6 +309,6 @@ pub enum LivenessEvent {
 pub struct ArbiterStatus {
     /// The share of the latest looks that found a component on its thread; `None` before the first.
     pub busy: Option<f32>,
-    /// Whose handler keeps it for longer than it may, and since when, at least.
+    /// The component whose handler keeps it for longer than it may, and since when, at least.
     pub hangs: Option<(ObjectName, Instant)>,
 }

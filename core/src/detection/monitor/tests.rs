@@ -276,9 +276,9 @@ fn every_input_in_every_state_says_what_it_should() {
 }
 
 #[test]
-fn nothing_that_an_older_incarnation_still_says_changes_anything_but_its_panic_is_passed_on() {
+fn of_an_older_incarnation_only_a_panic_is_passed_on() {
     for state in [State::Going, State::Finalized, State::Stopped, State::Died] {
-        // Who has resumed is told by the watch, which knows no incarnations.
+        // The sampler reports which objects have resumed; it has no incarnations.
         for input in INPUTS.into_iter().filter(|&input| input != "resumed") {
             let mut monitor = in_state(state);
             let before = monitor.read_table(at(5));
@@ -309,7 +309,7 @@ fn whatever_a_newer_incarnation_says_begins_a_new_history() {
 }
 
 #[test]
-fn a_death_that_the_guard_has_mended_leaves_the_next_incarnation_in_the_table() {
+fn a_restart_by_the_guard_leaves_the_next_incarnation_in_the_table() {
     let mut monitor = watched(Liveness::Guard);
 
     monitor.handle_exited(&object("laser"), TWO, panicked(), Some(THREE), at(210));
@@ -442,7 +442,7 @@ fn a_stranger_that_dies_is_not_lost_and_one_that_was_stopped_is_no_news() {
 }
 
 #[test]
-fn a_node_that_begins_anew_with_a_smaller_number_is_seen_in_its_new_incarnation() {
+fn a_restart_with_a_smaller_number_is_a_new_incarnation() {
     let mut monitor = Monitor::new(node("m"), MonitorLimits::default(), at(0));
     monitor.handle_node(node("n"), TWO, NodeCondition::Reachable, at(0));
     let lost = || NodeCondition::Lost { reason: "gone".to_owned() };
@@ -512,7 +512,7 @@ fn a_stall_of_the_monitor_itself_condemns_nobody() {
 }
 
 #[test]
-fn a_monitor_that_was_struck_keeps_its_table_and_sends_again_what_was_not_confirmed() {
+fn a_restarted_monitor_keeps_its_table_and_retransmits() {
     let mut monitor = watched(Liveness::pull(TENTH, TENTH));
     run(&mut monitor, 0);
     monitor.handle_exited(&object("map"), ONE, panicked(), None, at(10));
@@ -550,7 +550,7 @@ proptest! {
 }
 
 #[test]
-fn what_goes_with_its_node_is_not_handed_over_and_what_a_component_dies_of_is() {
+fn a_fault_that_ends_with_its_node_is_not_handed_over() {
     let mut monitor = watched(Liveness::Guard);
     let down = LinkCondition::Down { reason: "closed".into() };
     let lost = NodeCondition::Lost { reason: "no path".into() };

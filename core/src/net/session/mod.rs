@@ -203,20 +203,6 @@ impl Session {
         self.number
     }
 
-    /// Sends a message, exactly once and in the order of its stream: all that is sent so is one
-    /// strand.
-    ///
-    /// # Errors
-    /// As [`handle_send_along`](Session::handle_send_along).
-    pub fn handle_send(
-        &mut self,
-        stream: Stream,
-        message: impl Into<GatherBuffer>,
-        now: Instant,
-    ) -> Result<(), Refused> {
-        self.handle_send_along((stream, OrderingKey::default()), message, now)
-    }
-
     /// Sends a message, exactly once and in the order of its strand.
     ///
     /// # Errors
@@ -260,7 +246,7 @@ impl Session {
     /// [`DeliveryError::Restarting`] while there is no session yet,
     /// [`DeliveryError::TooLargeForSession`] also for what the path's segments would carry in more
     /// than [`PIECES_MAX`](crate::net::wire::segment::PIECES_MAX) pieces, otherwise as
-    /// [`handle_send`](Session::handle_send). The message comes back.
+    /// [`handle_send_along`](Session::handle_send_along). The message comes back.
     pub fn handle_send_newest(
         &mut self,
         channel: u32,

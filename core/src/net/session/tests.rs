@@ -135,6 +135,18 @@ impl Pair {
     }
 }
 
+impl Session {
+    /// With the default ordering key.
+    fn handle_send(
+        &mut self,
+        stream: Stream,
+        message: impl Into<GatherBuffer>,
+        now: Instant,
+    ) -> Result<(), Refused> {
+        self.handle_send_along((stream, OrderingKey::default()), message, now)
+    }
+}
+
 fn opened(incarnation: u64) -> SessionOutput {
     SessionOutput::Opened { incarnation: Incarnation(incarnation) }
 }

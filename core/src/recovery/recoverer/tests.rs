@@ -65,9 +65,9 @@ impl Rig {
         while let Some(action) = self.machine.poll_output() {
             outputs.push(match action {
                 RecovererOutput::CarryOut(order) => {
-                    let RecoveryOrder { number, measure, fault, attempt, .. } = order;
+                    let RecoveryOrder { number, action, fault, attempt, .. } = order;
                     format!(
-                        "#{number} {measure} {} against {}, {attempt}",
+                        "#{number} {action} {} against {}, {attempt}",
                         fault.location, fault.kind
                     )
                 }
@@ -80,12 +80,12 @@ impl Rig {
                     FaultResolution::Recovered { incarnation: None } => format!("{id} recovered"),
                     FaultResolution::Waits => format!("{id} waits"),
                     FaultResolution::GaveUp { reason } => format!("{id} given up: {reason}"),
-                    FaultResolution::Contained { measure } => {
-                        format!("{id} contained by {measure}")
+                    FaultResolution::Contained { action } => {
+                        format!("{id} contained by {action}")
                     }
                     FaultResolution::RootSettled => format!("{id} may pass"),
                 },
-                RecovererOutput::Release { measure } => format!("release {measure}"),
+                RecovererOutput::Release { action } => format!("release {action}"),
                 RecovererOutput::GiveUpLife { fault } => {
                     format!("give up {} {}", fault.location, fault.incarnation)
                 }
@@ -135,7 +135,7 @@ fn a_panic_is_answered_by_a_restart_at_once() {
 
     assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
     assert_eq!(rig.outcome(1, works(2)), ["1 recovered #2"]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -149,21 +149,20 @@ fn a_fault_that_is_reported_again_is_treated_once() {
 }
 
 #[test]
-fn a_restart_whose_incarnation_waits_is_not_told_as_a_recovery_and_the_case_is_closed() {
+fn a_restart_whose_incarnation_waits_closes_the_case_unrecovered() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let waits = RecoveryDone { waits: true, ..works(2).expect("it works") };
 
     assert_eq!(rig.outcome(1, Ok(waits)), ["1 waits"]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0], "it may take for ever");
     assert_eq!(rig.find(panic_of(1, "laser", 2)), ["#2 restart here:laser against panic, 1"]);
 }
 
 #[test]
-fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_nothing_else_is_tried()
- {
+fn a_restart_without_a_next_incarnation_ends_the_case_unrecovered() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     let finished = RecoveryDone { finished: true, ..RecoveryDone::default() };
@@ -171,7 +170,7 @@ fn a_restart_after_which_no_incarnation_follows_is_not_told_as_a_recovery_and_no
     let expected = "1 given up: it is not restarted: its end was final, as its rules say";
     assert_eq!(rig.outcome(1, Ok(finished)), [expected]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(20)), [""; 0]);
 }
 
@@ -221,7 +220,7 @@ fn a_step_that_is_refused_for_good_is_not_tried_again() {
 }
 
 #[test]
-fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladder_once() {
+fn each_failed_step_is_reported_once_with_its_reason() {
     let ladder =
         Ladder::first(RecoveryAction::Custom("homing".into())).then(RecoveryAction::Restart);
     let plan = Plan::default().on(FaultKind::Panic, ladder);
@@ -233,9 +232,9 @@ fn why_a_step_has_failed_is_told_before_the_next_one_and_at_the_end_of_the_ladde
         while let Some(output) = rig.machine.poll_output() {
             let RecovererOutput::Settle { settled, .. } = output else { continue };
             outputs.push(match settled {
-                FaultResolution::Failed { measure, reason } => format!("{measure}: {reason}"),
+                FaultResolution::Failed { action, reason } => format!("{action}: {reason}"),
                 FaultResolution::GaveUp { reason } => format!("given up: {reason}"),
-                FaultResolution::Decided { measure, .. } => measure.to_string(),
+                FaultResolution::Decided { action, .. } => action.to_string(),
                 other => panic!("{other:?}"),
             });
         }
@@ -257,7 +256,7 @@ fn what_not_even_safe_stop_can_contain_is_the_nodes_to_end() {
         ["1 given up: broken", "#2 safe stop here:laser against panic, 1"]
     );
     assert_eq!(rig.outcome(2, fails()), ["last resort for 1: broken"]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -297,7 +296,7 @@ fn a_second_fault_of_a_place_joins_its_case() {
 }
 
 #[test]
-fn a_fault_that_the_measure_cannot_have_cured_is_treated_next() {
+fn a_fault_that_the_action_cannot_have_cured_is_treated_next() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::ErrorState, at("arm"), 1));
     rig.find(panic_of(2, "arm", 1));
@@ -349,7 +348,7 @@ fn a_symptom_that_stays_is_treated_itself() {
 }
 
 #[test]
-fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass() {
+fn symptoms_of_a_cleared_root_may_pass_while_its_case_goes_on() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     rig.find(fault(2, FaultKind::Hang, at("laser"), 1));
@@ -357,11 +356,11 @@ fn symptoms_of_a_root_that_goes_while_its_case_waits_for_another_fault_may_pass(
     rig.outcome(1, fails());
 
     assert_eq!(rig.stand_down(2, "laser"), ["3 may pass"]);
-    assert_eq!(rig.machine.open_cases(), 1);
+    assert_eq!(rig.machine.cases.len(), 1);
 }
 
 #[test]
-fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
+fn a_component_on_the_lost_thread_of_another_is_treated_at_once() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
 
@@ -374,21 +373,21 @@ fn who_stands_on_the_lost_thread_of_another_is_treated_at_once() {
 }
 
 #[test]
-fn a_fault_that_passes_while_it_waits_is_let_go_and_one_under_way_is_finished() {
+fn a_fault_that_clears_while_it_waits_is_dropped() {
     let mut rig = Rig::new();
     rig.find(panic_of(1, "laser", 1));
     assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
-    assert_eq!(rig.machine.open_cases(), 1);
+    assert_eq!(rig.machine.cases.len(), 1);
     rig.outcome(1, fails());
 
     rig.stand_down(1, "laser");
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
     assert_eq!(rig.pass(Duration::from_secs(1)), [""; 0]);
 }
 
 #[test]
-fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_the_next_one() {
+fn a_late_isolation_does_not_contain_the_next_incarnation() {
     let plan = Plan::default().on(FaultKind::Panic, Ladder::first(RecoveryAction::Isolate));
     let mut rig = Rig::with(plan, RecovererLimits::default());
     assert_eq!(rig.find(panic_of(1, "arm", 1)), ["#1 isolate here:arm against panic, 1"]);
@@ -400,7 +399,7 @@ fn an_isolation_that_found_the_struck_incarnation_replaced_contains_nothing_of_t
 }
 
 #[test]
-fn kinds_without_a_measure_are_observed_and_do_not_hold_symptoms_back() {
+fn kinds_without_an_action_are_observed_and_hold_no_symptoms_back() {
     let mut rig = Rig::new();
 
     assert_eq!(rig.find(fault(1, FaultKind::Overload, at("laser"), 1)), ["1 observed"]);
@@ -425,7 +424,7 @@ fn faults_of_other_nodes_are_left_to_them_unless_the_plan_takes_over() {
     let there = FaultLocation::Object("there:laser".parse().expect("a good name"));
     let mut rig = Rig::new();
     assert_eq!(rig.find(fault(1, FaultKind::Panic, there.clone(), 1)), [""; 0]);
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 
     let take_over = Ladder::first(RecoveryAction::Custom(Arc::from("take over")));
     let plan = Plan::default().on_other_nodes(FaultKind::Panic, take_over);
@@ -487,7 +486,7 @@ fn a_place_with_too_many_faults_gives_the_further_ones_up() {
 }
 
 #[test]
-fn a_recoverer_that_begins_anew_takes_up_what_was_open() {
+fn a_restarted_recoverer_continues_open_cases() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
     rig.find(symptom(2, "laser", 1));
@@ -564,25 +563,25 @@ fn every_fault_is_settled_whatever_the_strategies_do() {
                         rig.machine.handle_timeout(due);
                     }
                 }
-                assert!(open.is_empty() && rig.machine.open_cases() == 0, "{kind} at {location}");
+                assert!(open.is_empty() && rig.machine.cases.is_empty(), "{kind} at {location}");
             }
         }
     }
 }
 
 #[test]
-fn what_has_gone_by_itself_while_a_measure_was_under_way_is_not_treated_further() {
+fn a_fault_that_clears_during_a_failed_action_is_not_treated_further() {
     let mut rig = Rig::new();
     assert_eq!(rig.find(panic_of(1, "laser", 1)), ["#1 restart here:laser against panic, 1"]);
 
     assert_eq!(rig.stand_down(1, "laser"), [""; 0]);
     assert_eq!(rig.outcome(1, fails()), [""; 0]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
-fn a_fault_that_went_by_itself_is_not_treated_again_when_the_measure_has_worked() {
+fn a_fault_that_clears_during_a_successful_action_is_closed() {
     let mut rig = Rig::new();
     rig.find(fault(1, FaultKind::Hang, at("arm"), 2));
     rig.stand_down(1, "arm");
@@ -590,11 +589,11 @@ fn a_fault_that_went_by_itself_is_not_treated_again_when_the_measure_has_worked(
     // The restart has found the incarnation of the fault, which moves again.
     assert_eq!(rig.outcome(1, works(2)), [""; 0]);
 
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
-fn a_restart_is_asked_against_the_newest_incarnation_and_cures_nothing_of_the_one_that_it_finds() {
+fn a_restart_cures_no_fault_of_an_incarnation_that_it_finds_replaced() {
     let mut rig = Rig::new();
     let silence = fault(1, FaultKind::Silence, at("arm"), 5);
     assert_eq!(rig.find(silence), ["#1 restart here:arm against silence, 1"]);

@@ -83,7 +83,7 @@ impl Recoverer {
     fn give_up_order(&mut self, place: &FaultLocation, now: Instant) {
         let case = &self.cases[place];
         let step = &case.ladder.steps()[case.rung];
-        let reason = format!("{} was not done within {:?}", step.measure, step.within);
+        let reason = format!("{} was not done within {:?}", step.action, step.within);
         // An answer that comes too late is not waited for: the next attempt finds the child well.
         let number = case.order;
         self.close_order(number, now);
@@ -106,10 +106,10 @@ impl Recoverer {
     fn release_strategies(&mut self, now: Instant) {
         let is_idle = |engaged| self.idle_at(engaged).is_some_and(|due| due <= now);
         let idle = self.engaged.iter().filter(|(_, engaged)| is_idle(engaged));
-        let idle: Vec<_> = idle.map(|(measure, _)| measure.clone()).collect();
-        for measure in idle {
-            self.engaged.remove(&measure);
-            self.outputs.push_back(RecovererOutput::Release { measure });
+        let idle: Vec<_> = idle.map(|(action, _)| action.clone()).collect();
+        for action in idle {
+            self.engaged.remove(&action);
+            self.outputs.push_back(RecovererOutput::Release { action });
         }
     }
 }

@@ -10,17 +10,17 @@ pub struct RecoveryOrder {
     /// The order's number at its recoverer.
     pub number: u64,
     /// The action to execute.
-    pub measure: RecoveryAction,
+    pub action: RecoveryAction,
     /// Against what. Of several faults of one place it is one of the newest incarnation: the one
     /// that says that it does not answer, or else the first.
     pub fault: Fault,
-    /// The how-manieth attempt at this measure, from 1.
+    /// The number of this attempt at the action, from 1.
     pub attempt: u32,
     /// How long it is given. After that it has failed.
     pub within: Duration,
 }
 
-/// A measure has worked.
+/// An action has worked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecoveryDone {
     /// The incarnation that is at work because of it, if it began one.
@@ -32,7 +32,7 @@ pub struct RecoveryDone {
     pub finished: bool,
 }
 
-/// A measure has not worked.
+/// An action has not worked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecoveryFailed {
     /// Why.
@@ -54,14 +54,14 @@ pub enum FaultResolution {
     /// This is being done about it.
     Decided {
         /// What.
-        measure: RecoveryAction,
+        action: RecoveryAction,
         /// The how-manieth attempt, from 1.
         attempt: u32,
     },
     /// The action has failed; the next attempt, or the next step, follows.
     Failed {
         /// What.
-        measure: RecoveryAction,
+        action: RecoveryAction,
         /// Why, as the strategy said it.
         reason: String,
     },
@@ -75,15 +75,15 @@ pub enum FaultResolution {
     /// Nothing more is done: the new incarnation waits for something that is not there yet. Service
     /// is restored when it is at work.
     Waits,
-    /// No measure helped. Safe stop follows.
+    /// No action helped. Safe stop follows.
     GaveUp {
-        /// What the last measure said.
+        /// What the last action said.
         reason: String,
     },
     /// Service is not restored, but the place can do no harm any more.
     Contained {
         /// Isolated, or stopped.
-        measure: RecoveryAction,
+        action: RecoveryAction,
     },
     /// What it was a symptom of is settled. Unless it is cleared now, it is acted upon itself.
     RootSettled,
@@ -92,7 +92,7 @@ pub enum FaultResolution {
 /// An output of a recoverer.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecovererOutput {
-    /// Have this order carried out, by the strategy of the measure's name.
+    /// Have this order carried out, by the strategy of the action's name.
     CarryOut(RecoveryOrder),
     /// Tell the detector, which has found it.
     Settle {
@@ -105,8 +105,8 @@ pub enum RecovererOutput {
     },
     /// This strategy has had nothing to do for a while: let it go.
     Release {
-        /// The measure that it carries out.
-        measure: RecoveryAction,
+        /// The action that it carries out.
+        action: RecoveryAction,
     },
     /// The node is in the safe state, or ends, and this incarnation keeps its thread, or stands
     /// still behind the one that does: have it given up, so that no component that stops waits for

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Restarts are counted per child, and a child that exceeds the intensity is refused its restart:
-//! its recoverer then takes the next measure, at last safe stop. Where the rules say so, the
+//! its recoverer then takes the next action, at last safe stop. Where the rules say so, the
 //! strategy makes children depend on each other, or the child is essential, the supervisor
 //! escalates instead; and it does so too if the recoverer gives a child up that cannot be started,
 //! so that it is the same whether the plan or the intensity allows fewer attempts.
@@ -444,7 +444,7 @@ impl Supervisor {
         self.advance(now);
     }
 
-    /// The child has ended, as it was told.
+    /// The child has ended, as it was ordered.
     pub fn handle_stopped(&mut self, name: &ObjectName, incarnation: Incarnation, now: Instant) {
         let Some(key) = self.present(name, incarnation) else { return };
         if matches!(self.kept(key).state, ChildPhase::Stopping { .. }) {

@@ -158,7 +158,7 @@ impl Supervisor {
         let held_against = !matches!(cause, ReplacementCause::Behind | ReplacementCause::Asked);
         let is_worth_it = !held_against || self.count_restart(key, now);
         // An incarnation that is stuck is not given up for nothing: it may move again before the
-        // recoverer takes its next measure.
+        // recoverer takes its next action.
         if is_worth_it || cause == ReplacementCause::Died || !self.at_work() {
             self.end_now(key, cause);
             if !self.kept(key).is_alive() {
@@ -181,7 +181,7 @@ impl Supervisor {
     }
 
     /// The restart of a child was one too many. Unless the whole supervisor ends, it is left to the
-    /// recoverer's next measure.
+    /// recoverer's next action.
     fn leave_failed(&mut self, key: ChildKey) -> Result<(), GiveUpReason> {
         if !self.at_work() {
             return Ok(());

@@ -54,7 +54,7 @@ pub enum GiveUpReason {
     /// More restarts than the intensity allows, up to the root.
     #[error("given up: {reason}")]
     Escalated {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// There already is a child of this name.
@@ -120,7 +120,7 @@ pub enum SupervisorOutput {
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
-        /// Whose.
+        /// The child.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -130,7 +130,7 @@ pub enum SupervisorOutput {
     /// The request is fulfilled as far as it can be: the new incarnation waits for something that
     /// is not there yet, and tries again by itself.
     Waits {
-        /// Whose.
+        /// The child.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -139,7 +139,7 @@ pub enum SupervisorOutput {
     },
     /// The request is not going to be fulfilled.
     GaveUp {
-        /// Whose.
+        /// The child.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -153,7 +153,7 @@ pub enum SupervisorOutput {
         child: ObjectName,
         /// The incarnation that escalated.
         incarnation: Incarnation,
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// The supervisor has come as far as it can: a child waits for something that is not there yet,
@@ -184,12 +184,12 @@ pub enum SupervisorOutput {
     /// The root's restarts are not worth it any more: what must be safe is made safe now. All
     /// children are ended next, which takes its time.
     GiveUp {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// Restarts are not worth it any more; all children have ended. The next authority decides.
     Escalate {
-        /// Which limit was exceeded, by whom.
+        /// The limit that was exceeded, and the child that exceeded it.
         reason: String,
     },
     /// All children are at work for the first time in this incarnation.

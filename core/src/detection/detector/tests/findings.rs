@@ -185,7 +185,7 @@ fn every_way_that_does_not_exist_is_a_fault_and_every_other_is_none() {
             let wrong = entries.iter().filter(|e| e.fault.kind == FaultKind::CheckFailed);
             let expected = from != to && !from.may_reach(to);
             assert_eq!(wrong.count(), usize::from(expected), "{from} to {to}");
-            assert_eq!(bench.detector.state_of(&object("arm")), Some((ONE, to)));
+            assert_eq!(bench.state_of("arm"), Some((ONE, to)));
         }
     }
 }

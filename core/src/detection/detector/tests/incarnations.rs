@@ -17,6 +17,22 @@ fn an_incarnation_that_becomes_active_ends_the_faults_of_the_incarnations_before
 }
 
 #[test]
+fn an_insecure_network_stands_whatever_incarnation_of_its_transport_is_at_work() {
+    let mut bench = Bench::new();
+    bench.see("transport/lan", ONE, insecure());
+    bench.see("transport/lan", ONE, declared());
+    bench.outputs();
+
+    let restarted = Finding::Exited { exit: panicked(), restarted_as: Some(TWO) };
+    bench.see("transport/lan", ONE, restarted);
+    bench.see("transport/lan", TWO, state(Lifecycle::Active));
+
+    let standing: Vec<_> = bench.entries().into_iter().filter(|entry| entry.stands()).collect();
+    assert_eq!(standing.len(), 1);
+    assert_eq!(standing[0].fault.kind, FaultKind::Insecure);
+}
+
+#[test]
 fn an_incarnation_that_dies_before_it_is_active_is_the_same_fault_still() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
@@ -41,15 +57,14 @@ fn a_component_that_was_reset_is_recovered_when_it_is_active_again() {
 }
 
 #[test]
-fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_incarnation_is_at_work()
- {
+fn a_death_with_a_restart_by_the_guard_is_not_handed_over() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
 
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
 
     assert_eq!(bench.outputs(), ["Found 1"], "the next incarnation has not started yet");
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Created)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Created)));
     assert_eq!(bench.run_until(5), [""; 0]);
     bench.see("arm", TWO, state(Lifecycle::Active));
     assert_eq!(bench.outputs(), ["Recovered 1"]);
@@ -58,7 +73,7 @@ fn a_death_that_the_guard_mends_is_handed_to_nobody_and_recovered_when_the_next_
 }
 
 #[test]
-fn a_death_that_the_guard_could_not_mend_is_handed_over_with_the_end_of_the_next_incarnation() {
+fn a_death_whose_restart_fails_is_handed_over() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, Finding::Exited { exit: panicked(), restarted_as: Some(TWO) });
     assert_eq!(bench.outputs(), ["Found 1"]);
@@ -82,15 +97,14 @@ fn gave_up() -> RecoveryOutcome {
 }
 
 #[test]
-fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the_next_incarnation()
-{
+fn a_death_whose_restart_fails_shares_the_outcome_of_the_next_fault() {
     for failure in [state(Lifecycle::Fatal), state(Lifecycle::Error), hangs(&[]), silent()] {
         let mut bench = restarted_on_the_spot();
         bench.see("arm", TWO, failure);
         assert_eq!(bench.outputs(), ["Found 2", "+2"]);
 
-        let measure = RecoveryOutcome::Decided { measure: "restart".into() };
-        bench.detector.handle_outcome(FaultId(2), at(5), measure);
+        let action = RecoveryOutcome::Decided { action: "restart".into() };
+        bench.detector.handle_outcome(FaultId(2), at(5), action);
         assert_eq!(bench.outputs(), ["Decided 2", "Decided 1"]);
         bench.detector.handle_outcome(FaultId(2), at(9), gave_up());
 
@@ -104,7 +118,7 @@ fn a_death_that_the_guard_could_not_mend_shares_what_becomes_of_the_fault_of_the
 }
 
 #[test]
-fn a_death_that_the_guard_could_not_mend_is_given_up_where_no_recoverer_decides() {
+fn a_death_whose_restart_fails_is_given_up_without_a_decision() {
     let mut bench = restarted_on_the_spot();
     bench.see("arm", TWO, state(Lifecycle::Fatal));
 
@@ -114,7 +128,7 @@ fn a_death_that_the_guard_could_not_mend_is_given_up_where_no_recoverer_decides(
 }
 
 #[test]
-fn a_fault_that_only_the_next_incarnation_could_end_is_cleared_when_that_one_ends_in_order() {
+fn an_orderly_end_of_the_next_incarnation_clears_the_fault() {
     let reported = |bench: &mut Bench| {
         assert_eq!(bench.run_until(999), [""; 0], "another incarnation may follow");
         let outputs = bench.run_until(2000);
@@ -146,7 +160,7 @@ fn a_fault_that_only_the_next_incarnation_could_end_is_cleared_when_that_one_end
 }
 
 #[test]
-fn a_panic_that_is_told_after_the_next_incarnation_was_ended_or_given_up_ends_likewise() {
+fn a_panic_reported_after_the_next_incarnation_ended_ends_likewise() {
     let mut bench = Bench::new();
     bench.see("arm", TWO, exited(ExitReason::Stopped));
     bench.see("arm", ONE, exited(panicked()));
@@ -162,11 +176,11 @@ fn a_panic_that_is_told_after_the_next_incarnation_was_ended_or_given_up_ends_li
 }
 
 #[test]
-fn a_fault_that_the_next_incarnation_has_too_is_reminded_of_until_it_is_decided_again() {
+fn a_fault_of_the_next_incarnation_too_is_repeated_until_decided() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "+1"]);
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.outputs();
 
@@ -200,7 +214,7 @@ fn a_fault_whose_restart_came_to_wait_stands_until_the_incarnation_is_at_work() 
 }
 
 #[test]
-fn a_fault_whose_reset_came_to_wait_is_recovered_when_the_incarnation_is_active_again() {
+fn a_fault_whose_reset_waits_is_recovered_when_active_again() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, state(Lifecycle::Active));
     bench.see("arm", ONE, declared());
@@ -297,7 +311,7 @@ fn a_panic_of_an_older_incarnation_is_told_late_and_changes_nothing_else() {
     bench.see("arm", TWO, state(Lifecycle::Active));
     bench.see("arm", ONE, exited(panicked()));
     assert_eq!(bench.outputs(), ["Found 1", "Recovered 1"]);
-    assert_eq!(bench.detector.state_of(&object("arm")), Some((TWO, Lifecycle::Active)));
+    assert_eq!(bench.state_of("arm"), Some((TWO, Lifecycle::Active)));
 
     let mut bench = Bench::new();
     bench.see("arm", TWO, hangs(&[]));

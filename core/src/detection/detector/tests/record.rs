@@ -9,9 +9,9 @@ fn the_recoverer_s_word_is_recorded_and_told() {
     bench.see("arm", ONE, exited(panicked()));
     bench.outputs();
 
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
-    let failed = RecoveryOutcome::Failed { measure: "restart".into(), reason: "no".into() };
+    let failed = RecoveryOutcome::Failed { action: "restart".into(), reason: "no".into() };
     bench.detector.handle_outcome(FaultId(1), at(5), failed);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     bench.detector.handle_outcome(
@@ -47,7 +47,7 @@ fn what_was_given_up_stays_latched_for_that_incarnation_and_is_new_in_the_next()
 }
 
 #[test]
-fn what_isolation_contains_is_not_over_with_the_next_incarnation_while_that_is_isolated() {
+fn a_contained_fault_outlasts_its_incarnation_while_isolated() {
     let mut bench = Bench::new();
     let works = |bench: &mut Bench, incarnation| {
         bench.see("arm", incarnation, state(Lifecycle::Initialized));
@@ -69,10 +69,10 @@ fn what_isolation_contains_is_not_over_with_the_next_incarnation_while_that_is_i
 }
 
 #[test]
-fn a_link_stands_as_a_fault_until_it_is_up_again_though_its_traffic_was_re_routed() {
+fn a_link_fault_stands_until_the_link_is_up_though_re_routed() {
     let mut bench = Bench::new();
     bench.see("-eth-n", Incarnation(0), down());
-    let decided = RecoveryOutcome::Decided { measure: "re-route".into() };
+    let decided = RecoveryOutcome::Decided { action: "re-route".into() };
     bench.detector.handle_outcome(FaultId(1), at(3), decided);
     bench.detector.handle_outcome(FaultId(1), at(8), RecoveryOutcome::Recovered);
     assert_eq!(bench.outputs(), ["Found 1", "Decided 1", "Recovered 1", "+1"]);
@@ -115,7 +115,7 @@ fn a_node_that_leaves_in_order_takes_the_faults_of_its_links_along() {
 }
 
 #[test]
-fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_stays_up() {
+fn a_crash_loop_is_one_counted_fault_until_the_node_stays_up() {
     let mut bench = Bench::new();
     for incarnation in 1..=500 {
         bench.now = at(incarnation * 444);
@@ -137,7 +137,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
     assert!(symptoms.count() >= deaths.len() - 3);
 
     let id = loops[0].fault.id.0;
-    let observed = RecoveryOutcome::Decided { measure: "observe".into() };
+    let observed = RecoveryOutcome::Decided { action: "observe".into() };
     bench.detector.handle_outcome(FaultId(id), bench.now, observed);
     assert_eq!(bench.outputs(), [format!("Decided {id}")]);
     assert!(bench.run_until(222_000 + 59_999).is_empty());
@@ -145,7 +145,7 @@ fn a_node_that_dies_over_and_over_is_one_fault_that_is_counted_and_ends_when_it_
 }
 
 #[test]
-fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_loudly() {
+fn an_undecided_fault_is_handed_over_again_and_then_given_up() {
     let mut bench = Bench::new();
     bench.see("arm", ONE, exited(panicked()));
 
@@ -155,7 +155,7 @@ fn a_fault_on_which_nobody_decides_is_handed_over_again_and_in_the_end_given_up_
 }
 
 fn decided() -> RecoveryOutcome {
-    RecoveryOutcome::Decided { measure: "restart".into() }
+    RecoveryOutcome::Decided { action: "restart".into() }
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn a_fault_that_others_have_overtaken_is_given_up_while_they_are_decided() {
 }
 
 #[test]
-fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
+fn an_unnoticed_restart_of_a_node_is_found_and_recovered_at_once() {
     let mut bench = Bench::new();
 
     bench.see("@n", Incarnation(9), Finding::Node(NodeCondition::Restarted));
@@ -208,7 +208,7 @@ fn a_node_that_died_and_began_again_unnoticed_is_found_and_recovered_in_one() {
 }
 
 #[test]
-fn that_a_node_is_at_rest_stands_until_it_works_again_leaves_or_begins_anew() {
+fn a_safe_state_stands_until_the_node_works_leaves_or_restarts() {
     for over in [NodeCondition::AtWork, NodeCondition::Left, NodeCondition::Restarted] {
         let mut bench = Bench::new();
         let rest = || Finding::Node(NodeCondition::InSafeState { reason: "it panics".into() });

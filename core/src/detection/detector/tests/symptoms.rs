@@ -102,7 +102,7 @@ fn the_victims_of_a_hang_are_its_symptoms_before_and_after_it_is_found() {
 }
 
 #[test]
-fn a_victim_that_is_lost_is_a_symptom_also_when_the_culprit_was_replaced_long_ago() {
+fn a_lost_victim_is_a_symptom_after_its_culprit_was_replaced() {
     let mut bench = Bench::new();
     bench.depend("map", &[]);
     bench.see("laser", ONE, hangs(&["map"]));
@@ -131,7 +131,7 @@ fn a_victim_whose_thread_ends_before_it_was_replaced_is_a_symptom_of_the_hang() 
 }
 
 #[test]
-fn a_victim_that_is_silent_is_a_symptom_also_when_the_culprit_was_replaced_before() {
+fn a_silent_victim_is_a_symptom_after_its_culprit_was_replaced() {
     let mut bench = Bench::new();
     bench.depend("map", &[]);
     bench.see("laser", ONE, hangs(&["map"]));
@@ -147,7 +147,7 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
     let mut bench = Bench::new();
     bench.depend("map", &["laser"]);
     bench.see("laser", ONE, exited(panicked()));
-    let decided = RecoveryOutcome::Decided { measure: "restart".into() };
+    let decided = RecoveryOutcome::Decided { action: "restart".into() };
     bench.detector.handle_outcome(FaultId(1), at(0), decided);
     bench.see("map", ONE, silent());
     bench.outputs();
@@ -159,7 +159,7 @@ fn nobody_is_reminded_of_a_symptom_while_its_root_stands() {
 }
 
 #[test]
-fn who_is_silent_behind_an_overload_is_told_and_nothing_is_done_about_it_while_that_stands() {
+fn a_component_silent_behind_an_overload_is_reported_and_not_treated() {
     let mut bench = Bench::new();
     ["planner", "safety"].iter().for_each(|name| bench.depend(name, &[]));
     bench.see("planner", ONE, overloaded(&["safety"]));
@@ -174,7 +174,7 @@ fn who_is_silent_behind_an_overload_is_told_and_nothing_is_done_about_it_while_t
 }
 
 #[test]
-fn who_is_silent_because_the_computer_has_no_time_is_a_symptom_of_the_node() {
+fn a_silence_for_lack_of_processor_time_is_a_symptom_of_the_node() {
     let mut bench = Bench::new();
     bench.depend("safety", &[]);
     let (figures, victims) = (OverloadFigures::default(), [object("safety")].into());

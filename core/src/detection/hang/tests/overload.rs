@@ -78,7 +78,7 @@ fn overloads() -> String {
 }
 
 #[test]
-fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_the_root() {
+fn the_component_that_keeps_the_thread_is_the_root_of_missed_rounds() {
     let mut road = Road::new(10, 3);
     road.world.samples.queues[0] = QueueReading { queued: 7, oldest: ms(400) };
 
@@ -92,7 +92,7 @@ fn who_keeps_the_thread_while_a_neighbour_misses_its_rounds_is_overloaded_and_th
 }
 
 #[test]
-fn an_overload_that_grows_is_told_again_with_its_worst_figures_each_time_one_has_doubled() {
+fn an_overload_is_reported_again_each_time_a_figure_has_doubled() {
     let mut road = Road::new(10, 3);
     let mut reported = Vec::new();
     for oldest in [400, 450, 500, 790, 800, 300, 1700] {
@@ -139,7 +139,7 @@ fn a_load_about_the_limit_is_one_overload_with_one_root() {
 }
 
 #[test]
-fn a_neighbour_that_misses_rounds_on_a_thread_that_gets_no_processor_is_the_computers_victim() {
+fn rounds_missed_for_lack_of_processor_are_the_computers_fault() {
     let mut road = Road::new(10, 3);
     road.processor = Some((2, 8));
     road.world.samples.queues[0] = QueueReading { queued: 64, oldest: ms(1500) };
@@ -155,7 +155,7 @@ fn a_neighbour_that_misses_rounds_on_a_thread_that_gets_no_processor_is_the_comp
 }
 
 #[test]
-fn a_neighbour_that_is_silent_on_a_thread_that_gets_no_processor_is_told_after_the_computer() {
+fn a_silence_for_lack_of_processor_is_reported_after_the_computer() {
     let mut road = Road::new(10, 2);
     road.processor = Some((9, 1));
     road.pass(3000);
@@ -236,7 +236,7 @@ fn a_component_that_misses_rounds_on_a_free_thread_is_overloaded_itself() {
 }
 
 #[test]
-fn a_neighbour_that_is_silent_behind_a_kept_thread_is_told_after_its_root_at_once() {
+fn a_silence_behind_a_kept_thread_is_reported_after_its_root() {
     let mut road = Road::new(10, 2);
     road.pass(1000);
     road.rounds = 0;
@@ -322,7 +322,7 @@ fn messages_that_wait_are_seen_also_while_a_turn_of_many_holds_the_beat_up() {
 }
 
 #[test]
-fn a_component_that_is_asked_and_does_not_move_on_a_free_thread_is_stuck_and_not_silent() {
+fn a_component_that_takes_no_message_on_a_free_thread_is_stuck() {
     let mut world = World::new();
     let asked = HangLimits { max_silence: None, max_unanswered: Some(ms(300)), ..limits() };
     let asked = judged_by("victim", HangLimits { max_wait: Duration::MAX, ..asked });
@@ -361,7 +361,7 @@ fn a_stuck_component_misses_its_rounds_by_that_and_is_not_overloaded_as_well() {
 }
 
 #[test]
-fn a_component_that_gives_signs_by_its_rounds_and_is_flooded_is_overloaded_and_not_silent() {
+fn a_flooded_component_with_rounds_is_overloaded_and_not_silent() {
     let mut road = Road::new(10, 0);
     road.world.scanner.handle_leave(2);
     road.world.scanner.handle_enter(0, judged("culprit"));

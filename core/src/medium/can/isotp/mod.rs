@@ -309,11 +309,6 @@ impl IsoTp {
         self.poll_answer(now).or_else(|| self.poll_message(now))
     }
 
-    /// Whether [`poll_frame`](IsoTp::poll_frame) has one.
-    pub fn has_frame(&self) -> bool {
-        self.incoming.values().any(Reception::is_ready) || self.turn().is_some()
-    }
-
     /// Others wait for our word: it goes before what we have to say ourselves.
     fn poll_answer(&mut self, now: Instant) -> Option<CanFrame> {
         let (&(source, to_all), reception) =

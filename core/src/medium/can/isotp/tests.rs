@@ -224,7 +224,7 @@ fn a_receiver_without_room_lets_its_sender_wait_and_go_on() {
     let wait = bus.nodes[1].poll_frame(bus.now).unwrap();
     assert_eq!(wait.data()[0], 0x31);
     bus.nodes[0].handle_frame(&wait, bus.now);
-    assert!(!bus.nodes[0].has_frame());
+    assert_eq!(bus.nodes[0].poll_frame(bus.now), None);
 
     bus.nodes[1].handle_buffer(true, bus.now);
     bus.run();

@@ -13,7 +13,7 @@ fn incarnations_that_hang_as_the_node_ends_are_given_up_and_not_restarted() {
     let leg = fault(2, FaultKind::Hang, at("leg"), 3);
     assert_eq!(rig.find(leg), ["give up here:leg #3".to_owned(), expected(2)]);
     assert_eq!(rig.find(panic_of(3, "leg", 3)), [expected(3)], "it has ended");
-    assert_eq!(rig.machine.open_cases(), 0);
+    assert_eq!(rig.machine.cases.len(), 0);
 }
 
 #[test]
@@ -34,7 +34,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     let link = FaultLocation::Link { node: node(), link: "eth".into(), neighbour: None };
     let down = fault(5, FaultKind::LinkDown, link, 0);
     assert_eq!(rig.find(down), ["#2 reroute here -eth- against link down, 1"]);
-    assert_eq!(rig.machine.open_cases(), 1);
+    assert_eq!(rig.machine.cases.len(), 1);
 
     rig.machine = rig.machine.begun_anew(rig.now);
     rig.outputs();

@@ -45,7 +45,7 @@ fn one_that_could_still_be_asked_is_left_to_the_next_measure() {
 }
 
 #[test]
-fn one_that_is_stuck_and_not_worth_a_restart_is_given_up_by_the_next_measure() {
+fn a_stuck_child_without_restarts_left_goes_to_the_next_action() {
     let mut rig = apart(0, &[("a", permanent())]);
 
     let refused = rig.restart("a", ReplacementCause::Stuck, 1);
@@ -136,7 +136,7 @@ fn who_depend_on_each_other_escalate_together() {
 }
 
 #[test]
-fn who_counts_restarts_together_escalates_when_a_child_that_cannot_be_started_is_given_up() {
+fn a_shared_restart_count_escalates_for_a_child_that_cannot_start() {
     let children = ["a", "b"].map(|child| (child, permanent()));
     let group = SupervisorRules { strategy: Strategy::RestForOne, ..SupervisorRules::default() };
     for rules in [group, together()] {
@@ -175,7 +175,7 @@ fn who_counts_restarts_together_escalates_when_a_child_that_cannot_be_started_is
 }
 
 #[test]
-fn a_supervisor_below_that_is_not_worth_it_any_more_is_left_to_the_recoverer() {
+fn a_nested_supervisor_without_restarts_is_left_to_the_recoverer() {
     let mut rig = apart(1, &[("drive", permanent()), ("b", permanent())]);
     assert_eq!(rig.escalated("drive", 1), ["start drive #2"]);
     rig.started("drive", 2);

@@ -21,7 +21,7 @@ fn a_child_in_safe_rest_stays_there_until_a_person_brings_it_back() {
 }
 
 #[test]
-fn what_a_person_wants_is_counted_by_no_budget_and_needs_a_supervisor_at_work() {
+fn a_requested_restart_is_not_counted_and_needs_a_serving_supervisor() {
     let mut rig = Rig::with(Strategy::OneForOne, 1, &[("a", permanent())]);
     rig.begin();
     rig.started("a", 1);

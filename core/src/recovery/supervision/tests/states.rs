@@ -60,7 +60,7 @@ fn nothing_is_restarted_while_it_is_not_at_work() {
 }
 
 #[test]
-fn being_forsaken_gives_every_incarnation_up_and_a_new_beginning_starts_all() {
+fn abandoning_children_ends_all_and_a_new_start_starts_all() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Faulty, 1);
     rig.remove("c");

@@ -1,4 +1,4 @@
-//! Whom a failure concerns, and in which order they end and begin.
+//! Which children a failure affects, and in which order they end and begin.
 
 use super::*;
 
@@ -222,7 +222,7 @@ fn a_supervisor_of_a_group_is_told_beforehand_that_the_group_restarts() {
 }
 
 #[test]
-fn one_that_is_about_to_end_starts_nothing_and_answers_in_its_next_incarnation() {
+fn an_ending_supervisor_starts_nothing_and_answers_after_its_restart() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.machine.handle_end_expected();
 

@@ -65,7 +65,7 @@ fn one_that_waits_can_fail_and_be_stopped_as_any_other() {
 }
 
 #[test]
-fn an_incarnation_that_its_guard_had_begun_is_not_taken_for_the_one_that_was_told_to_start() {
+fn an_incarnation_begun_by_the_guard_is_not_the_ordered_one() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     assert_eq!(rig.restart("a", ReplacementCause::Stuck, 1), ["abandon a", "start a #2"]);
     // Its guard had restarted it as #2 just before, so that the new one is #3.

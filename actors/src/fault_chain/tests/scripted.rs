@@ -1,7 +1,7 @@
-//! Children that do as a test tells them, and the neighbours of a supervisor.
+//! Children that follow the script of a test, and the neighbours of a supervisor.
 
-use super::directory::SupervisorDirectory;
-use super::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
+use crate::fault_chain::directory::SupervisorDirectory;
+use crate::fault_chain::supervisor::{SupervisorActor, SupervisorChild, SupervisorSetup};
 use crate::runtime::guardian::Guardian;
 use actix::prelude::*;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};

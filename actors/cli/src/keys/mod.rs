@@ -1,0 +1,259 @@
+//! `blastema keys`: makes the keys of a robot's nodes, and changes the signed list of them.
+//!
+//! Nodes of this version do not use keys yet.
+
+mod edit;
+mod files;
+mod show;
+
+use self::files::{Existing, PUBLIC, SECRET, check_absent, folder_of, write};
+use crate::args::{KeysJob, RobotOption};
+use blastema::core::NodeName;
+use blastema::core::net::trust::crypto::{KEY_BYTES, Seed};
+use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
+use blastema::core::net::trust::policy::Role;
+use blastema::core::net::trust::roster::{NodeRoster, ROSTER_BYTES, RosterNode, RosterOrder};
+use rustix::io::Errno;
+use rustix::rand::{GetRandomFlags, getrandom};
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use zeroize::Zeroizing;
+
+/// Does what the command line says.
+///
+/// # Errors
+/// What is wrong, with the file, the line, and what to do.
+pub(crate) fn run(job: &KeysJob) -> Result<(), String> {
+    match job {
+        KeysJob::New { robot, nodes, out, roles } => new(robot, nodes, out, roles),
+        KeysJob::Show { files } => show::run(files),
+        KeysJob::Add { nodes, robot, roles } => {
+            Signer::open(robot)?.change(|signer| signer.add(nodes, roles))
+        }
+        KeysJob::Revoke { nodes, robot } => {
+            Signer::open(robot)?.change(|signer| signer.revoke(nodes))
+        }
+        KeysJob::Replace { nodes, robot } => {
+            Signer::open(robot)?.change(|signer| signer.replace(nodes))
+        }
+        KeysJob::Edit { robot, from } => {
+            let signer = Signer::open(robot)?;
+            let edited = edit::edited(&signer.robot.roster, &signer.path, from.as_deref())?;
+            signer.change(|signer| {
+                signer.robot.roster = edited;
+                Ok(Vec::new())
+            })
+        }
+    }
+}
+
+fn new(robot: &str, nodes: &[String], out: &Path, roles: &[String]) -> Result<(), String> {
+    let name = name(robot)?;
+    let path = out.join(format!("{robot}.robot"));
+    check_absent(&path)?;
+    check_absent(&roster_path(&path, &name))?;
+    let roster = NodeRoster::new(name, []).expect("it lists no node");
+    let mut signer = Signer { path, robot: RobotFile { seed: random_seed()?, roster } };
+    let keys = signer.add(nodes, roles)?;
+    write(&signer.path, &signer.robot.to_text(), SECRET, Existing::Keep)?;
+    said(&format!(
+        "{}: keep it off the robot, and a copy in a safe place\n",
+        signer.path.display()
+    ))?;
+    write_keys(&keys)?;
+    signer.write_roster(Existing::Keep)?;
+    said("Nodes of this version do not use keys yet.\n")
+}
+
+/// The file that signs the list of nodes.
+struct Signer {
+    path: PathBuf,
+    robot: RobotFile,
+}
+
+/// Files of keys that are to be written.
+type NewKeys = Vec<(PathBuf, Zeroizing<String>)>;
+
+impl Signer {
+    fn open(option: &RobotOption) -> Result<Self, String> {
+        let path = match &option.file {
+            Some(path) => path.clone(),
+            None => only_robot()?,
+        };
+        let text = files::read_secret(&path)?;
+        let robot = RobotFile::parse(&text);
+        let robot = robot.map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok(Signer { path, robot })
+    }
+
+    /// Changes the list, signs it with the next serial number, and writes everything: keys first, so
+    /// that no node is listed whose key was lost.
+    fn change(
+        mut self,
+        change: impl FnOnce(&mut Self) -> Result<NewKeys, String>,
+    ) -> Result<(), String> {
+        self.check_newest()?;
+        let before = self.robot.roster.clone();
+        let keys = change(&mut self)?;
+        if self.robot.roster == before {
+            return said("nothing was changed\n");
+        }
+        let serial = self.robot.roster.serial.checked_add(1);
+        self.robot.roster.serial = serial.ok_or("the serial number has reached its end")?;
+        if self.robot.roster.to_text().len() > ROSTER_BYTES {
+            return Err(format!("the list has more than {ROSTER_BYTES} bytes: shorten the policy"));
+        }
+        write_keys(&keys)?;
+        write(&self.path, &self.robot.to_text(), SECRET, Existing::Replace)?;
+        self.write_roster(Existing::Replace)
+    }
+
+    /// Refuses to go on from an old copy of the robot's file: there would be two lists of one serial
+    /// number.
+    fn check_newest(&self) -> Result<(), String> {
+        let path = roster_path(&self.path, &self.robot.roster.robot);
+        if fs::symlink_metadata(&path).is_err() {
+            return Ok(());
+        }
+        let text = files::read_public(&path)?;
+        let listed = NodeRoster::parse_signed(&text, &self.robot.seed.signer());
+        let listed = listed.map_err(|error| format!("{}: {error}", path.display()))?;
+        match self.robot.roster.order_of(&listed) {
+            RosterOrder::Same | RosterOrder::Older => Ok(()),
+            RosterOrder::Newer | RosterOrder::Conflicting => Err(format!(
+                "{} has serial {}, and {} has serial {} and another list: it is an old copy; use the \
+                 newest one",
+                path.display(),
+                listed.serial,
+                self.path.display(),
+                self.robot.roster.serial
+            )),
+        }
+    }
+
+    fn add(&mut self, nodes: &[String], roles: &[String]) -> Result<NewKeys, String> {
+        let roles = roles.iter().map(|text| role(text)).collect::<Result<Vec<_>, _>>()?;
+        if let Some((node, _)) = roles.iter().find(|(node, _)| !nodes.contains(node)) {
+            return Err(format!(
+                "--role {node}=…: {node} is none of the nodes that are named here"
+            ));
+        }
+        let mut keys = NewKeys::new();
+        for text in nodes {
+            let seed = random_seed()?;
+            let role =
+                roles.iter().find(|(node, _)| node == text).map_or(Role::Node, |(_, role)| *role);
+            let node = RosterNode { name: name(text)?, keys: seed.public_keys(), role };
+            self.robot.roster.add(node).map_err(|problem| format!("{text}: {problem}"))?;
+            keys.push(self.key_file(name(text)?, seed)?);
+        }
+        Ok(keys)
+    }
+
+    fn replace(&mut self, nodes: &[String]) -> Result<NewKeys, String> {
+        let mut keys = NewKeys::new();
+        for text in nodes {
+            let (node, seed) = (name(text)?, random_seed()?);
+            if !self.robot.roster.replace_keys(&node, seed.public_keys()) {
+                return Err(self.unlisted(text));
+            }
+            keys.push(self.key_file(node, seed)?);
+        }
+        Ok(keys)
+    }
+
+    fn revoke(&mut self, nodes: &[String]) -> Result<NewKeys, String> {
+        for text in nodes {
+            match self.robot.roster.remove(&name(text)?) {
+                Ok(Some(_)) => {}
+                Ok(None) => return Err(self.unlisted(text)),
+                Err(line) => {
+                    return Err(format!(
+                        "line {line} of the policy names {text} alone, and without it all nodes could \
+                         do what it closes: change or remove the line by `blastema keys edit` first"
+                    ));
+                }
+            }
+        }
+        Ok(NewKeys::new())
+    }
+
+    fn unlisted(&self, text: &str) -> String {
+        let names: Vec<&str> = self.robot.roster.nodes().iter().map(|n| n.name.as_str()).collect();
+        format!("{text} is not listed: the nodes are {}", names.join(", "))
+    }
+
+    fn key_file(&self, node: NodeName, seed: Seed) -> Result<(PathBuf, Zeroizing<String>), String> {
+        let path = folder_of(&self.path).join(format!("{node}.key"));
+        check_absent(&path)?;
+        let RobotFile { seed: robot_seed, roster } = &self.robot;
+        let (robot, signer) = (roster.robot.clone(), robot_seed.signer());
+        Ok((path, KeyFile { robot, node, seed, signer }.to_text()))
+    }
+
+    fn write_roster(&self, existing: Existing) -> Result<(), String> {
+        let RobotFile { seed, roster } = &self.robot;
+        let path = roster_path(&self.path, &roster.robot);
+        write(&path, &roster.sign(seed), PUBLIC, existing)?;
+        let (path, serial, nodes) = (path.display(), roster.serial, roster.nodes().len());
+        said(&format!("{path}: serial {serial}, {nodes} nodes: copy it to all nodes\n"))
+    }
+}
+
+fn write_keys(keys: &NewKeys) -> Result<(), String> {
+    for (path, text) in keys {
+        write(path, text, SECRET, Existing::Keep)?;
+        said(&format!("{}: copy it to the node's computer, for its user alone\n", path.display()))?;
+    }
+    Ok(())
+}
+
+fn roster_path(robot_file: &Path, robot: &NodeName) -> PathBuf {
+    folder_of(robot_file).join(format!("{robot}.roster"))
+}
+
+/// The only robot's file in this folder.
+fn only_robot() -> Result<PathBuf, String> {
+    let mut robots = show::files_here()?;
+    robots.retain(|path| path.extension().is_some_and(|kind| kind == "robot"));
+    match robots.as_slice() {
+        [robot] => Ok(robot.clone()),
+        [] => Err("no file here ends in .robot: name the robot's file by --robot".to_owned()),
+        _ => Err("several files here end in .robot: name one of them by --robot".to_owned()),
+    }
+}
+
+fn name(text: &str) -> Result<NodeName, String> {
+    NodeName::new(text).map_err(|error| error.to_string())
+}
+
+fn role(text: &str) -> Result<(String, Role), String> {
+    let wrong = || format!("--role {text}: write NODE=ROLE, as in laptop=operator");
+    let (node, role) = text.split_once('=').ok_or_else(wrong)?;
+    let role = Role::parse(role).map_err(|problem| format!("--role {text}: {problem}"))?;
+    Ok((node.to_owned(), role))
+}
+
+fn random_seed() -> Result<Seed, String> {
+    let mut bytes = Zeroizing::new([0; KEY_BYTES]);
+    let mut filled = 0;
+    while filled < bytes.len() {
+        match getrandom(&mut bytes[filled..], GetRandomFlags::empty()) {
+            Ok(more) => filled += more,
+            Err(Errno::INTR) => {}
+            Err(error) => {
+                return Err(format!(
+                    "the system gives no random numbers (getrandom: {error}): no key can be made"
+                ));
+            }
+        }
+    }
+    Ok(Seed::new(*bytes))
+}
+
+/// Prints on standard output.
+fn said(text: &str) -> Result<(), String> {
+    let written = io::stdout().write_all(text.as_bytes());
+    written.map_err(|error| format!("standard output cannot be written: {error}"))
+}

@@ -1,0 +1,49 @@
+//! What few components come to use.
+
+use crate::component::declaration::CellListener;
+use crate::component::exits::UntoldExits;
+use crate::messaging::death_watch::Watchers;
+use crate::messaging::injection::InjectionState;
+use blastema_core::delivery::quarantine::Quarantine;
+use blastema_core::{DeliveryError, Incarnation, MessageId};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// What few components come to use. A component has it once it has used any of it.
+#[derive(Default)]
+pub(crate) struct ColdState {
+    pub(crate) watchers: Watchers,
+    pub(crate) injected: InjectionState,
+    pub(crate) exits: UntoldExits,
+    quarantine: Mutex<Quarantine>,
+    listeners: Mutex<Vec<Arc<dyn CellListener>>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl ColdState {
+    /// Reports to a feature what becomes of the component.
+    pub(super) fn listen(&self, listener: impl CellListener + 'static) {
+        lock(&self.listeners).push(Arc::new(listener));
+    }
+
+    /// Reports to the features.
+    pub(super) fn announce(&self, what: impl Fn(&(dyn CellListener + 'static))) {
+        let listeners = lock(&self.listeners).clone();
+        listeners.iter().for_each(|listener| what(&**listener));
+    }
+
+    /// A message has killed an incarnation. Returns whether any message is quarantined now.
+    pub(super) fn record_kill(&self, id: MessageId, incarnation: Incarnation) -> bool {
+        let mut quarantine = lock(&self.quarantine);
+        quarantine.handle_kill(id, incarnation);
+        quarantine.is_active()
+    }
+
+    /// Why this message is refused, where it is quarantined.
+    pub(super) fn refusal(&self, id: MessageId) -> Option<DeliveryError> {
+        let kills = lock(&self.quarantine).refuses(id)?;
+        Some(DeliveryError::Quarantined { kills })
+    }
+}

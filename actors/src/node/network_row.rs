@@ -1,0 +1,47 @@
+//! A network as a user sees it: how far it reaches, and whether it is insecure.
+
+use blastema_contract::reports::FaultDeclared;
+use blastema_core::{FaultKind, Incarnation, ObjectName};
+use blastema_transports::Reach;
+use std::sync::Arc;
+use tracing::info;
+
+/// One network of a node, for display.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct NetworkRow {
+    /// The network's name.
+    pub network: Arc<str>,
+    /// Its medium, as in `udp://0.0.0.0:7400`.
+    pub medium: String,
+    /// How far its frames travel.
+    pub reach: Reach,
+    /// Whether it leaves this computer without authentication.
+    pub insecure: bool,
+}
+
+impl NetworkRow {
+    /// Tells the user of a network that other users of this computer can reach.
+    pub(in crate::node) fn log(&self) {
+        if self.reach == Reach::Computer {
+            info!(
+                network = %self.network,
+                "any user of this computer can speak to this node over {}", self.medium
+            );
+        }
+    }
+
+    /// The fault of an insecure network, declared of its transport.
+    pub(in crate::node) fn fault(&self) -> Option<FaultDeclared> {
+        let object = ObjectName::new(&format!("transport/{}", self.network)).ok()?;
+        self.insecure.then(|| FaultDeclared {
+            object,
+            incarnation: Incarnation::FIRST,
+            kind: FaultKind::Insecure,
+            detail: format!(
+                "network {} ({}) is insecure: every station on it can command this robot",
+                self.network, self.medium
+            ),
+        })
+    }
+}

@@ -1,0 +1,150 @@
+//! What a sealer knows of one peer.
+
+use super::admission::CookieJar;
+use super::channel::{OpenError, PeerChannels};
+use super::cipher::{CipherSuite, PUBLIC_KEY, SealCrypto};
+use super::handshake_frame::{HandshakeFrame, InitFrame};
+use super::noise::{CookieCipher, MacKey, derived_key};
+use crate::{Incarnation, Instant};
+use bytes::Bytes;
+use std::fmt;
+use zeroize::Zeroizing;
+
+/// A peer, its channels, and how far a handshake with it is.
+pub(super) struct SealedPeer<C: SealCrypto, A> {
+    pub(super) public: [u8; PUBLIC_KEY],
+    /// For `mac1`.
+    pub(super) filter: MacKey,
+    pub(super) cookie_cipher: CookieCipher,
+    pub(super) channels: PeerChannels<C::Cipher>,
+    /// The incarnation in which it was open last.
+    pub(super) was_open: Option<Incarnation>,
+    /// Where it is.
+    pub(super) address: Option<A>,
+    /// Where it has knocked from, for one init.
+    pub(super) knocked_from: Option<A>,
+    pub(super) approach: Approach<C::Handshake, A>,
+    pub(super) attempt: u32,
+    pub(super) retransmit_at: Option<Instant>,
+    pub(super) suite: CipherSuite,
+    pub(super) cookie: Option<([u8; 16], Instant)>,
+    /// Its next knock, and its next init with a cookie, are taken from here on.
+    pub(super) knock_at: Instant,
+    pub(super) proven_at: Instant,
+    /// What only a holder of the pair's key can have sent, and is wrong.
+    pub(super) refused: u64,
+}
+
+/// What this node does to have a channel with a peer.
+pub(super) enum Approach<H, A> {
+    /// Nothing.
+    Idle,
+    /// It sends an init as soon as it has a turn, or at its next attempt.
+    Waiting,
+    /// It has sent an init.
+    Asking { handshake: H, init: InitFrame, to: A, since: Instant },
+    /// The peer is the initiator: it has sent a knock.
+    Knocking,
+    /// It has sealed frames under new keys, and has received none.
+    Confirming { to: A, since: Instant },
+}
+
+impl<C: SealCrypto, A> SealedPeer<C, A> {
+    pub(super) fn new(public: [u8; PUBLIC_KEY], secret: [u8; 32], suite: CipherSuite) -> Self {
+        let secret = Zeroizing::new(secret);
+        SealedPeer {
+            public,
+            filter: MacKey::new(&*derived_key(&secret, "filter")),
+            cookie_cipher: CookieCipher::new(&derived_key(&secret, "cookie")),
+            channels: PeerChannels::default(),
+            was_open: None,
+            address: None,
+            knocked_from: None,
+            approach: Approach::Idle,
+            attempt: 0,
+            retransmit_at: None,
+            suite,
+            cookie: None,
+            knock_at: Instant::ORIGIN,
+            proven_at: Instant::ORIGIN,
+            refused: 0,
+        }
+    }
+
+    pub(super) fn has_key(&self, public: &[u8; PUBLIC_KEY]) -> bool {
+        self.public == *public
+    }
+
+    pub(super) fn set_address(&mut self, address: A) {
+        self.address = Some(address);
+    }
+
+    pub(super) fn stop(&mut self) {
+        self.approach = Approach::Idle;
+        self.retransmit_at = None;
+    }
+
+    pub(super) fn is_idle(&self) -> bool {
+        matches!(self.approach, Approach::Idle)
+    }
+
+    pub(super) fn retransmit_due(&self) -> Option<Instant> {
+        self.retransmit_at
+    }
+
+    /// Both ends use the present channel. Returns whether these are new keys for a peer that was
+    /// open in the same incarnation.
+    ///
+    /// The address that a frame came from may be forged. It does not replace one that the caller has
+    /// given, or that has answered an init.
+    pub(super) fn handle_open(&mut self, incarnation: Incarnation, from: A) -> bool {
+        self.stop();
+        self.address.get_or_insert(from);
+        self.was_open.replace(incarnation) == Some(incarnation)
+    }
+
+    /// The numbers of its channels, and of the handshake, in frames to this node.
+    pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
+        let asking = match &self.approach {
+            Approach::Asking { init, .. } => Some(init.channel),
+            _ => None,
+        };
+        self.channels.local_numbers().chain(asking)
+    }
+
+    /// The init that was sent and waits for an answer, if it has this number.
+    pub(super) fn asked(&self, number: u32) -> Option<&InitFrame> {
+        match &self.approach {
+            Approach::Asking { init, .. } if init.channel == number => Some(init),
+            _ => None,
+        }
+    }
+
+    /// A frame with the code that proves the pair's key, and for an init the cookie.
+    pub(super) fn encoded(&self, frame: &HandshakeFrame, now: Instant) -> Bytes {
+        let cookie = self.cookie.filter(|(_, since)| now - *since < CookieJar::GOOD_FOR);
+        let mac2 = |bytes: &[u8]| {
+            cookie.map_or([0; 8], |(cookie, _)| MacKey::new(&cookie).short_mac(&[bytes]))
+        };
+        frame.encode(|bytes| self.filter.short_mac(&[bytes]), mac2).into()
+    }
+
+    /// Whether the frame's sender has the pair's key.
+    pub(super) fn has_proof(&self, frame: &HandshakeFrame, bytes: &[u8]) -> Result<(), OpenError> {
+        let (covered, mac) = frame.mac1(bytes);
+        if self.filter.verify_short(&[covered], mac) { Ok(()) } else { Err(OpenError::Filtered) }
+    }
+}
+
+impl<C: SealCrypto, A> fmt::Debug for SealedPeer<C, A> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let approach = match self.approach {
+            Approach::Idle => "idle",
+            Approach::Waiting => "waiting",
+            Approach::Asking { .. } => "asking",
+            Approach::Knocking => "knocking",
+            Approach::Confirming { .. } => "confirming",
+        };
+        write!(f, "SealedPeer({approach}, open as {:?})", self.was_open)
+    }
+}

@@ -1,0 +1,29 @@
+//! Keys of nodes, the signed list of a robot's nodes, and what each of them may do: the texts and
+//! the rules, without IO.
+//!
+//! ```text
+//! ranger.robot   signs the list of nodes; never on the robot     RobotFile
+//! base.key       one node's secret, and who signs                KeyFile
+//! ranger.roster  the signed list: nodes, keys, roles, policy     NodeRoster
+//! ```
+//!
+//! | file | concept |
+//! | --- | --- |
+//! | `crypto` | the only one that knows cryptographic libraries: seeds, public keys, signatures |
+//! | `text` | lines of words, keys in base64url, errors with line numbers |
+//! | `key_file` | the two files that hold a secret |
+//! | `roster` | the list, its canonical text, its signature, its serial number |
+//! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
+//!
+//! Nodes of this version do not use keys yet: nothing outside of the command-line program reads
+//! these files. What this module does not do: it reads no file and no clock, and takes randomness as
+//! an argument.
+
+pub mod crypto;
+pub mod key_file;
+pub mod policy;
+pub mod roster;
+pub mod text;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,109 @@
+//! How far the frames of an endpoint travel, and its text without settings.
+
+use super::{CanConfig, Endpoint, SlcanConfig};
+use crate::reach::Reach;
+use std::fmt;
+#[cfg(any(feature = "udp", feature = "tcp"))]
+use std::net::IpAddr;
+
+impl Endpoint {
+    /// How far its frames travel. An IP socket stays in the computer only if its own address is a
+    /// loopback address: an unspecified one (`0.0.0.0`, `::`) is reached over every interface. A
+    /// multicast group of IPv6 is joined on an interface of the system's choice.
+    pub fn reach(&self) -> Reach {
+        match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(config) if config.group.is_some_and(|group| group.is_ipv6()) => {
+                Reach::Network
+            }
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(config) => reach_of(config.bind.ip()),
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(config) => reach_of(config.bind.ip()),
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(_) => Reach::CheckedUsers,
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(_) => Reach::Network,
+            Endpoint::Can(_) | Endpoint::Slcan(_) => Reach::Network,
+            Endpoint::Memory(_) => Reach::Process,
+        }
+    }
+}
+
+#[cfg(any(feature = "udp", feature = "tcp"))]
+fn reach_of(own: IpAddr) -> Reach {
+    if own.to_canonical().is_loopback() { Reach::Computer } else { Reach::Network }
+}
+
+/// The medium and the place, without settings: `udp://0.0.0.0:7400`.
+impl fmt::Display for Endpoint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}://", self.medium())?;
+        match self {
+            #[cfg(feature = "udp")]
+            Endpoint::Udp(config) => write!(f, "{}", config.group.unwrap_or(config.bind)),
+            #[cfg(feature = "tcp")]
+            Endpoint::Tcp(config) => write!(f, "{}", config.bind),
+            #[cfg(feature = "unix")]
+            Endpoint::Unix(config) => write!(f, "{}", config.path.display()),
+            #[cfg(feature = "serial")]
+            Endpoint::Serial(config) => write!(f, "{}", config.path.display()),
+            Endpoint::Can(CanConfig { interface, .. }) => f.write_str(interface),
+            Endpoint::Slcan(SlcanConfig { path, .. }) => write!(f, "{}", path.display()),
+            Endpoint::Memory(name) => f.write_str(name),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_endpoint_leaves_the_computer_unless_its_own_address_or_its_medium_keeps_it_there() {
+        let check = |text: &str, reach| {
+            let endpoint: Endpoint = text.parse().unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(endpoint.reach(), reach, "{text}");
+            assert_eq!(reach.leaves_computer(), reach == Reach::Network);
+            assert_eq!(endpoint.to_string(), text.split('?').next().unwrap());
+        };
+        check("memory://left", Reach::Process);
+        #[cfg(feature = "unix")]
+        check("unix:///run/a.sock", Reach::CheckedUsers);
+        #[cfg(feature = "serial")]
+        check("serial:///dev/ttyUSB0?baud=9600", Reach::Network);
+        check("can://can0", Reach::Network);
+        check("slcan:///dev/ttyACM0", Reach::Network);
+        let mut media = Vec::new();
+        if cfg!(feature = "udp") {
+            media.push("udp");
+        }
+        if cfg!(feature = "tcp") {
+            media.push("tcp");
+        }
+        for medium in media {
+            for (address, reach) in [
+                ("127.0.0.1:7400", Reach::Computer),
+                ("127.9.8.7:7400", Reach::Computer),
+                ("[::1]:7400", Reach::Computer),
+                ("[::ffff:127.0.0.1]:7400", Reach::Computer),
+                ("0.0.0.0:7400", Reach::Network),
+                ("[::]:7400", Reach::Network),
+                ("10.0.0.1:7400", Reach::Network),
+                ("[fd00::1]:7400", Reach::Network),
+                ("[::ffff:10.0.0.1]:7400", Reach::Network),
+                ("0.0.0.0:7400?interface=lo", Reach::Network),
+            ] {
+                check(&format!("{medium}://{address}"), reach);
+            }
+        }
+        #[cfg(feature = "udp")]
+        for (text, reach) in [
+            ("udp://239.255.0.1:7400", Reach::Network),
+            ("udp://239.255.0.1:7400?own=127.0.0.1:7401", Reach::Computer),
+            ("udp://[ff15::1]:7400?own=[::1]:7401", Reach::Network),
+        ] {
+            check(text, reach);
+        }
+    }
+}
