@@ -138,7 +138,7 @@ fn a_failed_activation_at_the_start_is_reported_at_the_end() {
 }
 
 #[test]
-fn a_failed_start_that_is_told_to_stop_answers_that_only() {
+fn a_failed_start_that_is_stopped_reports_only_the_stop() {
     let mut lifecycle = IncarnationLifecycle::new();
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
