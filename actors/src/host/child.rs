@@ -1,7 +1,7 @@
 //! What a supervisor does with a hosted component.
 
 use super::executor::{ComponentExecutor, SharedExecutor};
-use super::lifecycle::is_message;
+use super::lifecycle::{is_last_hook, is_message};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
@@ -11,7 +11,7 @@ use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
 use blastema_contract::child::{Child, ChildEvent, ChildReport, RestartGrant};
-use blastema_core::{DeliveryError, Incarnation, Lifecycle, ObjectName};
+use blastema_core::{DeliveryError, FaultKind, Incarnation, Lifecycle, ObjectName};
 use std::any::Any;
 use std::sync::Arc;
 
@@ -47,6 +47,48 @@ impl<C: Component> ComponentChild<C> {
         }
     }
 
+    /// Ends the present incarnation without waiting for it. `is_overdue`: it has had its time.
+    fn cut_off(&mut self, is_overdue: bool) {
+        let record = &self.cell.record;
+        let Some(incarnation) = self.cell.queue.owner() else { return };
+        self.cell.queue.leave(incarnation);
+        let placement = record.take_placement();
+        if let Some(placement) = &placement {
+            record.keep_unwinding(incarnation, placement);
+        }
+        record.tell_exits(incarnation);
+        if let Some(placement) = placement {
+            placement.token.end();
+            record.environment.watch_list.leave(placement.slot.index);
+            let reading = placement.slot.activity.read();
+            let during = label::name(reading.during);
+            if reading.turn % 2 == 1 && is_message(during) {
+                record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
+            }
+            record.record_fatal_message(incarnation);
+            let heartbeat = &placement.arbiter.heartbeat;
+            if heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here() {
+                // The hang detector judges it no more.
+                if is_overdue && is_last_hook(during) && !heartbeat.is_fenced() {
+                    let what = if reading.turn % 2 == 1 { during } else { "its Drop" };
+                    let detail = format!("{what} keeps its thread, and its stop was cut off");
+                    record.declare(FaultKind::Hang, detail);
+                }
+                record.environment.arbiters.fence(&placement.arbiter, &record.name);
+                self.kept_thread = true;
+            }
+        }
+        // A handler that awaits is dropped by its own executor, which sees that it has been given
+        // up.
+        if let Some(control) = self.cell.control() {
+            control.wake();
+        }
+        self.cell.set_control(None);
+        record.announce(|listener| listener.deactivated());
+        let (object, ending) = (record.name.clone(), DownReason::Abandoned);
+        record.tell_watchers(|| Down { object, node: None, incarnation, ending });
+    }
+
     fn tell(&self, incarnation: Incarnation, event: ChildEvent) {
         if let Some(report) = &self.report {
             let object = self.cell.record.name.clone();
@@ -65,7 +107,7 @@ impl<C: Component> Child for ComponentChild<C> {
         incarnation: Incarnation,
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation {
-        self.abandon();
+        self.cut_off(false);
         self.report = Some(report.clone());
         let record = &self.cell.record;
         record.set_state(Lifecycle::Created);
@@ -118,43 +160,12 @@ impl<C: Component> Child for ComponentChild<C> {
     }
 
     fn retire(&mut self) {
-        self.abandon();
+        self.cut_off(false);
         self.cell.end();
     }
 
     fn abandon(&mut self) {
-        let record = &self.cell.record;
-        let Some(incarnation) = self.cell.queue.owner() else { return };
-        self.cell.queue.leave(incarnation);
-        let placement = record.take_placement();
-        if let Some(placement) = &placement {
-            record.keep_unwinding(incarnation, placement);
-        }
-        record.tell_exits(incarnation);
-        if let Some(placement) = placement {
-            placement.token.end();
-            record.environment.watch_list.leave(placement.slot.index);
-            let reading = placement.slot.activity.read();
-            let during = label::name(reading.during);
-            if reading.turn % 2 == 1 && is_message(during) {
-                record.record_dead_letter(during, &DeliveryError::PeerDied { incarnation });
-            }
-            record.record_fatal_message(incarnation);
-            let heartbeat = &placement.arbiter.heartbeat;
-            if heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here() {
-                record.environment.arbiters.fence(&placement.arbiter, &record.name);
-                self.kept_thread = true;
-            }
-        }
-        // A handler that awaits is dropped by its own executor, which sees that it has been given
-        // up.
-        if let Some(control) = self.cell.control() {
-            control.wake();
-        }
-        self.cell.set_control(None);
-        record.announce(|listener| listener.deactivated());
-        let (object, ending) = (record.name.clone(), DownReason::Abandoned);
-        record.tell_watchers(|| Down { object, node: None, incarnation, ending });
+        self.cut_off(true);
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {

@@ -70,6 +70,12 @@ pub(crate) fn is_message(during: &str) -> bool {
     HOOKS.iter().chain([&CONDITION, &FACTORY, &TIMER]).all(|known| known.name != during)
 }
 
+/// Whether this is the name of a hook with which an incarnation ends, or leaves its work.
+pub(crate) fn is_last_hook(during: &str) -> bool {
+    let last = [Hook::Deactivated, Hook::Aborting, Hook::Shutdown, Hook::Finalize];
+    last.iter().any(|hook| hook.name() == during)
+}
+
 /// How an incarnation ends that does not panic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EndReason {

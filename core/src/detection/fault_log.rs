@@ -62,6 +62,11 @@ impl FaultLog {
         self.latches.values().filter_map(|id| Some(&self.entries.get(id)?.fault))
     }
 
+    /// Every fault that is recorded, the latest first, whether it stands or not.
+    pub(super) fn latest_first(&self) -> impl Iterator<Item = &Fault> {
+        self.entries.values().rev().map(|entry| &entry.fault)
+    }
+
     /// Whether this fault still stands, given up or not.
     pub fn stands(&self, id: FaultId) -> bool {
         self.entries.get(&id).is_some_and(|entry| {

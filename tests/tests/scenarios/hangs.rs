@@ -318,3 +318,36 @@ fn a_hang_restarts_a_group_with_a_supervisor_in_it_in_order_and_once() {
         });
     }
 }
+
+#[test]
+fn a_stop_that_keeps_its_thread_is_a_hang_and_what_stands_behind_it_its_symptom() {
+    for (last, named) in
+        [("on_deactivated", "on_deactivated"), ("on_finalize", "on_finalize"), ("drop", "its Drop")]
+    {
+        blastema::run(async {
+            let strings = Strings::default();
+            // It may compute for long: its stop is cut off before the hang detector minds.
+            let arm = strings.spec("arm").max_block(LONG).shutdown_within(Duration::ZERO);
+            let builder = Node::builder("module1").work_threads(1).child(arm);
+            let builder = builder.child(strings.spec("leg")).grace(Duration::from_millis(50));
+            let mut node = start(builder).await;
+            strings.pull("arm", last, Pull::Block);
+
+            let restarted = tokio::task::spawn_local({
+                let node = Node::clone(&node);
+                async move { node.restart_child("arm").await }
+            });
+            let arm = node.await_fault(FaultKind::Hang, "arm").await;
+            let leg = node.await_fault(FaultKind::Hang, "leg").await;
+
+            assert!(arm.detail.contains(named), "{arm:?}");
+            assert_eq!((arm.symptom_of, leg.symptom_of), (None, Some(arm.id)), "{leg:?}");
+            restarted.await.unwrap().expect("it is replaced on another thread");
+            for name in ["arm", "leg"] {
+                assert_eq!(patiently(&node, name).await, 2, "{last}: {name}");
+            }
+            strings.release();
+            node.shutdown().await;
+        });
+    }
+}

@@ -19,6 +19,8 @@ pub(crate) enum Pull {
     Wait(Duration),
     /// It does not return before this line is in the diary.
     WaitFor(&'static str),
+    /// It keeps its thread until the puppets are released.
+    Block,
 }
 
 /// What a puppet is asked to do, while it serves the request or afterwards.
@@ -145,8 +147,10 @@ impl Strings {
     }
 
     fn act_at_once(&self, name: &str, hook: &str) {
-        if let Some(Pull::Panic(text)) = self.next(name, hook) {
-            panic!("{text}");
+        match self.next(name, hook) {
+            Some(Pull::Panic(text)) => panic!("{text}"),
+            Some(Pull::Block) => self.block(),
+            _ => {}
         }
     }
 }
@@ -170,6 +174,10 @@ impl Puppet {
             Some(Pull::Panic(text)) => panic!("{text}"),
             Some(Pull::Wait(span)) => {
                 tokio::time::sleep(span).await;
+                Ok(())
+            }
+            Some(Pull::Block) => {
+                strings.block();
                 Ok(())
             }
             Some(Pull::WaitFor(line)) => {

@@ -89,7 +89,7 @@ impl Detector {
                 self.end_kind(&scene, &FaultKind::Hang);
             }
             Finding::Lost { culprit } => {
-                let cause = self.behind.get(object).map_or(Cause::Above, |&id| Cause::Known(id));
+                let cause = self.cause_of_loss(object, &culprit, scene.at);
                 let detail = format!("it stands still behind {culprit}, which does not return");
                 self.find(&scene, FaultKind::Hang, detail, cause);
             }
@@ -436,6 +436,24 @@ impl Detector {
 
     /// An object that stands still does so behind a hang, or because of what else is wrong with
     /// itself, or because of what it depends on.
+    /// The hang that kept the thread; where the culprit was cut off before it was found to hang,
+    /// what was found of the culprit shortly before.
+    fn cause_of_loss(&self, victim: &ObjectName, culprit: &ObjectName, at: Instant) -> Cause {
+        let since = at - (Instant::ORIGIN + self.limits.hindsight);
+        let is_at_culprit = |fault: &Fault| match &fault.location {
+            FaultLocation::Object(address) => address.object == *culprit,
+            _ => false,
+        };
+        let of_culprit = || {
+            let mut latest = self.fault_log.latest_first();
+            latest
+                .find(|fault| is_down(fault) && is_at_culprit(fault))
+                .and_then(|fault| (fault.found_at - Instant::ORIGIN >= since).then_some(fault.id))
+        };
+        let behind = self.behind.get(victim).copied();
+        behind.or_else(of_culprit).map_or(Cause::Above, Cause::Known)
+    }
+
     fn cause_of_standstill(&self, object: &ObjectName, scene: &Scene) -> Cause {
         // Also where the culprit has been replaced elsewhere: its victims stand until they are
         // freed.
