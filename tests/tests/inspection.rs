@@ -2,6 +2,7 @@
 
 use blastema::StartError;
 use blastema::prelude::*;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -43,7 +44,15 @@ fn fragile(socket: &Path) -> blastema::NodeBuilder {
 async fn look(socket: &Path) -> String {
     let seen = async {
         let mut text = String::new();
-        let mut socket = UnixStream::connect(socket).await.expect("the node is shown");
+        let mut socket = loop {
+            match UnixStream::connect(socket).await {
+                // As many as the system lets wait do so already.
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    tokio::time::sleep(Duration::from_millis(1)).await;
+                }
+                connected => break connected.expect("the node is shown"),
+            }
+        };
         socket.read_to_string(&mut text).await.expect("it is text");
         text
     };
