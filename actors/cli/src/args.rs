@@ -107,7 +107,8 @@ pub(crate) enum Subcommand {
     /// Make and change the keys of a robot's nodes
     ///
     /// Nodes of this version do not use keys yet: their networks are neither authenticated nor
-    /// encrypted, whatever files there are. The files made here are those that a later version reads.
+    /// encrypted, whatever files there are. The files made here are those that a later version
+    /// reads.
     ///
     /// ROBOT.robot signs the list of nodes: keep it off the robot, with a copy in a safe place.
     /// NODE.key is the secret of one node. ROBOT.roster is the signed list of all nodes, with their
@@ -188,8 +189,8 @@ pub(crate) enum KeysJob {
     },
     /// Show names, roles, fingerprints and serial numbers, and never a secret
     ///
-    /// The signature of a list is checked by the robot's public key, which stands in ROBOT.robot and
-    /// in each NODE.key: name one of them too.
+    /// The signature of a list is checked by the robot's public key, which stands in ROBOT.robot
+    /// and in each NODE.key: name one of them too.
     #[command(after_help = KEYS_HELP)]
     Show {
         /// Files of robots, nodes and lists; by default all of them in this folder
@@ -228,8 +229,8 @@ pub(crate) enum KeysJob {
     },
     /// Change roles and the policy in an editor ($VISUAL, $EDITOR or vi)
     ///
-    /// The text is checked, and signed with the next serial number. Names, keys and the serial number
-    /// stay as they are.
+    /// The text is checked, and signed with the next serial number. Names, keys and the serial
+    /// number stay as they are.
     #[command(after_help = KEYS_HELP)]
     Edit {
         #[command(flatten)]

@@ -1,12 +1,12 @@
 //! What a supervisor does with a hosted component.
 
 use super::executor::{ComponentExecutor, SharedExecutor};
-use super::lifecycle::{is_last_hook, is_message};
+use super::lifecycle::{is_message, is_start};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::component::Component;
 use crate::component::cell::ComponentCell;
 use crate::component::control::{CommandQueue, HostCommand};
-use crate::liveness::label;
+use crate::liveness::{label, sampler};
 use crate::messaging::death_watch::{Down, DownReason, Watchable, Watcher};
 use crate::messaging::injection::Injection;
 use actix::Recipient;
@@ -68,9 +68,10 @@ impl<C: Component> ComponentChild<C> {
             record.record_fatal_message(incarnation);
             let heartbeat = &placement.arbiter.heartbeat;
             if heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here() {
-                // The hang detector judges it no more.
-                if is_overdue && is_last_hook(during) && !heartbeat.is_fenced() {
-                    let what = if reading.turn % 2 == 1 { during } else { "its Drop" };
+                // The hang detector judges it no more. A start that is overdue is another fault.
+                if is_overdue && !is_start(during) && !heartbeat.is_fenced() {
+                    let is_named = reading.turn % 2 == 1 || reading.tasks || reading.condition;
+                    let what = if is_named { sampler::during(&reading) } else { "its Drop" };
                     let detail = format!("{what} keeps its thread, and its stop was cut off");
                     record.declare(FaultKind::Hang, detail);
                 }

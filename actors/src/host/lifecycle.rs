@@ -70,10 +70,10 @@ pub(crate) fn is_message(during: &str) -> bool {
     HOOKS.iter().chain([&CONDITION, &FACTORY, &TIMER]).all(|known| known.name != during)
 }
 
-/// Whether this is the name of a hook with which an incarnation ends, or leaves its work.
-pub(crate) fn is_last_hook(during: &str) -> bool {
-    let last = [Hook::Deactivated, Hook::Aborting, Hook::Shutdown, Hook::Finalize];
-    last.iter().any(|hook| hook.name() == during)
+/// Whether what runs under this name is a part of the start.
+pub(crate) fn is_start(during: &str) -> bool {
+    let hooks = [Hook::Initialize, Hook::Startup, Hook::Activated].map(Hook::label);
+    hooks.into_iter().chain([&FACTORY]).any(|known| known.name == during)
 }
 
 /// How an incarnation ends that does not panic.
@@ -146,8 +146,8 @@ pub(crate) struct IncarnationLifecycle {
 }
 
 impl IncarnationLifecycle {
-    /// An incarnation that is about to be initialised and activated. Its supervisor waits to hear of
-    /// it.
+    /// An incarnation that is about to be initialised and activated. Its supervisor waits for a
+    /// report of that.
     pub(crate) fn new() -> Self {
         IncarnationLifecycle {
             state: Lifecycle::Created,

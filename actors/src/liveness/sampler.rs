@@ -548,7 +548,7 @@ impl Sampler {
 }
 
 /// What runs, for display.
-fn during(reading: &ActivitySample) -> &'static str {
+pub(crate) fn during(reading: &ActivitySample) -> &'static str {
     match reading {
         ActivitySample { condition: true, .. } => label::CONDITION.name,
         ActivitySample { tasks: true, .. } => label::TASK,

@@ -321,9 +321,12 @@ fn a_hang_restarts_a_group_with_a_supervisor_in_it_in_order_and_once() {
 
 #[test]
 fn a_stop_that_keeps_its_thread_is_a_hang_and_what_stands_behind_it_its_symptom() {
-    for (last, named) in
-        [("on_deactivated", "on_deactivated"), ("on_finalize", "on_finalize"), ("drop", "its Drop")]
-    {
+    for (what, named) in [
+        ("on_deactivated", "on_deactivated"),
+        ("on_finalize", "on_finalize"),
+        ("drop", "its Drop"),
+        ("a handler", "test/do"),
+    ] {
         blastema::run(async {
             let strings = Strings::default();
             // It may compute for long: its stop is cut off before the hang detector minds.
@@ -331,7 +334,16 @@ fn a_stop_that_keeps_its_thread_is_a_hang_and_what_stands_behind_it_its_symptom(
             let builder = Node::builder("module1").work_threads(1).child(arm);
             let builder = builder.child(strings.spec("leg")).grace(Duration::from_millis(50));
             let mut node = start(builder).await;
-            strings.pull("arm", last, Pull::Block);
+            strings.pull("arm", what, Pull::Block);
+            if what == "a handler" {
+                node.sender("arm").unwrap().tell(Do(Deed::Block("leg".into()))).unwrap();
+                let begins = async {
+                    while node.row("arm").await.current.is_none() {
+                        tokio::time::sleep(Duration::from_millis(5)).await;
+                    }
+                };
+                tokio::time::timeout(LONG, begins).await.expect("the handler begins");
+            }
 
             let restarted = tokio::task::spawn_local({
                 let node = Node::clone(&node);
@@ -344,7 +356,7 @@ fn a_stop_that_keeps_its_thread_is_a_hang_and_what_stands_behind_it_its_symptom(
             assert_eq!((arm.symptom_of, leg.symptom_of), (None, Some(arm.id)), "{leg:?}");
             restarted.await.unwrap().expect("it is replaced on another thread");
             for name in ["arm", "leg"] {
-                assert_eq!(patiently(&node, name).await, 2, "{last}: {name}");
+                assert_eq!(patiently(&node, name).await, 2, "{what}: {name}");
             }
             strings.release();
             node.shutdown().await;

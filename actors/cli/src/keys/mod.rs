@@ -87,8 +87,8 @@ impl Signer {
         Ok(Signer { path, robot })
     }
 
-    /// Changes the list, signs it with the next serial number, and writes everything: keys first, so
-    /// that no node is listed whose key was lost.
+    /// Changes the list, signs it with the next serial number, and writes everything: keys first,
+    /// so that no node is listed whose key was lost.
     fn change(
         mut self,
         change: impl FnOnce(&mut Self) -> Result<NewKeys, String>,
@@ -109,8 +109,8 @@ impl Signer {
         self.write_roster(Existing::Replace)
     }
 
-    /// Refuses to go on from an old copy of the robot's file: there would be two lists of one serial
-    /// number.
+    /// Refuses to go on from an old copy of the robot's file: there would be two lists of one
+    /// serial number.
     fn check_newest(&self) -> Result<(), String> {
         let path = roster_path(&self.path, &self.robot.roster.robot);
         if fs::symlink_metadata(&path).is_err() {
