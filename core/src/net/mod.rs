@@ -38,6 +38,7 @@ pub mod active_alarms;
 pub mod discovery;
 pub mod isolation;
 pub mod link;
+pub mod link_layer;
 pub mod peer_protocol;
 pub mod refusal_alarms;
 pub mod routing;
@@ -52,6 +53,7 @@ pub use link::{
     HELLO_INTERVAL, HELLO_INTERVAL_RANGE, Link, LinkConfig, LinkOutput, LinkState, Neighbour,
     PEER_TIMEOUT, Quality,
 };
+pub use link_layer::{AddLinkError, LinkLayer, LinkLayerOutput, NeighbourKey};
 pub use peer_protocol::receive_backlog::ReceiveBacklog;
 pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;

@@ -98,6 +98,18 @@ impl Link {
         };
         let interval_before = record.arrivals.interval();
         let same = record.neighbour.is(hello);
+        if self.authenticated.is_some() {
+            // Its key has proved its incarnation, and its seal that the hello is no repeat.
+            if same && interval == interval_before {
+                let arrival = record.arrivals.handle(hello.sequence, now);
+                if arrival == HelloArrival::Old {
+                    self.refusals.stale += 1;
+                }
+                return arrival;
+            }
+            self.begin_with(hello, interval, now);
+            return HelloArrival::New { missed: 0 };
+        }
         let highest = record.arrivals.highest();
         if same
             && interval == interval_before

@@ -33,6 +33,10 @@ pub struct LinkSet {
     bus: Option<SortedMap<LinkId, SentState>>,
     greetings: VecDeque<GatherBuffer>,
     stalled: Option<Duration>,
+    /// What a seal adds to each frame, in bytes.
+    overhead: usize,
+    /// The links share a medium, and each sends its own hellos.
+    shared: bool,
 }
 
 /// The last entry that was sent to a neighbour.
@@ -64,6 +68,11 @@ impl LinkSet {
     /// From this lateness on, neighbours with the usual hello interval of 50 ms find two hellos
     /// missing.
     const STALL: Duration = Duration::from_millis(100);
+
+    /// No links yet. A seal adds so many bytes to each frame of theirs.
+    pub fn with_overhead(bytes: usize) -> Self {
+        LinkSet { overhead: bytes, ..LinkSet::default() }
+    }
 
     /// Adds a link, or replaces it.
     pub fn insert(&mut self, number: LinkId, mut link: Link) {
@@ -108,6 +117,13 @@ impl LinkSet {
         }
     }
 
+    /// The links share the medium, and no frame reaches all neighbours: their hellos together take
+    /// no more of it than those of one link elsewhere.
+    pub fn handle_shared_medium(&mut self) {
+        self.shared = true;
+        self.pace();
+    }
+
     /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most on
     /// each link, or a tenth together on a bus.
     pub fn handle_rate(&mut self, bytes_per_second: u64) {
@@ -134,11 +150,13 @@ impl LinkSet {
     fn pace(&mut self) {
         match (self.bytes_per_second, &self.bus) {
             (Some(rate), None) => {
+                let links = if self.shared { self.machines.iter().count().max(1) } else { 1 };
+                let (share, overhead) = (rate / links as u64, self.overhead as u64);
                 // The rate is that of both directions together.
-                let bytes = 2 * (self.mtu as u64 + 2 * Link::FRAMING);
+                let bytes = 2 * (self.mtu as u64 + overhead + 2 * Link::FRAMING);
                 let whole = Duration::from_nanos(bytes.saturating_mul(1_000_000_000) / rate.max(1));
                 self.each(|link| {
-                    link.handle_rate(rate);
+                    link.handle_rate(share, overhead);
                     link.slow_down(whole);
                 });
             }

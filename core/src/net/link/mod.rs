@@ -58,6 +58,9 @@ pub struct Link {
     config: LinkConfig,
     state: LinkState,
     neighbour: Option<NeighbourRecord>,
+    /// The incarnation in which the neighbour is, as its key has proved; `None` where frames are
+    /// not sealed.
+    authenticated: Option<Incarnation>,
     /// A sender whose hellos contradict that, and which has not proved yet that it receives ours.
     claimant: Option<Claimant>,
     next_hello: Instant,
@@ -139,6 +142,7 @@ impl Link {
             config,
             state: LinkState::Connecting,
             neighbour: None,
+            authenticated: None,
             claimant: None,
             next_hello: now,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
@@ -259,6 +263,17 @@ impl Link {
         }
     }
 
+    /// The neighbour has proved by its key that it is there, in this incarnation. A link that an
+    /// earlier one used goes down at once. Hellos of any other incarnation are refused from here
+    /// on.
+    pub fn handle_authenticated(&mut self, incarnation: Incarnation, now: Instant) {
+        self.authenticated = Some(incarnation);
+        let other = self.neighbour().is_some_and(|known| known.incarnation != incarnation);
+        if other && self.carries() {
+            self.go_down("the neighbour has restarted", now);
+        }
+    }
+
     /// The interface has lost its carrier: the cable is pulled, or the other end is switched off.
     /// Later hellos prove the contrary. The reason is for display.
     pub fn handle_no_carrier(&mut self, reason: &'static str, now: Instant) {
@@ -269,10 +284,11 @@ impl Link {
         }
     }
 
-    /// The medium carries so many bytes in a second. Hellos take a twentieth of that at most.
-    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+    /// The medium carries so many bytes in a second, and a seal adds so many to each frame. Hellos
+    /// take a twentieth of that at most.
+    pub fn handle_rate(&mut self, bytes_per_second: u64, overhead: u64) {
         let hello = self.hello(Instant::ORIGIN, 0);
-        let length = Frame::Hello(hello).encode().len() as u64 + Self::FRAMING;
+        let length = Frame::Hello(hello).encode().len() as u64 + overhead + Self::FRAMING;
         let nanos = (length * 20).saturating_mul(1_000_000_000) / bytes_per_second.max(1);
         self.slow_down(Duration::from_nanos(nanos));
     }
@@ -312,6 +328,10 @@ impl Link {
         }
         if let Err(refusal) = self.check_name(&hello) {
             self.refuse(refusal);
+            return;
+        }
+        if self.authenticated.is_some_and(|proved| proved != hello.incarnation) {
+            self.refusals.unexpected += 1;
             return;
         }
         (self.doubted, self.refused) = (None, None);

@@ -272,7 +272,7 @@ fn a_link_whose_carrier_comes_and_goes_begins_its_proof_anew_each_time() {
 fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
     // 9600 baud, ten bits a byte: 52 bytes of hello are 54 ms of it.
     let mut cable = running();
-    cable.ends.iter_mut().for_each(|end| end.handle_rate(960));
+    cable.ends.iter_mut().for_each(|end| end.handle_rate(960, 0));
 
     let interval = cable.ends[0].hello_interval();
     assert!(interval > Duration::from_millis(1000), "{interval:?}");
@@ -280,7 +280,7 @@ fn hellos_take_a_twentieth_of_a_slow_medium_and_the_neighbour_keeps_up() {
     assert_eq!(cable.states(), [LinkState::Up; 2]);
 
     let mut fast = Link::new(config("left", 1), at(0));
-    fast.handle_rate(1_000_000);
+    fast.handle_rate(1_000_000, 0);
     assert_eq!(fast.hello_interval(), Duration::from_millis(10));
 }
 

@@ -44,6 +44,14 @@ impl SealProfile {
         }
     }
 
+    /// The bytes that a seal adds to a frame.
+    pub const fn overhead(self) -> usize {
+        match self {
+            SealProfile::Full => 8 + 16,
+            SealProfile::Compact => 4 + 8,
+        }
+    }
+
     /// How many bits of the counter travel.
     pub(super) const fn counter_bits(self) -> u32 {
         match self {

@@ -88,6 +88,9 @@ pub enum ChannelPurpose {
     Path,
 }
 
+/// An init, an answer, and what a medium adds to each.
+const EXCHANGE_BYTES: u64 = 89 + 76 + 16;
+
 /// How a sealer behaves.
 #[derive(Clone, Debug)]
 pub struct SealerConfig {
@@ -233,6 +236,13 @@ pub struct SealRefusals {
 }
 
 impl SealRefusals {
+    /// All of them, but duplicates, which every network makes.
+    pub fn total(&self) -> u64 {
+        let SealRefusals { malformed, unknown, stale: _, forged, filtered, repeated: _, limited } =
+            self;
+        malformed.total() + unknown + forged + filtered + limited
+    }
+
     fn count(&mut self, error: &OpenError) {
         match error {
             OpenError::Malformed(error) => self.malformed.count(error),
@@ -348,6 +358,25 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             self.begin(peer, now);
             self.rearm();
         }
+    }
+
+    /// The peer is at this address now. Where a handshake is under way, it goes on where it began.
+    pub fn set_address(&mut self, peer: NodeId, address: A) {
+        if let Some(known) = self.peers.get_mut(&peer) {
+            known.set_address(address);
+        }
+    }
+
+    /// How many bytes a seal adds to a frame.
+    pub fn overhead(&self) -> usize {
+        self.config.profile.overhead()
+    }
+
+    /// The medium carries so many bytes in a second, both ways together: an init is repeated only
+    /// when an answer would be there.
+    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+        let nanos = (EXCHANGE_BYTES * 1_000_000_000) / bytes_per_second.max(1);
+        self.config.exchange_time = Duration::from_nanos(nanos);
     }
 
     /// Stops asking the peer for a channel. One that is open stays so.

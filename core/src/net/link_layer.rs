@@ -1,0 +1,417 @@
+//! The links of one network, with the address of each neighbour and, where nodes have keys, its
+//! seals.
+//!
+//! ```text
+//!  router ──packets, routing──► LinkSet ──frames──► Sealer ──sealed frames──► transport
+//!         ◄────────────────────         ◄─────────        ◄─────────────────
+//! ```
+//!
+//! **Without keys** a frame belongs to the link that leads to the address which it came from.
+//!
+//! **With keys** every frame is sealed for the neighbour, hellos included, and a frame belongs to
+//! the link whose neighbour has sealed it: an address proves nothing. What nobody of this robot has
+//! sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
+//! another incarnation has restarted; its link goes down at once. A bus carries sealed hellos from
+//! each node to each other instead of one greeting to all.
+//!
+//! A connection of a stream medium whose other end is not known yet has an address of its own. The
+//! first frame on it that a neighbour has sealed makes it the neighbour's
+//! ([`LinkLayerOutput::Adopt`]).
+
+use super::link::Link;
+use super::link::LinkOutput;
+use super::link::link_set::{LinkSet, LinkSetOutput};
+use super::seal::cipher::PUBLIC_KEY;
+use super::seal::{
+    ChannelStatus, FrameLane, OpenedFrame, PeerKeyError, SealCrypto, SealRefusals, Sealer,
+    SealerOutput,
+};
+use super::wire::Refusals;
+use super::wire::frame::{is_hello, is_urgent};
+use super::wire::link_id::LinkId;
+use super::wire::node_id::NodeId;
+use crate::sorted::SortedMap;
+use crate::{GatherBuffer, Incarnation, Instant, Machine};
+use bytes::Bytes;
+use std::collections::VecDeque;
+use std::hash::Hash;
+use std::time::Duration;
+
+/// A neighbour's key, by which its frames are opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NeighbourKey {
+    /// The neighbour.
+    pub node: NodeId,
+    /// Its static public key.
+    pub public: [u8; PUBLIC_KEY],
+}
+
+/// Why a link cannot be added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddLinkError {
+    /// The network is sealed, and there is no key of the neighbour.
+    #[error("the network is sealed, and the neighbour has no key")]
+    NoKey,
+    /// Another link of this network leads to the same node.
+    #[error("another link of this network leads to the same node")]
+    PeerTwice,
+    /// The key is none.
+    #[error(transparent)]
+    Key(#[from] PeerKeyError),
+}
+
+/// What the links of a network want done.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LinkLayerOutput<A> {
+    /// What a link wants done; it is never to transmit.
+    Of(LinkId, LinkOutput),
+    /// Give this frame to the transport.
+    Transmit {
+        /// Where to.
+        to: A,
+        /// The frame, as the medium carries it.
+        frame: GatherBuffer,
+        /// What it may overtake.
+        lane: FrameLane,
+    },
+    /// This connection is the neighbour's at this address: it has sealed a frame there.
+    Adopt {
+        /// The address of the connection.
+        connection: A,
+        /// The address of the neighbour.
+        peer: A,
+    },
+    /// The first frame of an address that no link leads to.
+    Stranger(A),
+    /// This node was not run for so long: a timer fired so late.
+    Stalled(Duration),
+    /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
+    /// heard.
+    KeyInUse {
+        /// The neighbour's link.
+        link: LinkId,
+        /// The incarnation that is heard.
+        open: Incarnation,
+        /// The other one, which is refused.
+        refused: Incarnation,
+    },
+    /// No new keys could be agreed on with the neighbour in time: its link goes down.
+    KeyWornOut(LinkId),
+}
+
+/// Where a link leads.
+#[derive(Clone, Debug)]
+struct LinkEnd<A> {
+    address: A,
+    /// The neighbour, where frames are sealed for it.
+    peer: Option<NodeId>,
+}
+
+/// The machine of all links of one network. `A` are the medium's addresses.
+#[derive(Debug)]
+pub struct LinkLayer<C: SealCrypto, A> {
+    links: LinkSet,
+    sealer: Option<Sealer<C, A>>,
+    ends: SortedMap<LinkId, LinkEnd<A>>,
+    by_address: SortedMap<A, LinkId>,
+    by_peer: SortedMap<NodeId, LinkId>,
+    /// Where all nodes are reached at once, on a bus whose frames are not sealed.
+    bus: Option<A>,
+    /// What came from addresses that no link leads to.
+    strangers: Refusals,
+    outputs: VecDeque<LinkLayerOutput<A>>,
+}
+
+impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
+    /// No links yet. With a sealer, all frames are sealed.
+    pub fn new(sealer: Option<Sealer<C, A>>) -> Self {
+        let overhead = sealer.as_ref().map_or(0, Sealer::overhead);
+        LinkLayer {
+            links: LinkSet::with_overhead(overhead),
+            sealer,
+            ends: SortedMap::new(),
+            by_address: SortedMap::new(),
+            by_peer: SortedMap::new(),
+            bus: None,
+            strangers: Refusals::default(),
+            outputs: VecDeque::new(),
+        }
+    }
+
+    /// Adds a link to the neighbour at this address; where frames are sealed, with its key.
+    ///
+    /// # Errors
+    /// [`AddLinkError`]; nothing was added.
+    pub fn insert(
+        &mut self,
+        number: LinkId,
+        link: Link,
+        address: A,
+        key: Option<NeighbourKey>,
+        now: Instant,
+    ) -> Result<(), AddLinkError> {
+        let mut peer = None;
+        if let Some(sealer) = &mut self.sealer {
+            let NeighbourKey { node, public } = key.ok_or(AddLinkError::NoKey)?;
+            if self.by_peer.contains_key(&node) {
+                return Err(AddLinkError::PeerTwice);
+            }
+            sealer.add_peer(node, &public)?;
+            sealer.connect(node, address.clone(), now);
+            self.by_peer.insert(node, number);
+            peer = Some(node);
+        }
+        self.by_address.insert(address.clone(), number);
+        self.ends.insert(number, LinkEnd { address, peer });
+        self.links.insert(number, link);
+        self.collect(now);
+        Ok(())
+    }
+
+    /// Takes a link out, and forgets its keys.
+    pub fn remove(&mut self, number: LinkId) {
+        self.links.remove(number);
+        let Some(LinkEnd { address, peer }) = self.ends.remove(&number) else { return };
+        self.by_address.remove(&address);
+        if let (Some(sealer), Some(peer)) = (&mut self.sealer, peer) {
+            self.by_peer.remove(&peer);
+            sealer.remove_peer(peer);
+        }
+    }
+
+    /// A link.
+    pub fn get(&self, number: LinkId) -> Option<&Link> {
+        self.links.get(number)
+    }
+
+    /// All links, in the order of their numbers.
+    pub fn iter(&self) -> impl Iterator<Item = (LinkId, &Link)> {
+        self.links.iter()
+    }
+
+    /// The link that leads to this address.
+    pub fn link_at(&self, address: &A) -> Option<LinkId> {
+        self.by_address.get(address).copied()
+    }
+
+    /// Whether frames are sealed.
+    pub fn is_sealed(&self) -> bool {
+        self.sealer.is_some()
+    }
+
+    /// How many bytes of a frame the seal takes.
+    pub fn overhead(&self) -> usize {
+        self.sealer.as_ref().map_or(0, Sealer::overhead)
+    }
+
+    /// The keys of a link, while its neighbour has agreed on them.
+    pub fn channel(&self, number: LinkId) -> Option<ChannelStatus> {
+        self.sealer.as_ref()?.channel(self.ends.get(&number)?.peer?)
+    }
+
+    /// What was refused of a link's neighbour: only it can have sent it.
+    pub fn refused_of(&self, number: LinkId) -> Refusals {
+        let link = self.links.get(number).map(Link::refusals).unwrap_or_default();
+        let peer = self.ends.get(&number).and_then(|end| end.peer);
+        let handshakes =
+            self.sealer.as_ref().zip(peer).map_or(0, |(sealer, peer)| sealer.refused_of(peer));
+        Refusals { unexpected: link.unexpected + handshakes, ..link }
+    }
+
+    /// What was refused that came from addresses which no link leads to; nothing where frames are
+    /// sealed.
+    pub fn strangers(&self) -> Refusals {
+        self.strangers
+    }
+
+    /// What was refused without proof of its sender; `None` where frames are not sealed.
+    pub fn seal_refusals(&self) -> Option<&SealRefusals> {
+        self.sealer.as_ref().map(Sealer::refusals)
+    }
+
+    /// Gives one link an input.
+    pub fn with_link<T>(
+        &mut self,
+        number: LinkId,
+        now: Instant,
+        input: impl FnOnce(&mut Link) -> T,
+    ) -> Option<T> {
+        let result = self.links.get_mut(number).map(input);
+        self.collect(now);
+        result
+    }
+
+    /// The medium has received a frame from this address.
+    pub fn handle_frame(&mut self, from: A, frame: Bytes, now: Instant) {
+        let opened = match &mut self.sealer {
+            Some(sealer) => match sealer.handle_frame(frame, &from, now) {
+                Ok(Some(OpenedFrame { peer, plain, .. })) => {
+                    Some((self.by_peer.get(&peer).copied(), plain))
+                }
+                // The sealer's own, or counted by it.
+                Ok(None) | Err(_) => None,
+            },
+            None => Some((self.by_address.get(&from).copied(), frame)),
+        };
+        // What a frame proves counts before what it says.
+        self.collect(now);
+        let Some((link, frame)) = opened else { return };
+        match link.and_then(|link| self.links.get_mut(link)) {
+            Some(link) => link.handle_frame(frame, now),
+            None => {
+                if self.strangers.total() == 0 {
+                    self.outputs.push_back(LinkLayerOutput::Stranger(from));
+                }
+                self.strangers.unexpected += 1;
+            }
+        }
+        self.collect(now);
+    }
+
+    /// The medium's largest frame has so many bytes.
+    pub fn handle_mtu(&mut self, mtu: usize) {
+        self.links.handle_mtu(mtu.saturating_sub(self.overhead()));
+    }
+
+    /// The medium carries so many bytes in a second.
+    pub fn handle_rate(&mut self, bytes_per_second: u64) {
+        if let Some(sealer) = &mut self.sealer {
+            sealer.handle_rate(bytes_per_second);
+        }
+        self.links.handle_rate(bytes_per_second);
+    }
+
+    /// Every node of the medium receives every frame that is sent to this address.
+    pub fn handle_bus(&mut self, all: A) {
+        match self.sealer {
+            // A greeting to all would be under a key of all.
+            Some(_) => self.links.handle_shared_medium(),
+            None => {
+                self.bus = Some(all);
+                self.links.handle_bus();
+            }
+        }
+    }
+
+    /// Takes what links and sealer want done: the links' frames are sealed here.
+    fn collect(&mut self, now: Instant) {
+        loop {
+            self.collect_sealer(now);
+            let Some(output) = self.links.poll_output() else { break };
+            match output {
+                LinkSetOutput::Of(link, LinkOutput::Transmit(frame)) => {
+                    self.transmit(link, frame, now);
+                }
+                LinkSetOutput::Of(link, output) => {
+                    self.outputs.push_back(LinkLayerOutput::Of(link, output));
+                }
+                LinkSetOutput::Greet(frame) => {
+                    if let Some(to) = self.bus.clone() {
+                        let lane = FrameLane::Hello;
+                        self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
+                    }
+                }
+                LinkSetOutput::Stalled(gap) => {
+                    self.outputs.push_back(LinkLayerOutput::Stalled(gap));
+                }
+            }
+        }
+    }
+
+    fn transmit(&mut self, link: LinkId, frame: GatherBuffer, now: Instant) {
+        let Some(end) = self.ends.get(&link) else { return };
+        let lane = match &frame {
+            frame if is_hello(frame) => FrameLane::Hello,
+            frame if is_urgent(frame) => FrameLane::Urgent,
+            _ => FrameLane::Usual,
+        };
+        let frame = match (&mut self.sealer, end.peer) {
+            (Some(sealer), Some(peer)) => {
+                // Before the handshake there is nobody to hear it.
+                let Some(sealed) = sealer.seal(peer, lane, &frame.pieces(), now) else { return };
+                sealed.into()
+            }
+            _ => frame,
+        };
+        let to = end.address.clone();
+        self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
+    }
+
+    fn collect_sealer(&mut self, now: Instant) {
+        // Where a connection was adopted, its own address leads nowhere any more.
+        let mut adopted: Option<(A, A)> = None;
+        while let Some(output) = self.sealer.as_mut().and_then(Machine::poll_output) {
+            match output {
+                SealerOutput::Transmit { to, frame } => {
+                    let to = match &adopted {
+                        Some((connection, peer)) if *connection == to => peer.clone(),
+                        _ => to,
+                    };
+                    let lane = FrameLane::Hello;
+                    let frame = frame.into();
+                    self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
+                }
+                SealerOutput::PeerOpen { peer: node, address, payload, .. } => {
+                    let Some(link) = self.by_peer.get(&node).copied() else { continue };
+                    if let Some(own) = self.ends.get(&link).map(|end| end.address.clone())
+                        && own != address
+                    {
+                        let (connection, peer) = (address.clone(), own.clone());
+                        self.outputs.push_back(LinkLayerOutput::Adopt { connection, peer });
+                        if let Some(sealer) = &mut self.sealer {
+                            sealer.set_address(node, own.clone());
+                        }
+                        adopted = Some((address, own));
+                    }
+                    if let Some(link) = self.links.get_mut(link) {
+                        link.handle_authenticated(payload.incarnation, now);
+                    }
+                }
+                SealerOutput::KeyInUse { peer, open, refused } => {
+                    let Some(link) = self.by_peer.get(&peer).copied() else { continue };
+                    self.outputs.push_back(LinkLayerOutput::KeyInUse { link, open, refused });
+                }
+                SealerOutput::KeyWornOut { peer } => {
+                    let Some(link) = self.by_peer.get(&peer).copied() else { continue };
+                    if let Some(link) = self.links.get_mut(link) {
+                        link.handle_loss(now);
+                    }
+                    self.outputs.push_back(LinkLayerOutput::KeyWornOut(link));
+                }
+            }
+        }
+    }
+}
+
+impl<C: SealCrypto, A: Clone + Ord + Hash> Machine for LinkLayer<C, A> {
+    type Output = LinkLayerOutput<A>;
+
+    fn poll_output(&mut self) -> Option<LinkLayerOutput<A>> {
+        self.outputs.pop_front()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        let sealer = self.sealer.as_ref().and_then(|sealer| {
+            // One message of a handshake costs some 0.2 ms: each has a turn of its own.
+            if sealer.has_handshake_step() { Some(Instant::ORIGIN) } else { sealer.poll_timeout() }
+        });
+        [self.links.poll_timeout(), sealer].into_iter().flatten().min()
+    }
+
+    fn handle_timeout(&mut self, now: Instant) {
+        let due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
+        if due(self.links.poll_timeout()) {
+            self.links.handle_timeout(now);
+        }
+        if let Some(sealer) = &mut self.sealer {
+            sealer.handle_turn(now);
+            if due(sealer.poll_timeout()) {
+                sealer.handle_timeout(now);
+            }
+        }
+        self.collect(now);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,350 @@
+//! Two nodes on one medium, whose links are sealed, and what others do on that medium.
+
+use super::*;
+use crate::net::link::{LinkConfig, LinkState};
+use crate::net::seal::{NoiseCrypto, SealerConfig};
+use crate::net::wire::frame::{Frame, Hello};
+use crate::net::wire::hello_state::HelloState;
+use crate::{Incarnation, NodeName};
+use std::collections::BTreeSet;
+
+/// An address of the medium: below 10 a node's, from 10 on a connection of no known node.
+type Address = u32;
+type End = LinkLayer<NoiseCrypto, Address>;
+
+const LINK: LinkId = LinkId(7);
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn name(node: usize) -> NodeName {
+    NodeName::new(["left", "right"][node]).unwrap()
+}
+
+fn key(node: usize) -> NeighbourKey {
+    let public = NoiseCrypto::new([node as u8 + 1; 32]).public_key();
+    NeighbourKey { node: NodeId::of(&name(node)), public }
+}
+
+fn link(node: usize, incarnation: u64, now: u64) -> Link {
+    let expected = Some(name(1 - node));
+    Link::new(
+        LinkConfig { expected, ..LinkConfig::new(name(node), Incarnation(incarnation)) },
+        at(now),
+    )
+}
+
+/// A node of this number with its link to the other, which is at the address of that number.
+fn end(node: usize, incarnation: u64, now: u64) -> End {
+    let config = SealerConfig::new(NodeId::of(&name(node)), Incarnation(incarnation), "ranger");
+    let crypto = NoiseCrypto::new([node as u8 + 1; 32]);
+    let seed = [node as u8 + 10 * incarnation as u8; 32];
+    let mut end = LinkLayer::new(Some(Sealer::new(config, crypto, seed, at(now))));
+    end.handle_mtu(1_000);
+    let added = end.insert(
+        LINK,
+        link(node, incarnation, now),
+        1 - node as u32,
+        Some(key(1 - node)),
+        at(now),
+    );
+    added.expect("both have keys");
+    end
+}
+
+/// The medium takes a millisecond.
+struct World {
+    ends: [End; 2],
+    /// Where each end's frames come from, as the other sees it.
+    from: [Address; 2],
+    now: u64,
+    in_flight: Vec<(u64, usize, Bytes)>,
+    sent: Vec<(usize, Address, Bytes)>,
+    outputs: Vec<(u64, usize, LinkLayerOutput<Address>)>,
+}
+
+impl World {
+    fn new() -> Self {
+        World {
+            ends: [end(0, 1, 0), end(1, 1, 0)],
+            from: [0, 1],
+            now: 0,
+            in_flight: vec![],
+            sent: vec![],
+            outputs: vec![],
+        }
+    }
+
+    fn up() -> Self {
+        let mut world = World::new();
+        world.run(500);
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        world.outputs.clear();
+        world
+    }
+
+    fn states(&self) -> [LinkState; 2] {
+        [0, 1].map(|node| self.ends[node].get(LINK).unwrap().state())
+    }
+
+    fn run(&mut self, millis: u64) {
+        for _ in 0..millis {
+            self.now += 1;
+            let now = at(self.now);
+            let arrived: Vec<_> = self.in_flight.extract_if(.., |f| f.0 <= self.now).collect();
+            for (_, node, frame) in arrived {
+                self.ends[1 - node].handle_frame(self.from[node], frame, now);
+            }
+            for node in 0..2 {
+                // A turn each, as an actor has it.
+                for _ in 0..3 {
+                    if self.ends[node].poll_timeout().is_some_and(|due| due <= now) {
+                        self.ends[node].handle_timeout(now);
+                    }
+                }
+                self.poll(node);
+            }
+        }
+    }
+
+    fn poll(&mut self, node: usize) {
+        while let Some(output) = self.ends[node].poll_output() {
+            match output {
+                LinkLayerOutput::Transmit { to, frame, .. } => {
+                    let frame = frame.into_bytes();
+                    self.in_flight.push((self.now + 1, node, frame.clone()));
+                    self.sent.push((node, to, frame));
+                }
+                output => self.outputs.push((self.now, node, output)),
+            }
+        }
+    }
+
+    fn packet(&mut self, node: usize, text: &'static str) {
+        let now = at(self.now);
+        self.ends[node]
+            .with_link(LINK, now, |link| link.handle_packet(Bytes::from_static(text.as_bytes())));
+        self.poll(node);
+    }
+
+    fn packets(&self, node: usize) -> Vec<Bytes> {
+        let of = |(_, at, output): &(u64, usize, LinkLayerOutput<Address>)| match output {
+            LinkLayerOutput::Of(LINK, LinkOutput::Packet(bytes)) if *at == node => {
+                Some(bytes.clone())
+            }
+            _ => None,
+        };
+        self.outputs.iter().filter_map(of).collect()
+    }
+
+    fn changes(&self, node: usize) -> Vec<(LinkState, &'static str)> {
+        let of = |(_, at, output): &(u64, usize, LinkLayerOutput<Address>)| match output {
+            LinkLayerOutput::Of(LINK, LinkOutput::Changed { state, reason, .. }) if *at == node => {
+                Some((*state, *reason))
+            }
+            _ => None,
+        };
+        self.outputs.iter().filter_map(of).collect()
+    }
+}
+
+/// A hello as the neighbour `node` would say it, not sealed.
+fn hello(node: usize, incarnation: u64, sequence: u32) -> Bytes {
+    let hello = Hello {
+        node: name(node),
+        incarnation: Incarnation(incarnation),
+        sequence,
+        interval_us: 50_000,
+        stance: HelloState::Down,
+        loss_permille: 0,
+        echo: None,
+    };
+    Frame::Hello(hello).encode()
+}
+
+#[test]
+fn links_come_up_over_seals_and_nothing_goes_out_that_can_be_read() {
+    let mut world = World::up();
+
+    world.packet(0, "to the right");
+    world.packet(1, "to the left");
+    world.run(5);
+
+    assert_eq!(world.packets(1), [&b"to the right"[..]]);
+    assert_eq!(world.packets(0), [&b"to the left"[..]]);
+    let secrets = [&b"left"[..], b"right", b"to the"];
+    for (_, _, frame) in &world.sent {
+        let clear = secrets.iter().any(|text| frame.windows(text.len()).any(|part| part == *text));
+        assert!(!clear, "{frame:?}");
+    }
+    assert!(world.ends.iter().all(|end| end.channel(LINK).is_some()));
+}
+
+#[test]
+fn whatever_others_send_reaches_no_link_and_is_no_fault_of_the_neighbour() {
+    let mut world = World::up();
+    let recorded: Vec<_> =
+        world.sent.iter().map(|(node, _, frame)| (*node, frame.clone())).collect();
+
+    for round in 0..1_000 {
+        let (node, frame) = &recorded[round % recorded.len()];
+        let mut changed = frame.to_vec();
+        changed[round % frame.len()] ^= 1;
+        let now = at(world.now);
+        for frame in [
+            hello(1 - node, 1, world.now as u32 / 50),
+            hello(1 - node, 9, 3),
+            frame.clone(),
+            changed.into(),
+            Frame::Data(Bytes::from_static(b"forged").into()).encode(),
+        ] {
+            world.ends[*node].handle_frame(1 - *node as u32, frame.clone(), now);
+            world.ends[1 - *node].handle_frame(*node as u32, frame, now);
+        }
+        world.run(1);
+    }
+
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    assert_eq!((world.changes(0), world.changes(1)), (vec![], vec![]));
+    assert_eq!(world.packets(0).len() + world.packets(1).len(), 0);
+    for end in &world.ends {
+        assert_eq!(end.refused_of(LINK).total(), 0);
+        assert!(end.seal_refusals().unwrap().total() >= 4_000);
+    }
+}
+
+#[test]
+fn a_neighbour_that_restarts_takes_its_link_down_as_soon_as_it_has_proved_it() {
+    for node in 0..2 {
+        let mut world = World::up();
+        world.run(20);
+        // Long enough to be seen as silent, and shorter than its link needs to be down.
+        let before = world.now;
+        world.ends[node] = end(node, 2, world.now);
+        world.run(2_000);
+
+        let other = 1 - node;
+        let downs: Vec<_> = world
+            .changes(other)
+            .into_iter()
+            .filter(|(state, _)| *state == LinkState::Down)
+            .collect();
+        assert_eq!(downs.len(), 1, "{downs:?}");
+        assert_eq!(world.states(), [LinkState::Up; 2], "since {before}");
+        let known = world.ends[other].get(LINK).unwrap().neighbour().unwrap();
+        assert_eq!(known.incarnation, Incarnation(2));
+    }
+}
+
+#[test]
+fn hellos_of_another_incarnation_than_the_keys_are_refused_and_are_the_neighbours_own() {
+    let mut world = World::up();
+    // A link in another incarnation over the keys of the first: a broken node.
+    world.ends[1].links.insert(LINK, link(1, 5, world.now));
+
+    world.run(1_000);
+
+    assert_eq!(world.ends[0].get(LINK).unwrap().state(), LinkState::Down);
+    assert!(world.ends[0].refused_of(LINK).unexpected > 10);
+    let known = world.ends[0].get(LINK).unwrap().neighbour().unwrap();
+    assert_eq!(known.incarnation, Incarnation(1));
+}
+
+#[test]
+fn a_connection_is_the_neighbours_once_it_has_sealed_a_frame_there_and_not_before() {
+    let mut world = World::new();
+    // The right node's frames come over a connection that it has made.
+    world.from = [0, 12];
+    let stranger = Bytes::from_static(b"\xb1\x02who are you");
+    world.ends[0].handle_frame(33, stranger, at(0));
+
+    world.run(500);
+
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    let adopted = world.outputs.iter().filter_map(|(_, node, output)| match output {
+        LinkLayerOutput::Adopt { connection, peer } => Some((*node, *connection, *peer)),
+        _ => None,
+    });
+    assert_eq!(adopted.collect::<BTreeSet<_>>(), BTreeSet::from([(0, 12, 1)]));
+    // From there on all goes to the neighbour's address.
+    let last = world.sent.iter().rposition(|(_, to, _)| *to == 12).unwrap_or(0);
+    assert!(world.sent[last + 1..].iter().any(|(node, to, _)| *node == 0 && *to == 1));
+    world.sent.clear();
+    world.run(500);
+    assert!(world.sent.iter().all(|(_, to, _)| *to < 10));
+}
+
+#[test]
+fn a_link_on_a_sealed_network_needs_a_key_and_each_node_has_one_link() {
+    let mut end = end(0, 1, 0);
+    let other = LinkId(8);
+    let mut add = |address, key| end.insert(other, link(0, 1, 0), address, key, at(0));
+
+    assert_eq!(add(5, None), Err(AddLinkError::NoKey));
+    assert_eq!(add(5, Some(key(1))), Err(AddLinkError::PeerTwice));
+    assert!(matches!(add(5, Some(key(0))), Err(AddLinkError::Key(_))));
+    end.remove(LINK);
+    assert_eq!(end.insert(other, link(0, 1, 0), 5, Some(key(1)), at(0)), Ok(()));
+    assert_eq!(end.link_at(&5), Some(other));
+    assert_eq!(end.link_at(&1), None);
+}
+
+#[test]
+fn on_a_sealed_bus_each_neighbour_has_hellos_of_its_own_at_a_rate_that_the_bus_bears() {
+    let mut world = World::new();
+    for end in &mut world.ends {
+        end.handle_rate(20_000);
+        end.handle_bus(99);
+    }
+
+    world.run(3_000);
+
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    assert!(world.sent.iter().all(|(_, to, _)| *to < 10), "nothing goes to all");
+}
+
+#[test]
+fn two_nodes_with_one_key_are_reported_while_the_first_is_heard() {
+    let mut world = World::up();
+    // A third computer says what the left node's restarted process would.
+    let mut copy = end(0, 2, world.now);
+    for _ in 0..1_000 {
+        world.run(1);
+        let now = at(world.now);
+        if copy.poll_timeout().is_some_and(|due| due <= now) {
+            copy.handle_timeout(now);
+        }
+        while let Some(output) = copy.poll_output() {
+            if let LinkLayerOutput::Transmit { frame, .. } = output {
+                world.ends[1].handle_frame(0, frame.into_bytes(), now);
+            }
+        }
+    }
+
+    let in_use = world.outputs.iter().any(|(_, node, output)| {
+        let expected =
+            LinkLayerOutput::KeyInUse { link: LINK, open: Incarnation(1), refused: Incarnation(2) };
+        (*node, output) == (1, &expected)
+    });
+    assert!(in_use);
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    assert_eq!(world.changes(1), []);
+}
+
+#[test]
+fn without_keys_a_frame_belongs_to_the_link_of_its_address() {
+    let mut end: End = LinkLayer::new(None);
+    end.insert(LINK, link(0, 1, 0), 1, None, at(0)).unwrap();
+
+    end.handle_frame(1, hello(1, 4, 0), at(10));
+    end.handle_frame(5, hello(1, 4, 1), at(60));
+    end.handle_frame(5, hello(1, 4, 2), at(110));
+
+    assert_eq!(end.get(LINK).unwrap().neighbour().unwrap().incarnation, Incarnation(4));
+    assert_eq!(end.strangers().unexpected, 2);
+    let strangers =
+        std::iter::from_fn(|| end.poll_output()).filter(|o| *o == LinkLayerOutput::Stranger(5));
+    assert_eq!(strangers.count(), 1);
+    assert!(!end.is_sealed() && end.seal_refusals().is_none());
+}
