@@ -29,7 +29,7 @@ struct End {
 impl End {
     async fn open(transport: Transport) -> Self {
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         transport.attach.do_send(attach);
         match reports.expect().await {
             TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {
@@ -164,7 +164,7 @@ fn a_flood_before_a_receiver_that_hangs_fills_the_kernels_buffer_and_not_ours() 
     run(async {
         let target = End::udp(UdpConfig::default()).await;
         let reports = Probe::start();
-        let hung = Attach { frames: Hung.start().recipient(), reports: reports.recipient() };
+        let hung = Attach::new(Hung.start().recipient(), reports.recipient());
         target.transport.attach.do_send(hung);
         reports.expect().await;
         let flood = Flood::at(target.local);

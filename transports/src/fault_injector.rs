@@ -4,7 +4,7 @@ use crate::medium::{BUDGET, MediumActor, transport};
 use crate::upstream::Upstream;
 use actix::{AsyncContext, Context, Handler, MessageResult, ResponseFuture};
 use blastema_contract::transport::{
-    Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
+    Adopt, Attach, Close, Cut, Impair, InjectedFaults, Partition, ReadCounters, ReadInjectedFaults,
     Received, Restore, Transmit, Transport, TransportReport,
 };
 use blastema_core::medium::impairment::ImpairedDirection;
@@ -74,6 +74,13 @@ impl FaultInjector {
         }
     }
 
+    /// Stands between the transport and the receiver, who says what connections are worth.
+    fn attach_inner(&self, context: &mut Context<Self>) {
+        let (frames, reports) = (context.address().recipient(), context.address().recipient());
+        let connections = self.outlet.connections();
+        self.inner.attach.do_send(Attach { frames, reports, connections });
+    }
+
     fn announce(&mut self) {
         if self.cut_is_reported {
             self.outlet.announce_closed("the cable is cut, on purpose: restore it".into());
@@ -89,9 +96,20 @@ impl MediumActor for FaultInjector {
     }
 
     fn open(&mut self, context: &mut Context<Self>) {
-        let (frames, reports) = (context.address().recipient(), context.address().recipient());
-        self.inner.attach.do_send(Attach { frames, reports });
+        self.attach_inner(context);
         self.announce();
+    }
+
+    fn attach(&mut self, message: Attach, context: &mut Context<Self>) {
+        let before = self.outlet.connections();
+        self.outlet.attach(message);
+        if self.outlet.connections() != before {
+            self.attach_inner(context);
+        }
+    }
+
+    fn adopt(&mut self, message: Adopt) {
+        self.inner.adopt.do_send(message);
     }
 
     fn transmit(&mut self, message: Transmit) {

@@ -3,7 +3,7 @@
 use crate::upstream::Upstream;
 use actix::fut::ActorFuture;
 use actix::{Actor, AsyncContext, Context, Supervised};
-use blastema_contract::transport::Transmit;
+use blastema_contract::transport::{Adopt, Attach, Transmit};
 use std::pin::Pin;
 use std::task::{self, Poll};
 
@@ -54,6 +54,14 @@ pub(crate) trait MediumActor: Actor<Context = Context<Self>> + Supervised {
 
     /// Takes a frame that is to go out. It must not wait: the pump follows at once.
     fn transmit(&mut self, message: Transmit);
+
+    /// Attaches another receiver.
+    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
+        self.outlet().attach(message);
+    }
+
+    /// Takes whose a connection is. A medium without connections has none that could be adopted.
+    fn adopt(&mut self, _: Adopt) {}
 
     /// Moves what can be moved, within [`BUDGET`], and leaves a waker for the rest. It is called
     /// after every message too.
@@ -148,9 +156,21 @@ macro_rules! transport {
             fn handle(
                 &mut self,
                 message: blastema_contract::transport::Attach,
+                context: &mut actix::Context<Self>,
+            ) {
+                crate::medium::MediumActor::attach(self, message, context);
+            }
+        }
+
+        impl actix::Handler<blastema_contract::transport::Adopt> for $medium {
+            type Result = ();
+
+            fn handle(
+                &mut self,
+                message: blastema_contract::transport::Adopt,
                 _: &mut actix::Context<Self>,
             ) {
-                crate::medium::MediumActor::outlet(self).attach(message);
+                crate::medium::MediumActor::adopt(self, message);
             }
         }
 

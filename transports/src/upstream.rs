@@ -2,7 +2,7 @@
 
 use actix::dev::RecipientRequest;
 use blastema_contract::transport::{
-    Attach, MediumAddress, Received, TransportCounters, TransportReport,
+    Attach, ConnectionTrust, MediumAddress, Received, TransportCounters, TransportReport,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -41,6 +41,12 @@ impl Upstream {
         self.unconfirmed.clear();
         self.in_batch = 0;
         self.report_state();
+    }
+
+    /// What connections are worth to the attached receiver.
+    #[cfg(any(feature = "fault", feature = "tcp", feature = "unix"))]
+    pub(crate) fn connections(&self) -> ConnectionTrust {
+        self.attach.as_ref().map_or(ConnectionTrust::default(), |attach| attach.connections)
     }
 
     /// The medium carries so much; it is reported now, and after each opening.

@@ -2,8 +2,8 @@
 
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Cut, Direction, Impair, InjectedFaults, MediumAddress, Partition, ReadInjectedFaults,
-    Received, Restore, Transmit, Transport, TransportReport,
+    Adopt, Attach, ConnectionTrust, Cut, Direction, Impair, InjectedFaults, MediumAddress,
+    Partition, ReadInjectedFaults, Received, Restore, Transmit, Transport, TransportReport,
 };
 use blastema_core::medium::impairment::Impairment;
 use blastema_doubles::{MockTransport, Probe, advance, now, paused};
@@ -27,7 +27,7 @@ impl Bench {
             FaultInjector::new(medium.transport(), FaultInjectorConfig::new(seed, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
-        cable.do_send(Attach { frames: to_frames, reports: to_reports });
+        cable.do_send(Attach::new(to_frames, to_reports));
         let opened: TransportReport = reports.expect().await;
         assert!(matches!(opened, TransportReport::Opened { .. }));
         Bench { medium, cable, frames, reports }
@@ -235,6 +235,49 @@ fn a_partition_parts_from_some_peers_and_says_nothing() {
         let InjectedFaults { outgoing, incoming } = bench.injected().await;
         assert_eq!((outgoing.parted, incoming.parted), (3, 2));
         assert!(bench.reports.drain().is_empty());
+    });
+}
+
+#[test]
+fn a_partition_from_a_peer_holds_for_connections_that_claim_to_be_its() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let connection = |number, name: &str| MediumAddress::Connection {
+            number,
+            claimed: MediumAddress::Memory(name.into()).into(),
+        };
+        bench.cable.do_send(Partition {
+            direction: Direction::Both,
+            peers: [MediumAddress::Memory("left".into())].into(),
+        });
+
+        for (number, name) in [(1, "left"), (2, "right")] {
+            let address = connection(number.into(), name);
+            bench.cable.do_send(Transmit::new(address.clone(), vec![number].into()));
+            bench.medium.receive(address, vec![number]);
+        }
+        advance(MS(1)).await;
+
+        assert_eq!((bench.sent(), bench.received()), (vec![2], vec![2]));
+        assert_eq!(connection(2, "right").to_string(), "connection 2 of right");
+    });
+}
+
+#[test]
+fn the_medium_is_told_which_connections_are_believed_and_which_are_adopted() {
+    paused(async {
+        let bench = Bench::new(1).await;
+        let (frames, reports) = (bench.frames.recipient(), bench.reports.recipient());
+
+        let connections = ConnectionTrust::Proven;
+        bench.cable.do_send(Attach { frames, reports, connections });
+        let peer = MediumAddress::Memory("peer".into());
+        let connection = MediumAddress::Connection { number: 7, claimed: peer.clone().into() };
+        let adopt = Adopt { connection, peer };
+        bench.cable.do_send(adopt.clone());
+
+        assert_eq!(bench.medium.expect_adopted().await, adopt);
+        assert_eq!(bench.medium.connections().await, ConnectionTrust::Proven);
     });
 }
 

@@ -116,7 +116,7 @@ impl Bench {
     fn new(puppet: Puppet) -> Self {
         let transport = FrameTransport::new(puppet.clone()).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         transport.do_send(attach);
         Bench { puppet, transport, frames, reports }
     }

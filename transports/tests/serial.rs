@@ -33,7 +33,7 @@ impl Node {
     fn with(config: SerialConfig) -> Self {
         let transport = FrameTransport::new(SerialLine::new(config, now)).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         transport.do_send(attach);
         Node { transport, frames, reports }
     }
@@ -218,7 +218,7 @@ fn a_slow_line_says_how_much_it_carries_to_whoever_attaches() {
         assert_eq!(slow.reports.expect().await, expected);
 
         let (frames, reports) = (Probe::<Received>::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         slow.transport.do_send(attach);
         assert!(matches!(reports.expect().await, TransportReport::Opened { .. }));
         assert_eq!(reports.expect().await, expected);

@@ -31,7 +31,7 @@ impl End {
         let transport = Transport::from(FrameTransport::new(bus).start());
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
-        transport.attach.do_send(Attach { frames: to_frames, reports: to_reports });
+        transport.attach.do_send(Attach::new(to_frames, to_reports));
         End { transport, frames, reports }
     }
 

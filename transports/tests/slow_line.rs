@@ -116,7 +116,7 @@ impl End {
         let transport = Transport::from(FrameTransport::new(medium).start());
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to_frames, to_reports) = (frames.recipient(), reports.recipient());
-        transport.attach.do_send(Attach { frames: to_frames, reports: to_reports });
+        transport.attach.do_send(Attach::new(to_frames, to_reports));
         let mut bundle = LinkSet::default();
         let [name, other] = [name, other].map(|name| NodeName::new(name).unwrap());
         let config = LinkConfig::new(name.clone(), Incarnation(1));

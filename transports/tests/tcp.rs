@@ -25,7 +25,7 @@ impl Node {
     async fn open(config: TcpConfig) -> Self {
         let transport = Tcp::new(config).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         transport.do_send(attach);
         match reports.expect().await {
             TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {

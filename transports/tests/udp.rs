@@ -11,7 +11,7 @@ use std::net::{SocketAddr, UdpSocket};
 async fn open(config: UdpConfig) -> (Addr<Udp>, SocketAddr, Probe<Received>) {
     let transport = Udp::new(config).start();
     let (frames, reports) = (Probe::start(), Probe::start());
-    let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+    let attach = Attach::new(frames.recipient(), reports.recipient());
     transport.do_send(attach);
     match reports.expect().await {
         TransportReport::Opened { local: MediumAddress::Ip(local), .. } => {
@@ -66,7 +66,7 @@ fn the_limit_fits_the_medium_unless_told() {
             config.bind = bind.parse().unwrap();
             let transport = Udp::new(config).start();
             let (frames, reports) = (Probe::start(), Probe::start());
-            let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+            let attach = Attach::new(frames.recipient(), reports.recipient());
             transport.do_send(attach);
             match reports.expect().await {
                 TransportReport::Opened { mtu: reported, .. } => assert_eq!(reported, mtu),
@@ -137,7 +137,7 @@ fn an_interface_binds_a_socket_to_it_and_one_that_is_missing_is_named() {
         assert_eq!(to_b.expect().await.frame, "hello");
 
         let (frames, reports) = (Probe::<Received>::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         Udp::new(on("firewire9")).start().do_send(attach);
         match reports.expect().await {
             TransportReport::Closed { reason } => {

@@ -31,7 +31,7 @@ impl Node {
     fn with(config: UnixConfig) -> Self {
         let transport = Unix::new(config).start();
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         transport.do_send(attach);
         Node { transport, frames, reports }
     }

@@ -186,7 +186,7 @@ impl DiscoveryActor {
                 let (frames, reports) = (context.address(), context.address());
                 let ears = Ears { domain, body: frames, left: BEACONS_MAX }.start();
                 let reports = reports.recipient();
-                transport.attach.do_send(Attach { frames: ears.recipient(), reports });
+                transport.attach.do_send(Attach::new(ears.recipient(), reports));
             }
         }
     }

@@ -140,7 +140,7 @@ impl LinksActor {
 
     fn attach(&mut self, context: &mut Context<Self>) {
         let (frames, reports) = (context.address().recipient(), context.address().recipient());
-        self.wiring.transport.attach.do_send(Attach { frames, reports });
+        self.wiring.transport.attach.do_send(Attach::new(frames, reports));
     }
 
     /// What a link costs at present.

@@ -31,6 +31,24 @@ pub enum MediumAddress {
     Can(u8),
     /// A medium of the application's own: what that medium calls it.
     Own(Arc<str>),
+    /// A connection that the other end has made, and on which it has not proven who it is. See
+    /// [`Adopt`].
+    Connection {
+        /// Which one of its transport; the transport uses no number for two connections.
+        number: u32,
+        /// The address that the other end claims, which proves nothing.
+        claimed: Arc<MediumAddress>,
+    },
+}
+
+impl MediumAddress {
+    /// The peer's address: that which the other end claims, where this is a connection.
+    pub fn peer(&self) -> &MediumAddress {
+        match self {
+            MediumAddress::Connection { claimed, .. } => claimed.peer(),
+            address => address,
+        }
+    }
 }
 
 impl From<SocketAddr> for MediumAddress {
@@ -53,6 +71,9 @@ impl fmt::Display for MediumAddress {
             MediumAddress::Unix(path) => write!(f, "{}", path.display()),
             MediumAddress::Line => f.write_str("line"),
             MediumAddress::Can(number) => write!(f, "{number}"),
+            MediumAddress::Connection { number, claimed } => {
+                write!(f, "connection {number} of {claimed}")
+            }
         }
     }
 }
@@ -102,7 +123,7 @@ impl Impairable for Transmit {
     type Peer = MediumAddress;
 
     fn peer(&self) -> &MediumAddress {
-        &self.to
+        self.to.peer()
     }
 
     fn length(&self) -> usize {
@@ -118,7 +139,7 @@ impl Impairable for Received {
     type Peer = MediumAddress;
 
     fn peer(&self) -> &MediumAddress {
-        &self.from
+        self.from.peer()
     }
 
     fn length(&self) -> usize {
@@ -186,6 +207,49 @@ pub struct Attach {
     /// Gets every report; the present state is reported at once. A transport reports its opening
     /// and closing, not each of its attempts.
     pub reports: Recipient<TransportReport>,
+    /// What a connection that another node makes is worth. A change from `Claimed` to `Proven`
+    /// closes all connections, for none of them is proven.
+    pub connections: ConnectionTrust,
+}
+
+impl Attach {
+    /// For a receiver that believes the addresses that connections claim.
+    pub fn new(frames: Recipient<Received>, reports: Recipient<TransportReport>) -> Self {
+        Attach { frames, reports, connections: ConnectionTrust::Claimed }
+    }
+}
+
+/// What a connection that another node makes is worth (media with connections only).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ConnectionTrust {
+    /// The address that the other end claims is believed: its connection replaces an older one of
+    /// that peer. For networks without keys.
+    #[default]
+    Claimed,
+    /// The connection is nobody's until the receiver says whose it is, by [`Adopt`]. Until then its
+    /// frames come from [`MediumAddress::Connection`], few and small, and not for long.
+    Proven,
+}
+
+/// The connection is the peer's from now on: frames on it come from `peer`, frames to `peer` go out
+/// on it, and an older connection of the peer is closed without a report. A connection that is gone
+/// stays gone.
+///
+/// ```text
+/// receiver                               transport
+///   │◄─ Received { from: connection 7 } ───┤   at most 16 frames of 128 bytes
+///   ├── Transmit { to: connection 7 } ────►│
+///   │◄─ Received { from: connection 7 } ───┤
+///   ├── Adopt { connection 7, peer } ─────►│   the receiver knows who it is
+///   │◄─ Received { from: peer } ───────────┤
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Message)]
+#[rtype(result = "()")]
+pub struct Adopt {
+    /// Which connection, a [`MediumAddress::Connection`].
+    pub connection: MediumAddress,
+    /// Whose it is.
+    pub peer: MediumAddress,
 }
 
 /// Closes the medium for good; the transport stops.
@@ -229,6 +293,8 @@ pub struct Transport {
     pub transmit: Recipient<Transmit>,
     /// Takes who is to get frames and reports.
     pub attach: Recipient<Attach>,
+    /// Takes whose a connection is; media without connections ignore it.
+    pub adopt: Recipient<Adopt>,
     /// Takes the end.
     pub close: Recipient<Close>,
     /// Gives the counters.
@@ -237,9 +303,15 @@ pub struct Transport {
 
 impl<A> From<Addr<A>> for Transport
 where
-    A: Actor + Handler<Transmit> + Handler<Attach> + Handler<Close> + Handler<ReadCounters>,
+    A: Actor
+        + Handler<Transmit>
+        + Handler<Attach>
+        + Handler<Adopt>
+        + Handler<Close>
+        + Handler<ReadCounters>,
     A::Context: ToEnvelope<A, Transmit>
         + ToEnvelope<A, Attach>
+        + ToEnvelope<A, Adopt>
         + ToEnvelope<A, Close>
         + ToEnvelope<A, ReadCounters>,
 {
@@ -247,6 +319,7 @@ where
         Transport {
             transmit: address.clone().recipient(),
             attach: address.clone().recipient(),
+            adopt: address.clone().recipient(),
             close: address.clone().recipient(),
             counters: address.recipient(),
         }

@@ -22,7 +22,7 @@
 //!     network.impair("left", "right", slow);
 //!     let (frames, reports) = (Probe::start(), Probe::start());
 //!     let (frames_to, reports_to) = (frames.recipient(), reports.recipient());
-//!     right.transport().attach.do_send(Attach { frames: frames_to, reports: reports_to });
+//!     right.transport().attach.do_send(Attach::new(frames_to, reports_to));
 //!
 //!     let to = right.local();
 //!     left.transport().transmit.do_send(Transmit::new(to, "hello".into()));

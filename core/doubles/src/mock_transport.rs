@@ -4,8 +4,8 @@ use crate::network::SimulatedNetwork;
 use crate::record::Record;
 use actix::prelude::*;
 use blastema_contract::transport::{
-    Attach, Close, MediumAddress, ReadCounters, Received, Transmit, Transport, TransportCounters,
-    TransportReport,
+    Adopt, Attach, Close, ConnectionTrust, MediumAddress, ReadCounters, Received, Transmit,
+    Transport, TransportCounters, TransportReport,
 };
 use bytes::Bytes;
 use std::sync::Arc;
@@ -34,6 +34,7 @@ pub struct MockTransport {
     name: Arc<str>,
     address: Addr<Medium>,
     sent: Record<Transmit>,
+    adopted: Record<Adopt>,
 }
 
 impl MockTransport {
@@ -50,7 +51,8 @@ impl MockTransport {
     }
 
     pub(crate) fn on(name: &str, network: Option<SimulatedNetwork>) -> Self {
-        let (name, sent): (Arc<str>, _) = (name.into(), Record::default());
+        let name: Arc<str> = name.into();
+        let (sent, adopted) = (Record::default(), Record::default());
         let local = MediumAddress::Memory(name.clone());
         let medium = Medium {
             name: name.clone(),
@@ -58,13 +60,14 @@ impl MockTransport {
             attach: None,
             state: TransportReport::Opened { local, mtu: MTU },
             sent: sent.clone(),
+            adopted: adopted.clone(),
             counters: TransportCounters::default(),
         };
         let address = medium.start();
         if let Some(network) = network {
             network.enter(&name, address.clone().recipient());
         }
-        MockTransport { name, address, sent }
+        MockTransport { name, address, sent, adopted }
     }
 
     /// The transport, as a link knows it.
@@ -109,6 +112,23 @@ impl MockTransport {
     pub fn sent(&self) -> Vec<Transmit> {
         self.sent.drain()
     }
+
+    /// The next connection that the receiver has adopted.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`](crate::PATIENCE).
+    pub async fn expect_adopted(&self) -> Adopt {
+        self.adopted.expect().await
+    }
+
+    /// What connections are worth to the attached receiver.
+    ///
+    /// # Panics
+    /// When none is attached.
+    pub async fn connections(&self) -> ConnectionTrust {
+        let trust = self.address.send(ReadTrust).await;
+        trust.ok().flatten().expect("a receiver is attached")
+    }
 }
 
 /// The mock's actor.
@@ -118,6 +138,7 @@ struct Medium {
     attach: Option<Attach>,
     state: TransportReport,
     sent: Record<Transmit>,
+    adopted: Record<Adopt>,
     counters: TransportCounters,
 }
 
@@ -136,6 +157,10 @@ struct Injection(Received);
 #[derive(Message)]
 #[rtype(result = "()")]
 struct Report(TransportReport);
+
+#[derive(Message)]
+#[rtype(result = "Option<ConnectionTrust>")]
+struct ReadTrust;
 
 impl Medium {
     fn deliver(&mut self, received: Received) {
@@ -224,6 +249,22 @@ impl Handler<Attach> for Medium {
     }
 }
 
+impl Handler<Adopt> for Medium {
+    type Result = ();
+
+    fn handle(&mut self, message: Adopt, _: &mut Context<Self>) {
+        self.adopted.push(message);
+    }
+}
+
+impl Handler<ReadTrust> for Medium {
+    type Result = Option<ConnectionTrust>;
+
+    fn handle(&mut self, _: ReadTrust, _: &mut Context<Self>) -> Self::Result {
+        self.attach.as_ref().map(|attach| attach.connections)
+    }
+}
+
 impl Handler<Close> for Medium {
     type Result = ();
 
@@ -251,7 +292,7 @@ mod tests {
 
     fn attach(medium: &MockTransport) -> (Probe<Received>, Probe<TransportReport>) {
         let (frames, reports) = (Probe::start(), Probe::start());
-        let attach = Attach { frames: frames.recipient(), reports: reports.recipient() };
+        let attach = Attach::new(frames.recipient(), reports.recipient());
         medium.transport().attach.do_send(attach);
         (frames, reports)
     }

@@ -144,7 +144,7 @@ mod tests {
     fn attach(end: &MockTransport) -> Probe<Received> {
         let (frames, reports) = (Probe::start(), Probe::start());
         let (to, reports) = (frames.recipient(), reports.recipient());
-        end.transport().attach.do_send(Attach { frames: to, reports });
+        end.transport().attach.do_send(Attach::new(to, reports));
         frames
     }
 

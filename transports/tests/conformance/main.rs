@@ -151,7 +151,7 @@ impl End {
 
 fn attach(transport: &Transport) -> (Probe<Received>, Probe<TransportReport>) {
     let (frames, reports) = (Probe::start(), Probe::start());
-    transport.attach.do_send(Attach { frames: frames.recipient(), reports: reports.recipient() });
+    transport.attach.do_send(Attach::new(frames.recipient(), reports.recipient()));
     (frames, reports)
 }
 

@@ -181,7 +181,7 @@ pub(crate) async fn a_flood_before_a_receiver_that_hangs_stays_bounded<M: Medium
     let (a, b) = (End::new(medium.open(None)), End::new(medium.open(None)));
     let (_, (at_b, _)) = (a.opened().await, b.opened().await);
     let reports = Probe::start();
-    let hung = Attach { frames: Hung.start().recipient(), reports: reports.recipient() };
+    let hung = Attach::new(Hung.start().recipient(), reports.recipient());
     b.transport.attach.do_send(hung);
     reports.expect().await;
 
