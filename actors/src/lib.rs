@@ -123,6 +123,13 @@ mod variable;
 pub mod journal;
 pub mod manual;
 pub mod plain;
+
+/// For programs that make or show keys, as `blastema keys` does.
+#[cfg(feature = "network")]
+pub mod keys {
+    pub use crate::platform::key_files::{folder_of, read_public, read_secret};
+    pub use crate::platform::random_bytes;
+}
 pub mod platform;
 
 #[cfg(panic = "abort")]

@@ -3,6 +3,8 @@
 
 pub(crate) mod errors;
 pub(crate) mod file_lock;
+#[cfg(feature = "network")]
+pub(crate) mod key_files;
 pub(crate) mod panics;
 pub(crate) mod processor_time;
 pub(crate) mod signals;
@@ -141,6 +143,35 @@ pub(crate) fn wall_clock() -> wall_time::WallTime {
 /// A seed that differs from run to run.
 pub(crate) fn random_seed() -> u64 {
     RandomState::new().hash_one(0u64)
+}
+
+/// 32 bytes of the system's random source. They are wiped when they are dropped.
+///
+/// # Errors
+/// The system gives none, as some do in the first seconds after they were switched on.
+#[cfg(feature = "network")]
+pub fn random_bytes() -> io::Result<zeroize::Zeroizing<[u8; 32]>> {
+    let mut bytes = zeroize::Zeroizing::new([0; 32]);
+    let mut filled = 0;
+    while filled < bytes.len() {
+        match rustix::rand::getrandom(&mut bytes[filled..], rustix::rand::GetRandomFlags::empty()) {
+            Ok(more) => filled += more,
+            Err(rustix::io::Errno::INTR) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(bytes)
+}
+
+/// Whether this processor has instructions for AES.
+#[cfg(feature = "network")]
+pub(crate) fn has_aes() -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return std::arch::is_x86_feature_detected!("aes");
+    #[cfg(target_arch = "aarch64")]
+    return std::arch::is_aarch64_feature_detected!("aes");
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    return false;
 }
 
 /// Starts a thread of the middleware's own.

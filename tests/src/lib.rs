@@ -1,9 +1,16 @@
 //! Whole systems under test.
 
+use blastema::core::NodeName;
+use blastema::core::net::trust::crypto::Seed;
+use blastema::core::net::trust::key_file::KeyFile;
+use blastema::core::net::trust::policy::Role;
+use blastema::core::net::trust::roster::{NodeRoster, RosterNode};
 use blastema::{Component, Context, Handle, Ports, Request};
+use std::fs::{self, Permissions};
 use std::net::{SocketAddr, UdpSocket};
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use tokio::sync::watch;
 
@@ -83,6 +90,43 @@ impl Drop for Process {
         // It may have been killed already.
         let _ = self.0.kill();
         let _ = self.0.wait();
+    }
+}
+
+/// The keys of a robot called `ranger`, as `blastema keys new` writes them, in one folder.
+pub struct RobotKeys(PathBuf);
+
+impl RobotKeys {
+    /// Makes keys for these nodes. Each `seed` makes another robot.
+    pub fn new(folder: &Path, nodes: &[&str], seed: u8) -> Self {
+        let name = |text: &str| NodeName::new(text).expect("a name");
+        let robot = Seed::new([seed; 32]);
+        let seed_of = |place: usize| {
+            let mut bytes = [seed; 32];
+            bytes[0] = place as u8;
+            Seed::new(bytes)
+        };
+        let listed = nodes.iter().enumerate().map(|(place, node)| RosterNode {
+            name: name(node),
+            keys: seed_of(place).public_keys(),
+            role: Role::Node,
+        });
+        let roster = NodeRoster::new(name("ranger"), listed).expect("nodes of different names");
+        let keys = RobotKeys(folder.to_owned());
+        fs::write(folder.join("ranger.roster"), roster.sign(&robot)).expect("a folder");
+        for (place, node) in nodes.iter().enumerate() {
+            let (node, seed) = (name(node), seed_of(place));
+            let file = keys.of(node.as_str());
+            let key = KeyFile { robot: name("ranger"), node, seed, signer: robot.signer() };
+            fs::write(&file, key.to_text().as_bytes()).expect("a folder");
+            fs::set_permissions(&file, Permissions::from_mode(0o600)).expect("it is ours");
+        }
+        keys
+    }
+
+    /// The file of a node's key.
+    pub fn of(&self, node: &str) -> PathBuf {
+        self.0.join(format!("{node}.key"))
     }
 }
 

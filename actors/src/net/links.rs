@@ -8,27 +8,30 @@ pub(super) use discovered::{
 
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
+use super::keys::{NodeKeys, SealTerms};
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
 use actix::prelude::*;
 use blastema_contract::link::{
-    CarrierChanged, LinkChanged, LinkPayload, LinkRow, ReadLinks, ReceivedOnLink, RemoteLinkDown,
-    ReportLinks, TransmitOnLink,
+    CarrierChanged, LinkChanged, LinkPayload, LinkRow, LinkSeal, ReadLinks, ReceivedOnLink,
+    RemoteLinkDown, ReportLinks, TransmitOnLink,
 };
 use blastema_contract::monitor::LinkReported;
 use blastema_contract::reports::LivenessReported;
 use blastema_contract::router::InjectPanic;
 use blastema_contract::transport::{
-    Attach, MediumAddress, Received, TrafficClass, Transmit, Transport, TransportReport,
+    Adopt, Attach, ConnectionTrust, MediumAddress, Received, TrafficClass, Transmit, Transport,
+    TransportReport,
 };
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
-use blastema_core::net::wire::frame::{is_hello, is_urgent};
+use blastema_core::net::seal::{ChannelStatus, CipherSuite, FrameLane, NoiseCrypto, SealProfile};
 use blastema_core::net::{
-    Link, LinkConfig, LinkId, LinkOutput, LinkSet, LinkSetOutput, LinkState, Quality, Refusals,
+    AddLinkError, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput, LinkState,
+    Quality, Refusals,
 };
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, GatherBuffer, Incarnation, Instant, NodeName};
@@ -73,14 +76,29 @@ pub(super) struct LinksRecipients {
     /// Who tells others of our neighbours, and which network this is to it.
     pub(super) discovery: Option<(usize, Recipient<NeighbourChange>)>,
     pub(super) faults: FaultReporter,
+    /// Where frames are sealed: by which keys, and how.
+    pub(super) seal: Option<(Arc<NodeKeys>, SealTerms)>,
 }
+
+/// A neighbour's key that is in use twice.
+#[derive(Clone, Copy)]
+struct KeyInUse {
+    /// When that was first seen, and when last.
+    first: Instant,
+    last: Instant,
+}
+
+/// A process that was restarted within tenths of a second shakes hands while its former
+/// incarnation counts as heard, for less than this.
+const RESTART_SPAN: Duration = Duration::from_secs(1);
+/// A second computer with the key tries again every second.
+const KEY_FREE_AFTER: Duration = Duration::from_secs(10);
 
 /// The links of one network.
 pub(super) struct LinksActor {
     wiring: LinksRecipients,
     specs: SortedMap<LinkId, LinkSpec>,
-    by_remote: SortedMap<MediumAddress, LinkId>,
-    bundle: LinkSet,
+    bundle: LinkLayer<NoiseCrypto, MediumAddress>,
     wake: WakeTimer,
     /// The largest frame; `None` while the medium is closed.
     mtu: Option<usize>,
@@ -92,55 +110,76 @@ pub(super) struct LinksActor {
     reported: SortedMap<LinkId, LinkStatus>,
     /// Those that were never hello_received while the medium could not be opened.
     unheard: SortedSet<LinkId>,
-    /// What came from addresses that no link leads to.
-    strangers: Refusals,
     complaints: RefusalAlarms<Option<LinkId>>,
     /// Links at whose other end is a node of our name, until another one is.
     namesakes: SortedSet<LinkId>,
+    /// Links whose neighbour's key is in use twice, or was for a moment.
+    keys_in_use: SortedMap<LinkId, KeyInUse>,
 }
 
 impl LinksActor {
     pub(super) fn new(wiring: LinksRecipients, specs: SortedMap<LinkId, LinkSpec>) -> Self {
-        let by_remote = specs.iter().map(|(n, spec)| (spec.remote.clone(), *n)).collect();
         let mut links = LinksActor {
             wiring,
             specs,
-            by_remote,
-            bundle: LinkSet::default(),
+            bundle: LinkLayer::new(None),
             wake: WakeTimer::default(),
             mtu: None,
             bytes_per_second: None,
             bus: None,
             reported: SortedMap::new(),
             unheard: SortedSet::new(),
-            strangers: Refusals::default(),
             complaints: RefusalAlarms::default(),
             namesakes: SortedSet::new(),
+            keys_in_use: SortedMap::new(),
         };
         links.build(platform::now());
         links
     }
 
     fn build(&mut self, now: Instant) {
-        self.bundle = LinkSet::default();
+        // Keys and counters die with the links: none is ever used by another life of them.
+        let sealer = self.wiring.seal.as_ref();
+        let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
+        self.bundle = LinkLayer::new(sealer);
         self.unheard.clear();
+        self.keys_in_use.clear();
         self.wake = WakeTimer::default();
-        for (number, spec) in &self.specs {
-            let link = link(&self.wiring, spec, now);
-            self.bundle.insert(*number, link);
+        let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
+        for (number, spec) in specs {
+            if let Err(error) = self.insert(number, &spec, now) {
+                error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
+            }
         }
-        if self.bus.is_some() {
-            self.bundle.handle_bus();
+        if let Some(all) = self.bus.clone() {
+            self.bundle.handle_bus(all);
         }
-        self.bundle.handle_mtu(self.mtu.unwrap_or(0));
+        self.bundle.handle_mtu(self.mtu.map_or(0, |mtu| mtu + self.bundle.overhead()));
         if let Some(rate) = self.bytes_per_second {
             self.bundle.handle_rate(rate);
         }
     }
 
+    /// Makes the link, with the neighbour's key where frames are sealed.
+    fn insert(
+        &mut self,
+        number: LinkId,
+        spec: &LinkSpec,
+        now: Instant,
+    ) -> Result<(), AddLinkError> {
+        let link = link(&self.wiring, spec, now);
+        let keys = self.wiring.seal.as_ref().map(|(keys, _)| keys);
+        let key = keys.zip(spec.neighbour.as_ref()).and_then(|(keys, node)| keys.key_of(node));
+        self.bundle.insert(number, link, spec.remote.clone(), key, now)
+    }
+
     fn attach(&mut self, context: &mut Context<Self>) {
         let (frames, reports) = (context.address().recipient(), context.address().recipient());
-        self.wiring.transport.attach.do_send(Attach::new(frames, reports));
+        let connections = match self.wiring.seal {
+            Some(_) => ConnectionTrust::Proven,
+            None => ConnectionTrust::Claimed,
+        };
+        self.wiring.transport.attach.do_send(Attach { frames, reports, connections });
     }
 
     /// What a link costs at present.
@@ -157,6 +196,17 @@ impl LinksActor {
         let wary = if link.is_distrusted() { DISTRUSTED } else { 1 };
         let percent = wary * u64::from(link.quality().cost_percent);
         u16::try_from(cost * percent / 100).unwrap_or(u16::MAX).max(1)
+    }
+
+    /// How the frames of a link are sealed, and since when by these keys.
+    fn seal(&self, number: LinkId, now: Instant) -> Option<LinkSeal> {
+        let ChannelStatus { profile, suite, since, .. } = self.bundle.channel(number)?;
+        let cipher = match (profile, suite) {
+            (SealProfile::Compact, _) => "HMAC-SHA-256",
+            (SealProfile::Full, CipherSuite::AesGcm) => "AES-256-GCM",
+            (SealProfile::Full, CipherSuite::ChaChaPoly) => "ChaCha20-Poly1305",
+        };
+        Some(LinkSeal { cipher, key_age: now - since })
     }
 
     fn tell_router(&mut self, number: LinkId) {
@@ -184,9 +234,11 @@ impl LinksActor {
     fn lose_all(&mut self, reason: &str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
-            let Some(link) = self.bundle.get_mut(number) else { continue };
-            match link.state() {
-                LinkState::Up | LinkState::Suspect => link.handle_loss(now),
+            let Some(state) = self.bundle.get(number).map(Link::state) else { continue };
+            match state {
+                LinkState::Up | LinkState::Suspect => {
+                    self.bundle.with_link(number, now, |link| link.handle_loss(now));
+                }
                 LinkState::Connecting | LinkState::Down => {
                     self.tell_monitor(number, LinkCondition::Down { reason: reason.to_owned() });
                 }
@@ -248,9 +300,7 @@ impl LinksActor {
     fn no_carrier(&mut self, reason: &'static str, now: Instant) {
         let numbers: Vec<_> = self.specs.keys().copied().collect();
         for number in numbers {
-            if let Some(link) = self.bundle.get_mut(number) {
-                link.handle_no_carrier(reason, now);
-            }
+            self.bundle.with_link(number, now, |link| link.handle_no_carrier(reason, now));
         }
     }
 
@@ -258,17 +308,32 @@ impl LinksActor {
     /// node sends with the neighbour's address, or the neighbour is broken.
     fn look_at_refusals(&mut self) {
         let now = platform::now();
-        let links = self.bundle.iter().map(|(number, link)| (Some(number), link.refusals()));
-        let looks: Vec<_> = links.chain([(None, self.strangers)]).collect();
+        let links = self.bundle.iter().map(|(number, _)| number);
+        let links = links.map(|number| (Some(number), self.bundle.refused_of(number)));
+        let others = match self.bundle.seal_refusals() {
+            Some(refusals) => Refusals { unexpected: refusals.total(), ..Refusals::default() },
+            None => self.bundle.strangers(),
+        };
+        let looks: Vec<_> = links.chain([(None, others)]).collect();
         for (number, refusals) in looks {
             let alarm = self.complaints.handle_look(number, refusals, now);
             let Some(since) = alarm else { continue };
             let network = &self.wiring.network;
-            let from = match number.and_then(|number| self.specs.get(&number)) {
-                Some(LinkSpec { name, remote, .. }) => format!("{remote}, by link {name},"),
-                None => format!("addresses that no link of {network} leads to"),
+            let detail = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!(
+                    "what comes from {remote}, by link {name}, is refused all the time: {since}"
+                ),
+                None if self.bundle.is_sealed() => format!(
+                    "{} frames in a second on network {network} that no node of this robot has \
+                     sealed: another station sends there, or a node has other keys; their addresses \
+                     may be forged",
+                    since.total()
+                ),
+                None => format!(
+                    "what comes from addresses that no link of {network} leads to is refused all the \
+                     time: {since}"
+                ),
             };
-            let detail = format!("what comes from {from} is refused all the time: {since}");
             warn!(%network, "{detail}");
             self.wiring.faults.declare(FaultKind::CheckFailed, detail);
         }
@@ -277,11 +342,11 @@ impl LinksActor {
         }
     }
 
-    fn transmit(&self, to: MediumAddress, frame: GatherBuffer) {
-        let lane = match &frame {
-            frame if is_hello(frame) => TrafficClass::Hello,
-            frame if is_urgent(frame) => TrafficClass::Urgent,
-            _ => TrafficClass::Usual,
+    fn transmit(&self, to: MediumAddress, frame: GatherBuffer, lane: FrameLane) {
+        let lane = match lane {
+            FrameLane::Hello => TrafficClass::Hello,
+            FrameLane::Urgent => TrafficClass::Urgent,
+            FrameLane::Usual => TrafficClass::Usual,
         };
         self.wiring.transport.transmit.do_send(Transmit { to, frame, lane });
     }
@@ -314,6 +379,37 @@ impl LinksActor {
         self.tell_monitor(number, LinkCondition::Down { reason });
     }
 
+    /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
+    /// heard. It was restarted just now, or two computers have one key.
+    fn key_in_use(&mut self, number: LinkId, open: Incarnation, refused: Incarnation) {
+        let now = platform::now();
+        let seen = self.keys_in_use.entry(number).or_insert(KeyInUse { first: now, last: now });
+        seen.last = now;
+        if now - seen.first < RESTART_SPAN || !self.namesakes.insert(number) {
+            return;
+        }
+        let Some(spec) = self.specs.get(&number) else { return };
+        let neighbour = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let detail = format!(
+            "the key of {neighbour} is in use twice, as incarnation {open} and as {refused}: two \
+             computers have one key file; give one of them a key of its own"
+        );
+        error!(network = %self.wiring.network, link = %spec.name, "{detail}");
+        self.wiring.faults.declare(FaultKind::NameTaken, detail);
+    }
+
+    /// Forgets keys that nobody else has used for a while.
+    fn forget_keys_in_use(&mut self) {
+        let now = platform::now();
+        let free = |seen: &KeyInUse| now - seen.last >= KEY_FREE_AFTER;
+        let free: Vec<_> =
+            self.keys_in_use.iter().filter(|(_, seen)| free(seen)).map(|(n, _)| *n).collect();
+        for number in free {
+            self.keys_in_use.remove(&number);
+            self.forget_namesake(number);
+        }
+    }
+
     /// The link has another neighbour, or is no more.
     fn forget_namesake(&mut self, number: LinkId) {
         if self.namesakes.remove(&number) && self.namesakes.is_empty() {
@@ -339,7 +435,10 @@ impl Actor for LinksActor {
     type Context = Context<Self>;
 
     fn started(&mut self, context: &mut Context<Self>) {
-        context.run_interval(REFUSAL_CHECK_INTERVAL, |links, _| links.look_at_refusals());
+        context.run_interval(REFUSAL_CHECK_INTERVAL, |links, _| {
+            links.look_at_refusals();
+            links.forget_keys_in_use();
+        });
         self.attach(context);
         self.drive(context);
     }
@@ -357,41 +456,48 @@ impl Supervised for LinksActor {
 }
 
 impl MachineActor for LinksActor {
-    type Machine = LinkSet;
+    type Machine = LinkLayer<NoiseCrypto, MediumAddress>;
 
     fn driven(&mut self) -> (&mut Self::Machine, &mut WakeTimer) {
         (&mut self.bundle, &mut self.wake)
     }
 
-    fn carry_out(&mut self, output: LinkSetOutput, _: &mut Context<Self>) {
-        let (link, output) = match output {
-            LinkSetOutput::Of(link, output) => (link, output),
-            LinkSetOutput::Stalled(gap) => {
+    fn carry_out(&mut self, output: LinkLayerOutput<MediumAddress>, _: &mut Context<Self>) {
+        match output {
+            LinkLayerOutput::Of(link, output) => self.carry_out_of(link, output),
+            LinkLayerOutput::Transmit { to, frame, lane } => self.transmit(to, frame, lane),
+            LinkLayerOutput::Adopt { connection, peer } => {
+                // Elsewhere an address proves nothing, and frames go where the user has said.
+                if let MediumAddress::Connection { .. } = connection {
+                    self.wiring.transport.adopt.do_send(Adopt { connection, peer });
+                }
+            }
+            LinkLayerOutput::Stranger(from) => {
+                warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
+            }
+            LinkLayerOutput::Stalled(gap) => {
                 if let Some(stalls) = &self.wiring.stalls {
                     stalls.do_send(LivenessReported::Stalled { gap });
                 }
-                return;
             }
-            LinkSetOutput::Greet(frame) => {
-                if let Some(to) = self.bus.clone() {
-                    self.transmit(to, frame);
-                }
-                return;
+            LinkLayerOutput::KeyInUse { link, open, refused } => {
+                self.key_in_use(link, open, refused);
             }
-        };
+        }
+    }
+}
+
+impl LinksActor {
+    fn carry_out_of(&mut self, link: LinkId, output: LinkOutput) {
         let arrived = |load| self.wiring.router_loads.do_send(ReceivedOnLink { link, load });
         match output {
-            LinkOutput::Transmit(frame) => {
-                if let Some(spec) = self.specs.get(&link) {
-                    self.transmit(spec.remote.clone(), frame);
-                }
-            }
             LinkOutput::Routing(bytes) => arrived(LinkPayload::Routing(bytes)),
             LinkOutput::Packet(bytes) => arrived(LinkPayload::Packet(bytes.into())),
             LinkOutput::Changed { state, reason, .. } => self.changed(link, state, reason),
             LinkOutput::Missing { hello_received } => self.missing(link, hello_received),
             LinkOutput::Quality(quality) => self.quality(link, quality),
             LinkOutput::Refused(refusal) => self.refused(link, &refusal),
+            LinkOutput::Transmit(_) => unreachable!("the layer transmits"),
         }
     }
 }
@@ -401,15 +507,7 @@ impl Handler<Received> for LinksActor {
 
     fn handle(&mut self, message: Received, context: &mut Context<Self>) {
         let Received { from, frame } = message;
-        let link = self.by_remote.get(&from).and_then(|link| self.bundle.get_mut(*link));
-        let Some(link) = link else {
-            if self.strangers.total() == 0 {
-                warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
-            }
-            self.strangers.unexpected += 1;
-            return;
-        };
-        link.handle_frame(frame, platform::now());
+        self.bundle.handle_frame(from, frame, platform::now());
         self.drive_soon(context);
     }
 }
@@ -422,7 +520,8 @@ impl Handler<TransportReport> for LinksActor {
         match message {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
-                self.mtu = Some(mtu);
+                // What the seal takes is not left for the router.
+                self.mtu = Some(mtu.saturating_sub(self.bundle.overhead()));
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();
@@ -445,15 +544,14 @@ impl Handler<TransportReport> for LinksActor {
                 self.tell_router_all();
             }
             TransportReport::Bus { all } => {
-                self.bus = Some(all);
-                self.bundle.handle_bus();
+                self.bus = Some(all.clone());
+                self.bundle.handle_bus(all);
             }
             TransportReport::NoCarrier { reason } => self.no_carrier(reason, now),
             TransportReport::Clash { reason } => self.clash(reason),
             TransportReport::PeerLost { peer } => {
-                let number = self.by_remote.get(&peer);
-                if let Some(link) = number.and_then(|number| self.bundle.get_mut(*number)) {
-                    link.handle_loss(now);
+                if let Some(number) = self.bundle.link_at(&peer) {
+                    self.bundle.with_link(number, now, |link| link.handle_loss(now));
                 }
             }
         }
@@ -479,11 +577,10 @@ impl Handler<TransmitOnLink> for LinksActor {
 
     fn handle(&mut self, message: TransmitOnLink, context: &mut Context<Self>) {
         let TransmitOnLink { link, load } = message;
-        let Some(link) = self.bundle.get_mut(link) else { return };
-        match load {
+        self.bundle.with_link(link, platform::now(), |link| match load {
             LinkPayload::Routing(bytes) => link.handle_routing(bytes),
             LinkPayload::Packet(packet) => link.handle_packet(packet),
-        }
+        });
         self.drive_soon(context);
     }
 }
@@ -492,9 +589,8 @@ impl Handler<RemoteLinkDown> for LinksActor {
     type Result = ();
 
     fn handle(&mut self, message: RemoteLinkDown, context: &mut Context<Self>) {
-        if let Some(link) = self.bundle.get_mut(message.link) {
-            link.handle_given_up(platform::now());
-        }
+        let now = platform::now();
+        self.bundle.with_link(message.link, now, |link| link.handle_given_up(now));
         self.drive(context);
     }
 }
@@ -524,7 +620,8 @@ impl Handler<ReadLinks> for LinksActor {
                 hello_interval: link.hello_interval(),
                 phi: link.phi(now),
                 cost: self.cost(number, link),
-                refusals: link.refusals(),
+                refusals: self.bundle.refused_of(number),
+                seal: self.seal(number, now),
             })
         };
         MessageResult(self.bundle.iter().filter_map(row).collect())

@@ -25,6 +25,7 @@ pub(crate) mod fault_reporter;
 mod gateway;
 mod gateway_messages;
 mod isolation;
+pub(crate) mod keys;
 mod links;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
@@ -82,6 +83,8 @@ pub(crate) struct NetworkSpec {
     pub(crate) links: Vec<LinkSpec>,
     /// How others are learned of, if they are.
     pub(crate) discovery: Option<DiscoverySpec>,
+    /// How its frames are sealed, if they are.
+    pub(crate) seal: Option<keys::SealTerms>,
 }
 
 /// One neighbour on one medium.
@@ -152,6 +155,8 @@ pub(crate) struct NetEnvironment {
     pub(crate) cleared: Option<Recipient<DeclaredFaultCleared>>,
     /// Are told whom they can talk to.
     pub(crate) observers: Vec<Recipient<PeerStatusChanged>>,
+    /// With which frames are sealed.
+    pub(crate) keys: Option<Arc<keys::NodeKeys>>,
 }
 
 impl NetEnvironment {
@@ -266,6 +271,7 @@ pub(crate) fn start(
     environment.registry.connect(remote);
     remote_watch::serve(&environment.registry);
 
+    let keys = environment.keys.clone();
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
@@ -283,6 +289,7 @@ pub(crate) fn start(
             stalls: environment.stalls.clone(),
             discovery: discovery_actor.clone().map(|actor| (domains.len(), actor)),
             faults,
+            seal: keys.clone().zip(spec.seal),
         };
         let address = guardian
             .start(name.clone(), on_arbiter, move |_| links::LinksActor::new(wiring, links));

@@ -194,6 +194,7 @@ impl Robot {
                 interface: None,
                 links: links.collect(),
                 discovery: None,
+                seal: None,
             }
         });
         let specs = specs.collect();
@@ -214,6 +215,7 @@ impl Robot {
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
+            keys: None,
         };
         let net = start(environment, specs).unwrap();
         let log = Log::default();

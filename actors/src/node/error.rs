@@ -52,12 +52,19 @@ pub enum StartError {
     #[cfg(feature = "network")]
     #[error("{0}")]
     Network(String),
-    /// A network leaves this computer, and it was not declared insecure.
+    /// The keys of the node cannot be used: the file of its key or the roster beside it is missing,
+    /// wrong, another's, or open to others.
+    #[cfg(feature = "network")]
+    #[error("{0}")]
+    Keys(String),
+    /// A network leaves this computer, the node has no keys, and the network was not declared
+    /// insecure.
     #[cfg(feature = "network")]
     #[error(
-        "network {network} leaves this computer ({medium}), and nothing on it is authenticated or \
-         encrypted: write `.insecure()` at the network, or `?insecure` in its endpoint, if every \
-         station on it may command this robot"
+        "network {network} leaves this computer ({medium}), and the node has no keys: make them with \
+         `blastema keys new ROBOT NODE…` and write `.keys(\"FILE\")` at the node; or write \
+         `.insecure()` at the network, or `?insecure` in its endpoint, if every station on it may \
+         command this robot"
     )]
     Insecure {
         /// The network.

@@ -16,6 +16,8 @@ pub struct NetworkRow {
     pub medium: String,
     /// How far its frames travel.
     pub reach: Reach,
+    /// Whether its frames are authenticated and, but on a bus, encrypted.
+    pub sealed: bool,
     /// Whether it leaves this computer without authentication.
     pub insecure: bool,
 }
@@ -23,7 +25,7 @@ pub struct NetworkRow {
 impl NetworkRow {
     /// Tells the user of a network that other users of this computer can reach.
     pub(in crate::node) fn log(&self) {
-        if self.reach == Reach::Computer {
+        if self.reach == Reach::Computer && !self.sealed {
             info!(
                 network = %self.network,
                 "any user of this computer can speak to this node over {}", self.medium

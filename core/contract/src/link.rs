@@ -116,4 +116,15 @@ pub struct LinkRow {
     pub cost: u16,
     /// What was refused on it.
     pub refusals: Refusals,
+    /// How its frames are sealed; `None` where they are not, or not yet.
+    pub seal: Option<LinkSeal>,
+}
+
+/// How the frames of a link are sealed, for display.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkSeal {
+    /// The cipher, or the message authentication code where nothing is encrypted.
+    pub cipher: &'static str,
+    /// For how long these keys are used.
+    pub key_age: Duration,
 }

@@ -95,8 +95,6 @@ pub enum LinkLayerOutput<A> {
         /// The other one, which is refused.
         refused: Incarnation,
     },
-    /// No new keys could be agreed on with the neighbour in time: its link goes down.
-    KeyWornOut(LinkId),
 }
 
 /// Where a link leads.
@@ -374,9 +372,8 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
                 SealerOutput::KeyWornOut { peer } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
                     if let Some(link) = self.links.get_mut(link) {
-                        link.handle_loss(now);
+                        link.handle_no_carrier("no new keys could be agreed on in two hours", now);
                     }
-                    self.outputs.push_back(LinkLayerOutput::KeyWornOut(link));
                 }
             }
         }

@@ -1,7 +1,8 @@
 //! The list of nodes in an editor: roles and the policy may change.
 
-use super::files::{Existing, SECRET, read_public, write};
+use super::files::{Existing, SECRET, write};
 use blastema::core::net::trust::roster::NodeRoster;
+use blastema::keys::read_public;
 use std::env;
 use std::path::Path;
 use std::process::Command;

@@ -1,96 +1,16 @@
-//! Files of keys: which ones are refused for their permissions, and how they are written.
+//! How files of keys are written.
 
-use rustix::process::geteuid;
-use std::fs::{self, File, Metadata, Permissions};
-use std::io::{self, Read, Write};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use blastema::keys::folder_of;
+use std::fs::{self, File, Permissions};
+use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use tempfile::NamedTempFile;
-use zeroize::Zeroizing;
 
 /// The mode of a file that holds a secret.
 pub(super) const SECRET: u32 = 0o600;
 /// The mode of a file that everybody may read.
 pub(super) const PUBLIC: u32 = 0o644;
-/// No file of keys is longer: see `RobotFile`.
-const MOST_BYTES: u64 = 128 * 1024;
-/// In a folder with this bit, a file is renamed and removed by its owner alone.
-const STICKY: u32 = 0o1000;
-
-/// Reads a file that holds a secret, if no other user can read or replace it.
-pub(super) fn read_secret(path: &Path) -> Result<Zeroizing<String>, String> {
-    let (mut file, metadata) = open(path)?;
-    check_secret(path, &metadata)?;
-    check_folder(path)?;
-    read(path, &mut file, &metadata)
-}
-
-/// Reads a file that holds no secret.
-pub(super) fn read_public(path: &Path) -> Result<Zeroizing<String>, String> {
-    let (mut file, metadata) = open(path)?;
-    read(path, &mut file, &metadata)
-}
-
-fn open(path: &Path) -> Result<(File, Metadata), String> {
-    let failed = |error: io::Error| format!("{} cannot be read: {error}", path.display());
-    let file = File::open(path).map_err(failed)?;
-    let metadata = file.metadata().map_err(failed)?;
-    if !metadata.is_file() {
-        return Err(format!("{} is no file: name a file of keys", path.display()));
-    }
-    if metadata.len() > MOST_BYTES {
-        return Err(format!(
-            "{} has more than {MOST_BYTES} bytes: it is no file of keys",
-            path.display()
-        ));
-    }
-    Ok((file, metadata))
-}
-
-fn read(path: &Path, file: &mut File, metadata: &Metadata) -> Result<Zeroizing<String>, String> {
-    // With room for all of it, so that no copy is left behind in a buffer that grew.
-    let mut text = Zeroizing::new(String::with_capacity(metadata.len() as usize + 1));
-    let most = metadata.len();
-    let read = file.take(most).read_to_string(&mut text);
-    read.map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
-    Ok(text)
-}
-
-/// Refuses a secret that other users can read, or that is theirs.
-fn check_secret(path: &Path, file: &Metadata) -> Result<(), String> {
-    let (path, mode) = (path.display(), file.mode() & 0o7777);
-    if mode & 0o077 != 0 {
-        return Err(format!("{path} can be read by others (mode {mode:04o}): chmod 600 {path}"));
-    }
-    let own = geteuid().as_raw();
-    match file.uid() {
-        owner if owner == own || own == 0 => Ok(()),
-        owner => Err(format!(
-            "{path} belongs to uid {owner}, and this is uid {own}: copy it as this user"
-        )),
-    }
-}
-
-/// Refuses a folder in which other users can replace files.
-fn check_folder(path: &Path) -> Result<(), String> {
-    let folder = folder_of(path);
-    let failed = |error| format!("{} cannot be looked at: {error}", folder.display());
-    let mode = fs::metadata(folder).map_err(failed)?.mode() & 0o7777;
-    if mode & 0o022 == 0 || mode & STICKY != 0 {
-        return Ok(());
-    }
-    Err(format!(
-        "{} can be replaced by others, who can write to its folder (mode {mode:04o}): chmod go-w {}",
-        path.display(),
-        folder.display()
-    ))
-}
-
-pub(super) fn folder_of(path: &Path) -> &Path {
-    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-    parent.unwrap_or(Path::new("."))
-}
-
 /// Refuses to overwrite.
 pub(super) fn check_absent(path: &Path) -> Result<(), String> {
     match fs::symlink_metadata(path) {

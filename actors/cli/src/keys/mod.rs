@@ -6,15 +6,14 @@ mod edit;
 mod files;
 mod show;
 
-use self::files::{Existing, PUBLIC, SECRET, check_absent, folder_of, write};
+use self::files::{Existing, PUBLIC, SECRET, check_absent, write};
 use crate::args::{KeysJob, RobotOption};
 use blastema::core::NodeName;
-use blastema::core::net::trust::crypto::{KEY_BYTES, Seed};
+use blastema::core::net::trust::crypto::Seed;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
 use blastema::core::net::trust::policy::Role;
 use blastema::core::net::trust::roster::{NodeRoster, ROSTER_BYTES, RosterNode, RosterOrder};
-use rustix::io::Errno;
-use rustix::rand::{GetRandomFlags, getrandom};
+use blastema::keys::{folder_of, random_bytes, read_public, read_secret};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -81,7 +80,7 @@ impl Signer {
             Some(path) => path.clone(),
             None => only_robot()?,
         };
-        let text = files::read_secret(&path)?;
+        let text = read_secret(&path)?;
         let robot = RobotFile::parse(&text);
         let robot = robot.map_err(|error| format!("{}: {error}", path.display()))?;
         Ok(Signer { path, robot })
@@ -116,7 +115,7 @@ impl Signer {
         if fs::symlink_metadata(&path).is_err() {
             return Ok(());
         }
-        let text = files::read_public(&path)?;
+        let text = read_public(&path)?;
         let listed = NodeRoster::parse_signed(&text, &self.robot.seed.signer());
         let listed = listed.map_err(|error| format!("{}: {error}", path.display()))?;
         match self.robot.roster.order_of(&listed) {
@@ -236,19 +235,9 @@ fn role(text: &str) -> Result<(String, Role), String> {
 }
 
 fn random_seed() -> Result<Seed, String> {
-    let mut bytes = Zeroizing::new([0; KEY_BYTES]);
-    let mut filled = 0;
-    while filled < bytes.len() {
-        match getrandom(&mut bytes[filled..], GetRandomFlags::empty()) {
-            Ok(more) => filled += more,
-            Err(Errno::INTR) => {}
-            Err(error) => {
-                return Err(format!(
-                    "the system gives no random numbers (getrandom: {error}): no key can be made"
-                ));
-            }
-        }
-    }
+    let bytes = random_bytes().map_err(|error| {
+        format!("the system gives no random numbers (getrandom: {error}): no key can be made")
+    })?;
     Ok(Seed::new(*bytes))
 }
 

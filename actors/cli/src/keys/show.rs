@@ -1,10 +1,11 @@
 //! What files of keys hold, without any secret.
 
-use super::{files, said};
+use super::said;
 use blastema::core::NodeName;
 use blastema::core::net::trust::crypto::PublicKey;
 use blastema::core::net::trust::key_file::{KeyFile, RobotFile};
 use blastema::core::net::trust::roster::NodeRoster;
+use blastema::keys::{read_public, read_secret};
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,7 @@ pub(super) fn run(named: &[PathBuf]) -> Result<(), String> {
         let of_file = |error| format!("{}: {error}", path.display());
         match kind_of(path) {
             Some("robot") => {
-                let robot = RobotFile::parse(&files::read_secret(path)?).map_err(of_file)?;
+                let robot = RobotFile::parse(&read_secret(path)?).map_err(of_file)?;
                 let signer = robot.seed.signer();
                 let _ =
                     writeln!(text, "{}: signs for robot {}", path.display(), robot.roster.robot);
@@ -33,7 +34,7 @@ pub(super) fn run(named: &[PathBuf]) -> Result<(), String> {
                 signers.push((robot.roster.robot, signer));
             }
             Some("key") => {
-                let key = KeyFile::parse(&files::read_secret(path)?).map_err(of_file)?;
+                let key = KeyFile::parse(&read_secret(path)?).map_err(of_file)?;
                 let _ = writeln!(
                     text,
                     "{}: node {} of robot {}\n  fingerprint {}\n  signer {}",
@@ -60,7 +61,7 @@ pub(super) fn run(named: &[PathBuf]) -> Result<(), String> {
 
 fn roster(text: &mut String, path: &Path, signers: &[(NodeName, PublicKey)]) -> Result<(), String> {
     let of_file = |error| format!("{}: {error}", path.display());
-    let signed = files::read_public(path)?;
+    let signed = read_public(path)?;
     let body = signed.rfind("signed").map_or("", |at| &signed[..at]);
     let unchecked = NodeRoster::parse(body).map_err(of_file)?;
     let signer = signers.iter().find(|(robot, _)| *robot == unchecked.robot);

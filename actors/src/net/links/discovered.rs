@@ -11,6 +11,7 @@ use blastema_core::NodeName;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::routing::{LinkHealth, LinkStatus};
 use blastema_core::net::{LinkId, LinkState};
+use tracing::debug;
 
 /// What those who tell others of our neighbours must know. A domain is a network, by its place
 /// among those that discover.
@@ -83,13 +84,16 @@ impl Handler<AddDiscoveredLink> for LinksActor {
         context: &mut Context<Self>,
     ) {
         // Where a link leads already, none is needed.
-        if self.by_remote.contains_key(&spec.remote) {
+        if self.bundle.link_at(&spec.remote).is_some() {
             return;
         }
-        self.by_remote.insert(spec.remote.clone(), number);
-        let link = super::link(&self.wiring, &spec, platform::now());
-        self.specs.insert(number, spec);
-        self.bundle.insert(number, link);
+        match self.insert(number, &spec, platform::now()) {
+            Ok(()) => {
+                self.specs.insert(number, spec);
+            }
+            // Another address of a node that has a link here, or a node without a key.
+            Err(error) => debug!(network = %self.wiring.network, link = %spec.name, "{error}"),
+        }
         self.drive(context);
     }
 }
@@ -109,9 +113,8 @@ impl Handler<RemoveDiscoveredLink> for LinksActor {
         self.tell_monitor(number, LinkCondition::Forgotten);
         self.bundle.remove(number);
         self.forget_namesake(number);
-        if let Some(spec) = self.specs.remove(&number) {
-            self.by_remote.remove(&spec.remote);
-        }
+        self.keys_in_use.remove(&number);
+        self.specs.remove(&number);
         self.drive(context);
     }
 }

@@ -134,6 +134,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             interface: None,
             links: vec![link("left"), link("right")],
             discovery: None,
+            seal: None,
         };
         let environment = NetEnvironment {
             node: NodeName::new("left").unwrap(),
@@ -152,6 +153,7 @@ fn two_links_of_one_name_are_refused_before_anything_starts() {
             judges: IsolationAuthority::Majority,
             session_timeout: IDLE_TIMEOUT,
             observers: Vec::new(),
+            keys: None,
         };
 
         let refused = start(environment, vec![spec]).err().unwrap();

@@ -5,6 +5,7 @@ use super::{NodeAssembly, middleware, named};
 use crate::component::environment::ComponentEnvironment;
 use crate::component::spec_error::SpecError;
 use crate::global_name::actor::{GlobalNamesActor, GlobalNamesSetup};
+use crate::net::keys::NodeKeys;
 use crate::net::safe_state::{RestSetup, SafeStateActor};
 use crate::net::{self, NetEnvironment, NetHandle, NetworkSpec};
 use crate::node::builder::ActorPlacement;
@@ -25,6 +26,7 @@ use blastema_core::net::discovery::DiscoveryAdmission;
 use blastema_core::net::isolation::IsolationAuthority;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{Incarnation, NodeName};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The networks of a node that runs.
@@ -98,7 +100,8 @@ impl NodeAssembly {
             self.enrolments.push(middleware(named("net/claims"), Some(claims.pings)));
             return Ok(());
         }
-        let networks = (networks, description.judges()?, description.session_timeout);
+        let judges = description.judges()?;
+        let networks = (networks, description.keys.take(), judges, description.session_timeout);
         let (networks, enrolments) =
             make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
         self.undone.own.extend(networks.arbiter.clone());
@@ -140,7 +143,12 @@ impl NodeAssembly {
 
 /// Starts transports, links, router, sessions and gateway, and connects them to the fault chain.
 fn make_networks(
-    (networks, judges, session_timeout): (Vec<Network>, IsolationAuthority, Duration),
+    (networks, keys, judges, session_timeout): (
+        Vec<Network>,
+        Option<Arc<NodeKeys>>,
+        IsolationAuthority,
+        Duration,
+    ),
     placement: ActorPlacement,
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
@@ -153,10 +161,11 @@ fn make_networks(
     };
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
-    let rows: Vec<NetworkRow> = networks.iter().map(Network::row).collect();
+    let has_keys = keys.is_some();
+    let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
     for network in networks {
-        let started = network.lay(node, guardian, arbiter.as_ref())?;
+        let started = network.lay((node, has_keys), guardian, arbiter.as_ref())?;
         if let Some(cable) = started.cable {
             cables.insert(started.spec.name.to_string(), cable);
         }
@@ -189,6 +198,7 @@ fn make_networks(
         judges,
         session_timeout,
         observers: Vec::new(),
+        keys,
     };
     let slowest = specs.iter().flat_map(|spec| &spec.links).map(|link| link.hello_interval).max();
     let setup = claims_setup((node, incarnation), parts, environment);

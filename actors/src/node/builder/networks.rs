@@ -3,6 +3,7 @@
 use super::NodeBuilder;
 use crate::node::network::Network;
 use crate::service::{ServiceSpec, Stateful};
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// Other nodes; with the feature `network`.
@@ -10,6 +11,17 @@ impl NodeBuilder {
     /// Adds a network.
     pub fn network(mut self, network: Network) -> Self {
         self.networks.networks.push(network);
+        self
+    }
+
+    /// Gives the node its key, which `blastema keys new` has made, and the roster beside it: all its
+    /// networks are [sealed](crate::manual::security). Without this line the environment variable
+    /// `BLASTEMA_KEYS` names the file, if it is set.
+    ///
+    /// A file that is missing, another node's, or open to other users is
+    /// [`StartError::Keys`](crate::StartError::Keys) when the node starts.
+    pub fn keys(mut self, file: impl Into<PathBuf>) -> Self {
+        self.networks.key_file = Some(file.into());
         self
     }
 

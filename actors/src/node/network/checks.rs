@@ -2,6 +2,7 @@
 
 use super::{Link, Medium, Network, Remote};
 use crate::net::Interface;
+use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
 use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
@@ -15,6 +16,7 @@ use blastema_transports::endpoint::is_interface;
 pub(in crate::node) fn check_networks(
     networks: &[Network],
     node: &NodeName,
+    keys: Option<&NodeKeys>,
 ) -> Result<(), StartError> {
     let mut names = SortedSet::new();
     for network in networks {
@@ -25,7 +27,7 @@ pub(in crate::node) fn check_networks(
             );
             return Err(StartError::Network(text));
         }
-        network.check(node)?;
+        network.check(node, keys)?;
     }
     let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
@@ -78,7 +80,11 @@ impl Network {
     }
 
     /// Finds what can be known to be wrong before anything is started.
-    pub(in crate::node) fn check(&self, node: &NodeName) -> Result<(), StartError> {
+    pub(in crate::node) fn check(
+        &self,
+        node: &NodeName,
+        keys: Option<&NodeKeys>,
+    ) -> Result<(), StartError> {
         let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
         if let Some(what) = self.own_fault() {
             return wrong(what);
@@ -89,7 +95,34 @@ impl Network {
                 return wrong(what);
             }
         }
-        self.check_exposure()
+        if let Some(keys) = keys.filter(|_| self.leaves_process()) {
+            self.check_sealed(keys)?;
+        }
+        self.check_exposure(keys.is_some())
+    }
+
+    /// On a sealed network each neighbour has a key, and one link.
+    fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
+        let mut neighbours = SortedSet::new();
+        for Link { neighbour, .. } in &self.links {
+            let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());
+            if !known {
+                let (robot, serial) = (keys.robot(), keys.serial());
+                return Err(StartError::Keys(format!(
+                    "{neighbour}, a neighbour on network {}, is not in roster {serial} of {robot}: list \
+                     it by `blastema keys add {neighbour}`, and copy the new roster here",
+                    self.name
+                )));
+            }
+            if !neighbours.insert(neighbour) {
+                return Err(StartError::Network(format!(
+                    "two links of network {} lead to {neighbour}: on a sealed network each neighbour \
+                     has one; leave one out, or make it a network of its own",
+                    self.name
+                )));
+            }
+        }
+        Ok(())
     }
 
     /// What is wrong with our own end of it.

@@ -2,11 +2,16 @@
 
 use super::Network;
 use super::checks::check_networks;
+use crate::net::keys::NodeKeys;
 use crate::node::error::StartError;
+use crate::platform;
 use crate::service::{Carried, ServiceSpecError};
 use crate::settings::network::SESSION_TIMEOUT;
 use blastema_core::NodeName;
 use blastema_core::net::isolation::IsolationAuthority;
+use std::env;
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The networks of a node, and what it does by way of them.
@@ -15,7 +20,14 @@ pub(in crate::node) struct NetworkDescription {
     pub(in crate::node) services: Vec<Result<Carried, ServiceSpecError>>,
     pub(in crate::node) wardens: Vec<String>,
     pub(in crate::node) session_timeout: Duration,
+    /// The file of the node's key.
+    pub(in crate::node) key_file: Option<PathBuf>,
+    /// What that file and the roster beside it say, once they are read.
+    pub(in crate::node) keys: Option<Arc<NodeKeys>>,
 }
+
+/// Names the file of the node's key where the program names none.
+const KEYS_VARIABLE: &str = "BLASTEMA_KEYS";
 
 impl Default for NetworkDescription {
     fn default() -> Self {
@@ -24,16 +36,34 @@ impl Default for NetworkDescription {
             services: Vec::new(),
             wardens: Vec::new(),
             session_timeout: SESSION_TIMEOUT.default,
+            key_file: None,
+            keys: None,
         }
     }
 }
 
 impl NetworkDescription {
-    /// Finds what can be known to be wrong before anything is started.
-    pub(in crate::node) fn check(&self, node: &NodeName) -> Result<(), StartError> {
+    /// Reads the keys, and finds what can be known to be wrong before anything is started.
+    pub(in crate::node) fn check(&mut self, node: &NodeName) -> Result<(), StartError> {
         self.judges()?;
         SESSION_TIMEOUT.check(self.session_timeout)?;
-        check_networks(&self.networks, node)
+        self.read_keys(node)?;
+        check_networks(&self.networks, node, self.keys.as_deref())
+    }
+
+    fn read_keys(&mut self, node: &NodeName) -> Result<(), StartError> {
+        let found = || {
+            let leaves_process = self.networks.iter().any(Network::leaves_process);
+            env::var_os(KEYS_VARIABLE).filter(|path| leaves_process && !path.is_empty())
+        };
+        let Some(file) = self.key_file.clone().or_else(|| found().map(PathBuf::from)) else {
+            return Ok(());
+        };
+        platform::random_bytes().map_err(|error| {
+            StartError::Keys(format!("the system gives no random numbers (getrandom: {error})"))
+        })?;
+        self.keys = Some(Arc::new(NodeKeys::read(&file, node).map_err(StartError::Keys)?));
+        Ok(())
     }
 
     /// Whose word isolates a node.

@@ -1,10 +1,12 @@
 //! How far the frames of a network travel, and the refusal of one that leaves the computer.
 
 use super::{Medium, Network};
+use crate::net::keys::SealTerms;
 use crate::node::Node;
 use crate::node::error::StartError;
 use crate::node::network_row::NetworkRow;
-use blastema_transports::Reach;
+use blastema_core::net::seal::SealProfile;
+use blastema_transports::{Endpoint, Reach};
 
 impl Medium {
     fn reach(&self) -> Reach {
@@ -42,20 +44,50 @@ impl Network {
         reach
     }
 
+    /// Whether other processes can be on it.
+    pub(super) fn leaves_process(&self) -> bool {
+        self.reach() != Reach::Process
+    }
+
+    /// How its frames are sealed by a node that has keys. Within a process nobody else can send.
+    pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
+        let (profile, forgeable_addresses) = match &self.medium {
+            // Frames of a bus are small, and its cable is within the robot.
+            Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
+            // A line may be a radio. A stream's other end is where it was when it connected.
+            Medium::At(Endpoint::Serial(_) | Endpoint::Tcp(_) | Endpoint::Unix(_)) => {
+                (SealProfile::Full, false)
+            }
+            _ => (SealProfile::Full, true),
+        };
+        self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
+    }
+
     /// The network, for display.
-    pub(in crate::node) fn row(&self) -> NetworkRow {
+    pub(in crate::node) fn row(&self, has_keys: bool) -> NetworkRow {
         let reach = self.reach();
+        let sealed = has_keys && self.leaves_process();
         NetworkRow {
             network: self.name.as_str().into(),
             medium: self.medium.place(),
             reach,
-            insecure: reach.leaves_computer(),
+            sealed,
+            insecure: reach.leaves_computer() && !sealed,
         }
     }
 
-    /// Refuses a network that leaves this computer, unless the user has accepted that.
-    pub(super) fn check_exposure(&self) -> Result<(), StartError> {
-        if self.insecure || !self.reach().leaves_computer() {
+    /// Refuses a network that leaves this computer without keys, unless the user has accepted that;
+    /// and one that is insecure beside keys: what comes over it would speak with the authority of
+    /// the others.
+    pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
+        if self.insecure && has_keys {
+            return Err(StartError::Network(format!(
+                "network {0} is insecure and the node has keys: give {0} keys on its other nodes, or \
+                 run a node of its own for it",
+                self.name
+            )));
+        }
+        if has_keys || self.insecure || !self.reach().leaves_computer() {
             return Ok(());
         }
         let (network, medium) = (self.name.clone(), self.medium.place());

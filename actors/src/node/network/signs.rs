@@ -70,6 +70,7 @@ mod tests {
             phi: 0.0,
             cost: 1,
             refusals: Refusals::default(),
+            seal: None,
         }
     }
 

@@ -147,10 +147,11 @@ impl Network {
     /// Starts the transport, of this node.
     pub(in crate::node) fn lay(
         self,
-        own: &NodeName,
+        (own, has_keys): (&NodeName, bool),
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
+        let seal = self.seal_terms().filter(|_| has_keys);
         let link_names: Vec<String> = self.link_names().collect();
         let Network { name, mut medium, links, faults, interface, admission, beacons, .. } = self;
         medium.name_node(own);
@@ -236,7 +237,8 @@ impl Network {
                 Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
             }
         };
-        let spec = NetworkSpec { name: name.into(), transport, interface, links: specs, discovery };
+        let name = name.into();
+        let spec = NetworkSpec { name, transport, interface, links: specs, discovery, seal };
         Ok(StartedNetwork { spec, cable, neighbours, transports })
     }
 }

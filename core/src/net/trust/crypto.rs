@@ -54,11 +54,15 @@ impl Seed {
         &self.0
     }
 
+    /// The cryptography of the handshakes of the node that has this seed.
+    pub fn handshakes(&self) -> NoiseCrypto {
+        NoiseCrypto::new(*self.derive(KeyUse::Handshake))
+    }
+
     /// The public keys of the node that has this seed.
     pub fn public_keys(&self) -> PublicKeys {
-        let handshake = NoiseCrypto::new(*self.derive(KeyUse::Handshake));
         PublicKeys {
-            x25519: PublicKey(handshake.public_key()),
+            x25519: PublicKey(self.handshakes().public_key()),
             ed25519: public_key(&key_pair(&self.derive(KeyUse::Advertisements))),
         }
     }
@@ -102,6 +106,11 @@ impl fmt::Debug for PublicKey {
 }
 
 impl PublicKey {
+    /// Its bytes.
+    pub fn bytes(&self) -> &[u8; KEY_BYTES] {
+        &self.0
+    }
+
     /// Whether this Ed25519 key has signed the message.
     pub(super) fn has_signed(&self, message: &[u8], signature: &[u8]) -> bool {
         UnparsedPublicKey::new(&ED25519, &self.0).verify(message, signature).is_ok()

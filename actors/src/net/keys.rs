@@ -1,0 +1,114 @@
+//! A node's own keys, and the public ones of the robot's other nodes.
+
+use crate::platform;
+use crate::platform::key_files::{folder_of, read_public, read_secret};
+use blastema_contract::transport::MediumAddress;
+use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
+use blastema_core::net::trust::key_file::KeyFile;
+use blastema_core::net::trust::roster::NodeRoster;
+use blastema_core::net::{NeighbourKey, NodeId};
+use blastema_core::{Incarnation, NodeName};
+use std::path::{Path, PathBuf};
+
+/// The keys with which a node seals what it sends.
+pub(crate) struct NodeKeys {
+    own: KeyFile,
+    roster: NodeRoster,
+}
+
+/// How the frames of one network are sealed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SealTerms {
+    pub(crate) profile: SealProfile,
+    /// A sender on the medium can claim any address.
+    pub(crate) forgeable_addresses: bool,
+}
+
+impl NodeKeys {
+    /// Reads the key of the node called `node` from this file, and the roster beside it.
+    ///
+    /// # Errors
+    /// What is wrong, in which file, and what to do.
+    pub(crate) fn read(file: &Path, node: &NodeName) -> Result<Self, String> {
+        let own = KeyFile::parse(&read_secret(file)?);
+        let own = own.map_err(|error| format!("{}: {error}", file.display()))?;
+        if own.node != *node {
+            return Err(format!(
+                "{} is the key of {}, and this node is called {node}: copy {node}.key here",
+                file.display(),
+                own.node
+            ));
+        }
+        let path = roster_path(file, &own.robot);
+        let text = read_public(&path).map_err(|error| {
+            format!("{error}: copy {}.roster beside {}", own.robot, file.display())
+        })?;
+        let roster = NodeRoster::parse_signed(&text, &own.signer)
+            .map_err(|error| format!("{}: {error}", path.display()))?;
+        // The number and the text are signed by the key that this file names.
+        let (serial, robot) = (roster.serial, &roster.robot);
+        if *robot != own.robot {
+            return Err(format!(
+                "{} is the roster of {robot}, and the key is of {}",
+                path.display(),
+                own.robot
+            ));
+        }
+        match roster.node(node) {
+            None => Err(format!(
+                "{node} is not in roster {serial} of {robot} ({}): it was revoked, or added later than \
+                 this file; copy the newest roster here",
+                path.display()
+            )),
+            Some(listed) if listed.keys != own.seed.public_keys() => Err(format!(
+                "{} is not the key that roster {serial} of {robot} lists for {node}: it was replaced; \
+                 copy the newest {node}.key and {robot}.roster here",
+                file.display()
+            )),
+            Some(_) => Ok(NodeKeys { own, roster }),
+        }
+    }
+
+    /// The robot's name.
+    pub(crate) fn robot(&self) -> &NodeName {
+        &self.roster.robot
+    }
+
+    /// The roster's serial number.
+    pub(crate) fn serial(&self) -> u64 {
+        self.roster.serial
+    }
+
+    /// The key of another node of the robot.
+    pub(crate) fn key_of(&self, node: &NodeName) -> Option<NeighbourKey> {
+        let listed = self.roster.node(node)?;
+        Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
+    }
+
+    /// A sealer for one network. Its counters begin anew, and so do all keys: one is made for each
+    /// life of the links.
+    ///
+    /// # Panics
+    /// When the system gives no random numbers, which it did when the node started.
+    pub(crate) fn sealer(
+        &self,
+        incarnation: Incarnation,
+        terms: SealTerms,
+    ) -> Sealer<NoiseCrypto, MediumAddress> {
+        let SealTerms { profile, forgeable_addresses } = terms;
+        let node = NodeId::of(&self.own.node);
+        let config = SealerConfig {
+            roster: u32::try_from(self.roster.serial).unwrap_or(u32::MAX),
+            profile,
+            fast_aes: platform::has_aes(),
+            forgeable_addresses,
+            ..SealerConfig::new(node, incarnation, self.robot().as_str())
+        };
+        let seed = platform::random_bytes().expect("the system gave random numbers at the start");
+        Sealer::new(config, self.own.seed.handshakes(), *seed, platform::now())
+    }
+}
+
+fn roster_path(key: &Path, robot: &NodeName) -> PathBuf {
+    folder_of(key).join(format!("{robot}.roster"))
+}

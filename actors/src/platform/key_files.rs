@@ -1,0 +1,129 @@
+//! Files of keys: which ones are refused for their permissions.
+
+use rustix::process::geteuid;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+use zeroize::Zeroizing;
+
+/// No file of keys is longer.
+const MOST_BYTES: u64 = 128 * 1024;
+/// In a folder with this bit, a file is renamed and removed by its owner alone.
+const STICKY: u32 = 0o1000;
+
+/// Reads a file that holds a secret, if no other user can read or replace it.
+///
+/// # Errors
+/// What is wrong with the file or its folder, and the command that mends it. No error repeats a word
+/// of the file.
+pub fn read_secret(path: &Path) -> Result<Zeroizing<String>, String> {
+    let (mut file, metadata) = open(path)?;
+    check_secret(path, &metadata)?;
+    check_folder(path)?;
+    read(path, &mut file, &metadata)
+}
+
+/// Reads a file that holds no secret, such as a roster.
+///
+/// # Errors
+/// Why the file cannot be read.
+pub fn read_public(path: &Path) -> Result<Zeroizing<String>, String> {
+    let (mut file, metadata) = open(path)?;
+    read(path, &mut file, &metadata)
+}
+
+fn open(path: &Path) -> Result<(File, Metadata), String> {
+    let failed = |error: io::Error| format!("{} cannot be read: {error}", path.display());
+    let file = File::open(path).map_err(failed)?;
+    let metadata = file.metadata().map_err(failed)?;
+    if !metadata.is_file() {
+        return Err(format!("{} is no file: name a file of keys", path.display()));
+    }
+    if metadata.len() > MOST_BYTES {
+        return Err(format!(
+            "{} has more than {MOST_BYTES} bytes: it is no file of keys",
+            path.display()
+        ));
+    }
+    Ok((file, metadata))
+}
+
+fn read(path: &Path, file: &mut File, metadata: &Metadata) -> Result<Zeroizing<String>, String> {
+    // With room for all of it, so that no copy is left behind in a buffer that grew.
+    let mut text = Zeroizing::new(String::with_capacity(metadata.len() as usize + 1));
+    let most = metadata.len();
+    let read = file.take(most).read_to_string(&mut text);
+    read.map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+    Ok(text)
+}
+
+/// Refuses a secret that other users can read, or that is theirs.
+fn check_secret(path: &Path, file: &Metadata) -> Result<(), String> {
+    let (path, mode) = (path.display(), file.mode() & 0o7777);
+    if mode & 0o077 != 0 {
+        return Err(format!("{path} can be read by others (mode {mode:04o}): chmod 600 {path}"));
+    }
+    let own = geteuid().as_raw();
+    match file.uid() {
+        owner if owner == own || own == 0 => Ok(()),
+        owner => Err(format!(
+            "{path} belongs to uid {owner}, and this is uid {own}: copy it as this user"
+        )),
+    }
+}
+
+/// Refuses a folder in which other users can replace files.
+fn check_folder(path: &Path) -> Result<(), String> {
+    let folder = folder_of(path);
+    let failed = |error| format!("{} cannot be looked at: {error}", folder.display());
+    let mode = fs::metadata(folder).map_err(failed)?.mode() & 0o7777;
+    if mode & 0o022 == 0 || mode & STICKY != 0 {
+        return Ok(());
+    }
+    Err(format!(
+        "{} can be replaced by others, who can write to its folder (mode {mode:04o}): chmod go-w {}",
+        path.display(),
+        folder.display()
+    ))
+}
+
+/// The folder of a file.
+pub fn folder_of(path: &Path) -> &Path {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    parent.unwrap_or(Path::new("."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    #[test]
+    fn a_secret_that_others_can_read_or_replace_is_refused_with_the_command_that_mends_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("base.key");
+        fs::write(&path, "text").expect("it can be written");
+        let with = |file: u32, of_folder: u32| {
+            fs::set_permissions(&path, Permissions::from_mode(file)).expect("it is ours");
+            fs::set_permissions(folder.path(), Permissions::from_mode(of_folder))
+                .expect("so is it");
+            read_secret(&path).map(|text| text.len())
+        };
+
+        assert_eq!(with(0o600, 0o700), Ok(4));
+        assert_eq!(with(0o400, 0o755), Ok(4));
+        assert_eq!(with(0o600, 0o1777), Ok(4), "files in /tmp are their owner's");
+        for mode in [0o644, 0o640, 0o604, 0o620] {
+            let refused = with(mode, 0o700).expect_err("others can read or write it");
+            let cure = format!("(mode {mode:04o}): chmod 600 {}", path.display());
+            assert!(refused.ends_with(&cure), "{refused}");
+        }
+        for mode in [0o777, 0o770, 0o702] {
+            let refused = with(0o600, mode).expect_err("others can write there");
+            let cure = format!("(mode {mode:04o}): chmod go-w {}", folder.path().display());
+            assert!(refused.ends_with(&cure), "{refused}");
+        }
+    }
+}
