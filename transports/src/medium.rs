@@ -38,6 +38,18 @@ impl PollBudget {
         left
     }
 
+    /// So many frames and no more.
+    #[cfg(any(feature = "tcp", feature = "unix"))]
+    pub(crate) fn of_frames(frames: usize) -> Self {
+        PollBudget { frames, bytes: BUDGET_BYTES }
+    }
+
+    /// Whether nothing is left.
+    #[cfg(any(feature = "tcp", feature = "unix"))]
+    pub(crate) fn is_spent(&self) -> bool {
+        self.frames == 0 || self.bytes == 0
+    }
+
     /// So many bytes were moved.
     pub(crate) fn spend(&mut self, bytes: usize) {
         self.bytes = self.bytes.saturating_sub(bytes);

@@ -2,7 +2,7 @@
 
 use actix::dev::RecipientRequest;
 use blastema_contract::transport::{
-    Attach, ConnectionTrust, MediumAddress, Received, TransportCounters, TransportReport,
+    Attach, MediumAddress, Received, TransportCounters, TransportReport,
 };
 use bytes::Bytes;
 use std::collections::VecDeque;
@@ -45,8 +45,8 @@ impl Upstream {
 
     /// What connections are worth to the attached receiver.
     #[cfg(any(feature = "fault", feature = "tcp", feature = "unix"))]
-    pub(crate) fn connections(&self) -> ConnectionTrust {
-        self.attach.as_ref().map_or(ConnectionTrust::default(), |attach| attach.connections)
+    pub(crate) fn connections(&self) -> blastema_contract::transport::ConnectionTrust {
+        self.attach.as_ref().map(|attach| attach.connections).unwrap_or_default()
     }
 
     /// The medium carries so much; it is reported now, and after each opening.

@@ -122,6 +122,13 @@ pub fn encode_header(length: usize) -> [u8; HEADER] {
     u32::try_from(length).expect("frames are far below 4 GiB").to_be_bytes()
 }
 
+/// How long the first frame in the buffer says that it is, if that much is there.
+pub(super) fn announced(buffer: &BytesMut) -> Option<usize> {
+    let header = buffer.first_chunk::<HEADER>()?;
+    // On machines where this does not fit, the frame does not either.
+    Some(usize::try_from(u32::from_be_bytes(*header)).unwrap_or(usize::MAX))
+}
+
 /// Takes the first frame from the buffer, if it is all there.
 ///
 /// A buffer without a whole frame in it is shorter than `HEADER + limit`, whatever came from
@@ -130,9 +137,7 @@ pub fn encode_header(length: usize) -> [u8; HEADER] {
 /// # Errors
 /// The announced frame is larger than `limit`.
 pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, FramingError> {
-    let Some(header) = buffer.first_chunk::<HEADER>() else { return Ok(None) };
-    // On machines where this does not fit, the frame does not either.
-    let length = usize::try_from(u32::from_be_bytes(*header)).unwrap_or(usize::MAX);
+    let Some(length) = announced(buffer) else { return Ok(None) };
     if length > limit {
         return Err(FramingError::TooLarge { length, limit });
     }
@@ -148,8 +153,7 @@ pub fn decode(buffer: &mut BytesMut, limit: usize) -> Result<Option<Bytes>, Fram
 /// A large frame is read to its end, and with it the header of the next, so that each lies in
 /// memory of its own and nothing of it is moved.
 pub(super) fn capacity(buffer: &BytesMut, limit: usize) -> usize {
-    let length = buffer.first_chunk::<HEADER>().map_or(0, |header| u32::from_be_bytes(*header));
-    match usize::try_from(length).unwrap_or(usize::MAX) {
+    match announced(buffer).unwrap_or(0) {
         length @ LARGE.. if length <= limit => 2 * HEADER + length - buffer.len(),
         _ => CHUNK.min(2 * HEADER + limit),
     }

@@ -6,21 +6,39 @@
 //! first frame to a peer makes the connection; frames wait for it, within bounds, and are dropped
 //! in the pause after it failed or broke.
 //!
-//! * **One connection per peer.** When two nodes dial each other at the same time, the call of the
-//!   smaller address counts. A peer that dials while we believe to be connected has lost the
-//!   connection, or was restarted: the new one replaces the old.
-//! * **Strangers**, who have connected and said nothing yet, have places of their own, of which the
-//!   oldest is given up when all are taken. So silent connections keep no peer out.
+//! * **One connection per peer**, which depends on what connections are worth to the receiver
+//!   ([`ConnectionTrust`]):
+//!   * *Claimed.* When two nodes dial each other at the same time, the call of the smaller address
+//!     counts. A peer that dials while we believe to be connected has lost the connection, or was
+//!     restarted: the new one replaces the old. So any process that reaches the address can take a
+//!     peer's place: 8 bytes suffice.
+//!   * *Proven.* A connection that another node makes is unproven, whatever it claims, and replaces
+//!     nothing until the receiver adopts it. Its frames come from the connection, not from a peer;
+//!     16 of them, of 128 bytes at most, are read before it is adopted. When two nodes dial each
+//!     other at the same time, both connections stand until the receivers adopt one; both must
+//!     adopt the same.
+//! * **Strangers**, who have connected and are no peers yet, have places of their own, of which the
+//!   oldest is given up when all are taken, and each of which is lost after the hello timeout. So
+//!   silent connections keep no peer out. Peers are read first, strangers with a small budget for
+//!   all of them.
 
+mod connection;
 mod outgoing;
 mod peer;
+mod stranger;
 
 pub mod framing;
 
-use self::peer::{ConnectionState, DisconnectReason, StreamPeer};
+use self::connection::{DisconnectReason, ReadEnd};
+use self::peer::{ConnectionState, StreamPeer};
+use self::stranger::{Greeting, Stranger, UnprovenConnection};
+use crate::medium::PollBudget;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
-use blastema_contract::transport::{MediumAddress, Transmit, TransportReport};
+use blastema_contract::transport::{
+    Adopt, Attach, ConnectionTrust, MediumAddress, TrafficClass, Transmit, TransportReport,
+};
+use blastema_core::GatherBuffer;
 use bytes::BytesMut;
 use bytes::buf::Limit;
 use std::collections::{BTreeSet, VecDeque};
@@ -36,6 +54,9 @@ use tokio::time::Sleep;
 pub(crate) const BACKLOG: i32 = 128;
 /// So many connections are taken in one turn.
 const ACCEPTS: usize = 16;
+/// So many frames, or parts of them, are read in one turn from all unproven connections together: a
+/// quarter of what one peer may send.
+const UNPROVEN_READS: usize = 16;
 /// So many different reasons why a peer is not permitted are logged, each once: a process that is
 /// refused may try again for ever.
 const DENIALS_LOGGED: usize = 64;
@@ -143,6 +164,7 @@ pub(crate) struct StreamLimits {
     pub(crate) peers: usize,
     pub(crate) strangers: usize,
     pub(crate) queue_bytes: usize,
+    pub(crate) hello_timeout: Duration,
 }
 
 /// All connections of one transport.
@@ -152,9 +174,13 @@ pub(crate) struct Streams<F: StreamFamily> {
     pub(crate) outlet: Upstream,
     reopening: ReopenBackoff,
     listener: Option<Listener<F>>,
+    /// The oldest first.
     strangers: VecDeque<Stranger<F>>,
+    /// How many connections were unproven so far.
+    numbered: u32,
     peers: Vec<StreamPeer<F>>,
-    /// Whose turn to read is first: the one before whom the outlet was full.
+    /// Whose turn to read is first: the peer before whom the outlet was full, or behind the last
+    /// peer the strangers.
     first: usize,
     denials: BTreeSet<String>,
 }
@@ -163,12 +189,6 @@ struct Listener<F: StreamFamily> {
     socket: F::Listener,
     local: F::Address,
     pause: Option<Pin<Box<Sleep>>>,
-}
-
-/// A peer that has connected, and is to say where it listens.
-struct Stranger<F: StreamFamily> {
-    origin: F::Origin,
-    greeting: HandshakeFuture<(F::Stream, F::Address)>,
 }
 
 impl<F: StreamFamily> Streams<F> {
@@ -180,6 +200,7 @@ impl<F: StreamFamily> Streams<F> {
             reopening: ReopenBackoff::default(),
             listener: None,
             strangers: VecDeque::new(),
+            numbered: 0,
             peers: Vec::new(),
             first: 0,
             denials: BTreeSet::new(),
@@ -213,12 +234,13 @@ impl<F: StreamFamily> Streams<F> {
         for _ in 0..ACCEPTS {
             match F::poll_accept(socket, task) {
                 Poll::Ready(Ok((stream, origin))) => {
+                    let said = self.family.greet(stream, &origin);
                     if self.strangers.len() >= self.bounds.strangers {
-                        self.strangers.pop_front();
+                        let oldest = self.strangers.pop_front();
+                        self.outlet.counters.dropped += oldest.map_or(0, Stranger::abandon);
                         self.outlet.counters.refused += 1;
                     }
-                    let greeting = self.family.greet(stream, &origin);
-                    self.strangers.push_back(Stranger { origin, greeting });
+                    self.strangers.push_back(Stranger::Greeting(Greeting { origin, said }));
                 }
                 Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
                 Poll::Ready(Err(_)) => {
@@ -232,57 +254,124 @@ impl<F: StreamFamily> Streams<F> {
         task.waker().wake_by_ref();
     }
 
-    /// Hears what strangers say, and gives them a peer's place.
+    /// Hears where strangers listen, and ends what takes them too long.
     fn meet(&mut self, task: &mut task::Context<'_>) {
-        let mut met = Vec::new();
-        let (counters, denials) = (&mut self.outlet.counters, &mut self.denials);
-        self.strangers.retain_mut(|stranger| match stranger.greeting.as_mut().poll(task) {
-            Poll::Ready(Ok((stream, address))) => {
-                met.push((address, stream));
-                false
-            }
-            Poll::Ready(Err(error)) => {
-                tracing::debug!(%error, from = ?stranger.origin, "a connection came to nothing");
-                log_denial(denials, &error);
-                match error.kind() {
-                    // Who hangs up has thought better of it: he was called meanwhile, perhaps.
-                    io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
-                        counters.errors += 1;
+        for _ in 0..self.strangers.len() {
+            let Some(stranger) = self.strangers.pop_front() else { return };
+            let met = match stranger {
+                Stranger::Greeting(greeting) => self.greet(greeting, task),
+                unproven @ Stranger::Unproven(_) => Some(unproven),
+            };
+            match met {
+                Some(Stranger::Unproven(mut unproven)) => {
+                    match unproven.poll(task, &mut self.outlet) {
+                        Ok(()) => self.strangers.push_back(Stranger::Unproven(unproven)),
+                        Err(broken) => self.give_up(unproven, broken),
                     }
-                    _ => counters.refused += 1,
                 }
-                false
-            }
-            Poll::Pending => true,
-        });
-        for (address, stream) in met {
-            if !self.admit(address, stream) {
-                self.outlet.counters.refused += 1;
+                greeting => self.strangers.extend(greeting),
             }
         }
     }
 
-    /// Says whether the connection is a good one, whether or not it is needed.
-    fn admit(&mut self, address: F::Address, stream: F::Stream) -> bool {
-        let Some(listener) = &self.listener else { return false };
-        let Ok(local) = F::ourselves(&stream, &listener.local) else { return false };
-        if address == local {
-            return false;
+    /// Hears where a stranger listens; the answer is what it is then, if no peer.
+    fn greet(
+        &mut self,
+        mut greeting: Greeting<F>,
+        task: &mut task::Context<'_>,
+    ) -> Option<Stranger<F>> {
+        let Poll::Ready(said) = greeting.said.as_mut().poll(task) else {
+            return Some(Stranger::Greeting(greeting));
+        };
+        match said {
+            Ok((stream, address)) => {
+                let admitted = match self.outlet.connections() {
+                    ConnectionTrust::Claimed => self.admit(address, stream).map(|()| None),
+                    ConnectionTrust::Proven => self.admit_unproven(address, stream).map(Some),
+                };
+                self.outlet.counters.refused += u64::from(admitted.is_none());
+                admitted.flatten()
+            }
+            Err(error) => {
+                tracing::debug!(%error, from = ?greeting.origin, "a connection came to nothing");
+                log_denial(&mut self.denials, &error);
+                match error.kind() {
+                    // Who hangs up has thought better of it: he was called meanwhile, perhaps.
+                    io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
+                        self.outlet.counters.errors += 1;
+                    }
+                    _ => self.outlet.counters.refused += 1,
+                }
+                None
+            }
         }
-        let Some(index) = self.place(&address) else { return false };
+    }
+
+    /// Keeps a connection that has yet to prove whose it is. It takes no peer's place.
+    fn admit_unproven(&mut self, claimed: F::Address, stream: F::Stream) -> Option<Stranger<F>> {
+        let local = F::ourselves(&stream, &self.listener.as_ref()?.local).ok()?;
+        if claimed == local || F::introduce(&stream, &local).is_err() {
+            return None;
+        }
+        let number = self.numbered;
+        self.numbered = number.wrapping_add(1);
+        let patience = self.bounds.hello_timeout;
+        let unproven = UnprovenConnection::new(number, claimed.into(), stream, patience);
+        Some(Stranger::Unproven(unproven))
+    }
+
+    /// An unproven connection is no more. It was no peer's, and is not reported as one.
+    fn give_up(&mut self, mut unproven: UnprovenConnection<F::Stream>, broken: DisconnectReason) {
+        self.count(broken);
+        self.outlet.counters.dropped += unproven.clear();
+    }
+
+    fn count(&mut self, broken: DisconnectReason) {
+        match broken {
+            DisconnectReason::Lost => self.outlet.counters.errors += 1,
+            DisconnectReason::Refused => self.outlet.counters.refused += 1,
+        }
+    }
+
+    /// The connection is a peer's from now on, and none that it had before is.
+    pub(crate) fn adopt(&mut self, message: Adopt) {
+        let Adopt { connection: MediumAddress::Connection { number, .. }, peer } = message else {
+            return;
+        };
+        let Some(address) = F::address(peer.clone()) else { return };
+        let mut strangers = self.strangers.iter_mut();
+        let Some(index) = strangers.position(|other| other.numbered(number).is_some()) else {
+            return;
+        };
+        let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) else { return };
+        if let Some(index) = self.place(&address) {
+            let (connection, waiting) = unproven.into_parts();
+            self.peers[index].adopt(connection, waiting);
+        } else {
+            self.give_up(unproven, DisconnectReason::Refused);
+            self.outlet.report(TransportReport::PeerLost { peer });
+        }
+    }
+
+    /// Believes whose a connection is. Nothing when it is not a good one, whether or not it is
+    /// needed.
+    fn admit(&mut self, address: F::Address, stream: F::Stream) -> Option<()> {
+        let local = F::ourselves(&stream, &self.listener.as_ref()?.local).ok()?;
+        if address == local {
+            return None;
+        }
+        let index = self.place(&address)?;
         let peer = &mut self.peers[index];
         if matches!(peer.state, ConnectionState::Dialing(_)) && local < address {
             // Both dial at once; our call counts, and the peer's transport thinks so too.
-            return true;
+            return Some(());
         }
-        if F::introduce(&stream, &local).is_err() {
-            return false;
-        }
+        F::introduce(&stream, &local).ok()?;
         if peer.is_connected() {
             self.outlet.report(TransportReport::PeerLost { peer: address.into() });
         }
-        peer.adopt(stream);
-        true
+        peer.connect(stream);
+        Some(())
     }
 
     /// The peer's place among the peers; there may be none left.
@@ -316,25 +405,53 @@ impl<F: StreamFamily> Streams<F> {
     }
 
     fn read(&mut self, task: &mut task::Context<'_>) {
-        for offset in 0..self.peers.len() {
-            let index = (self.first + offset) % self.peers.len();
-            match self.peers[index].read(task, self.bounds.mtu, &mut self.outlet) {
-                Ok(false) => {}
-                Ok(true) => {
+        let turns = self.peers.len() + 1;
+        for offset in 0..turns {
+            let index = (self.first + offset) % turns;
+            let end = match self.peers.get_mut(index) {
+                None => self.read_strangers(task),
+                Some(peer) => {
+                    peer.read(task, self.bounds.mtu, &mut self.outlet).unwrap_or_else(|broken| {
+                        self.lose(index, broken, task);
+                        ReadEnd::Done
+                    })
+                }
+            };
+            match end {
+                ReadEnd::Done => {}
+                ReadEnd::Budget => task.waker().wake_by_ref(),
+                ReadEnd::Full => {
                     self.first = index;
                     return;
                 }
-                Err(broken) => self.lose(index, broken, task),
             }
         }
     }
 
-    fn lose(&mut self, index: usize, broken: DisconnectReason, task: &mut task::Context<'_>) {
-        let peer = &mut self.peers[index];
-        match broken {
-            DisconnectReason::Lost => self.outlet.counters.errors += 1,
-            DisconnectReason::Refused => self.outlet.counters.refused += 1,
+    /// Reads from the oldest first: who comes later keeps no older one from being heard.
+    fn read_strangers(&mut self, task: &mut task::Context<'_>) -> ReadEnd {
+        let mut budget = PollBudget::of_frames(UNPROVEN_READS);
+        let mut index = 0;
+        while let Some(stranger) = self.strangers.get_mut(index) {
+            index += 1;
+            let Stranger::Unproven(unproven) = stranger else { continue };
+            match unproven.read(task, self.bounds.mtu, &mut budget, &mut self.outlet) {
+                Ok(ReadEnd::Done) => {}
+                Ok(end) => return end,
+                Err(broken) => {
+                    index -= 1;
+                    if let Some(Stranger::Unproven(unproven)) = self.strangers.remove(index) {
+                        self.give_up(unproven, broken);
+                    }
+                }
+            }
         }
+        ReadEnd::Done
+    }
+
+    fn lose(&mut self, index: usize, broken: DisconnectReason, task: &mut task::Context<'_>) {
+        self.count(broken);
+        let peer = &mut self.peers[index];
         self.outlet.counters.dropped += peer.rest();
         self.outlet.report(TransportReport::PeerLost { peer: peer.address.clone().into() });
         // The pause that has begun was not polled yet.
@@ -346,16 +463,29 @@ impl<F: StreamFamily> Streams<F> {
         self.try_open();
     }
 
+    pub(crate) fn attach(&mut self, message: Attach) {
+        let before = self.outlet.connections();
+        self.outlet.attach(message);
+        if self.outlet.connections() != before {
+            self.disconnect();
+        }
+    }
+
     pub(crate) fn transmit(&mut self, message: Transmit) {
         let Transmit { to, frame, lane } = message;
-        let Some(to) = F::address(to) else {
-            self.outlet.counters.refused += 1;
-            return;
-        };
         if frame.len() > self.bounds.mtu {
             self.outlet.counters.refused += 1;
             return;
         }
+        if let MediumAddress::Connection { number, .. } = to {
+            let taken = self.transmit_on(number, lane, frame);
+            self.outlet.counters.dropped += u64::from(!taken);
+            return;
+        }
+        let Some(to) = F::address(to) else {
+            self.outlet.counters.refused += 1;
+            return;
+        };
         let local = self.listener.as_ref().map(|listener| listener.local.clone());
         let (Some(local), Some(index)) = (local.filter(|local| *local != to), self.place(&to))
         else {
@@ -370,6 +500,15 @@ impl<F: StreamFamily> Streams<F> {
         if resting || !peer.outgoing.push(lane, frame, self.bounds.queue_bytes) {
             self.outlet.counters.dropped += 1;
         }
+    }
+
+    /// Says whether the connection, adopted since or not, takes the frame.
+    fn transmit_on(&mut self, number: u32, lane: TrafficClass, frame: GatherBuffer) -> bool {
+        if let Some(unproven) = self.strangers.iter_mut().find_map(|one| one.numbered(number)) {
+            return unproven.push(lane, frame);
+        }
+        let adopted = self.peers.iter_mut().find(|peer| peer.has_adopted(number));
+        adopted.is_some_and(|peer| peer.outgoing.push(lane, frame, self.bounds.queue_bytes))
     }
 
     pub(crate) fn pump(&mut self, task: &mut task::Context<'_>) {
@@ -387,10 +526,13 @@ impl<F: StreamFamily> Streams<F> {
 
     pub(crate) fn shut(&mut self) {
         self.listener = None;
-        self.strangers.clear();
-        for mut peer in self.peers.drain(..) {
-            self.outlet.counters.dropped += peer.outgoing.clear();
-        }
+        self.disconnect();
+    }
+
+    fn disconnect(&mut self) {
+        let strangers = self.strangers.drain(..).map(Stranger::abandon);
+        let peers = self.peers.drain(..).map(|mut peer| peer.outgoing.clear());
+        self.outlet.counters.dropped += strangers.chain(peers).sum::<u64>();
         self.first = 0;
     }
 }

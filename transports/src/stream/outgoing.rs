@@ -60,6 +60,14 @@ impl StreamSendQueue {
         self.written = 0;
     }
 
+    /// Puts what waits here behind what waits in `first`, which has begun on the connection that is
+    /// used from now on.
+    pub(super) fn follow(&mut self, first: StreamSendQueue) {
+        for (lane, frame) in std::mem::replace(self, first).frames {
+            self.push(lane, frame, usize::MAX);
+        }
+    }
+
     /// Writes until all is written or the kernel has no more room; the answer is how many frames
     /// went out whole.
     pub(super) fn write(
@@ -150,6 +158,25 @@ mod tests {
             "the urgent has a place of its own"
         );
         assert_eq!(outgoing.clear(), 101);
+    }
+
+    #[test]
+    fn what_waits_follows_the_frame_that_another_connection_has_begun() {
+        let queue = |frames: [(TrafficClass, &'static str); 2], written| {
+            let mut queue = StreamSendQueue::default();
+            for (lane, frame) in frames {
+                assert!(queue.push(lane, frame.into(), 1 << 20));
+            }
+            assert_eq!(queue.advance(written), 0);
+            queue
+        };
+        let mut waiting = queue([(TrafficClass::Hello, "h"), (TrafficClass::Usual, "b")], 3);
+
+        waiting.follow(queue([(TrafficClass::Usual, "begun"), (TrafficClass::Usual, "a")], 7));
+
+        let order: Vec<_> = waiting.frames.iter().map(|(_, frame)| frame.pieces()[0]).collect();
+        assert_eq!(order, [&b"begun"[..], b"h", b"a", b"b"]);
+        assert_eq!((waiting.written, waiting.advance(2)), (7, 1));
     }
 
     #[test]

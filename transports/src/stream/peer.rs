@@ -1,12 +1,11 @@
 //! One peer, and how the connection with it stands.
 
-use super::framing::{capacity, decode};
+use super::connection::{Connection, DisconnectReason, ReadEnd, ReadStep};
 use super::outgoing::StreamSendQueue;
-use super::{ByteStream, HandshakeFuture, StreamFamily};
+use super::{HandshakeFuture, StreamFamily};
 use crate::medium::PollBudget;
 use crate::upstream::Upstream;
 use blastema_core::recovery::Backoff;
-use bytes::{BufMut, BytesMut};
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
@@ -49,20 +48,6 @@ pub(super) enum ConnectionState<S> {
     Backoff(Pin<Box<Sleep>>),
 }
 
-/// A connection on which both sides have introduced themselves.
-pub(super) struct Connection<S> {
-    stream: S,
-    buffer: BytesMut,
-}
-
-/// Why a connection is no more.
-pub(super) enum DisconnectReason {
-    /// The other side closed it, or the network did.
-    Lost,
-    /// The other side sent what is no frame.
-    Refused,
-}
-
 impl<F: StreamFamily> StreamPeer<F> {
     pub(super) fn new(address: F::Address) -> Self {
         StreamPeer {
@@ -77,16 +62,31 @@ impl<F: StreamFamily> StreamPeer<F> {
         matches!(self.state, ConnectionState::Connected(_))
     }
 
+    /// Whether frames flow over the connection that the receiver knew under this number.
+    pub(super) fn has_adopted(&self, number: u32) -> bool {
+        matches!(&self.state, ConnectionState::Connected(own) if own.number == Some(number))
+    }
+
     /// Whether nothing is lost when its place is given to another.
     pub(super) fn is_dispensable(&self) -> bool {
         matches!(self.state, ConnectionState::Absent | ConnectionState::Backoff(_))
     }
 
     /// Frames flow over this connection from now on, beginning with a whole one.
-    pub(super) fn adopt(&mut self, stream: F::Stream) {
-        self.failures = 0;
+    pub(super) fn connect(&mut self, stream: F::Stream) {
         self.outgoing.rewind();
-        self.state = ConnectionState::Connected(Connection { stream, buffer: BytesMut::new() });
+        self.use_connection(Connection::new(stream, None));
+    }
+
+    /// Frames flow over this connection from now on, after those that wait for it already.
+    pub(super) fn adopt(&mut self, connection: Connection<F::Stream>, waiting: StreamSendQueue) {
+        self.outgoing.follow(waiting);
+        self.use_connection(connection);
+    }
+
+    fn use_connection(&mut self, connection: Connection<F::Stream>) {
+        self.failures = 0;
+        self.state = ConnectionState::Connected(connection);
     }
 
     /// The connection failed or broke: a pause begins, twice as long after each failure. The answer
@@ -104,7 +104,7 @@ impl<F: StreamFamily> StreamPeer<F> {
         match &mut self.state {
             ConnectionState::Dialing(dial) => match dial.as_mut().poll(task) {
                 Poll::Ready(stream) => {
-                    self.adopt(stream?);
+                    self.connect(stream?);
                     Ok(())
                 }
                 Poll::Pending => Ok(()),
@@ -125,46 +125,36 @@ impl<F: StreamFamily> StreamPeer<F> {
         task: &mut task::Context<'_>,
         outlet: &mut Upstream,
     ) -> Result<(), DisconnectReason> {
-        let ConnectionState::Connected(connection) = &self.state else { return Ok(()) };
-        outlet.counters.sent +=
-            self.outgoing.write(&connection.stream, task).map_err(|_| DisconnectReason::Lost)?;
+        if let ConnectionState::Connected(connection) = &self.state {
+            outlet.counters.sent += connection.write(&mut self.outgoing, task)?;
+        }
         Ok(())
     }
 
-    /// Reads frames, up to the budget. The answer is whether the outlet is full.
+    /// Reads frames, up to the budget.
     pub(super) fn read(
         &mut self,
         task: &mut task::Context<'_>,
         limit: usize,
         outlet: &mut Upstream,
-    ) -> Result<bool, DisconnectReason> {
-        let ConnectionState::Connected(Connection { stream, buffer }) = &mut self.state else {
-            return Ok(false);
+    ) -> Result<ReadEnd, DisconnectReason> {
+        let ConnectionState::Connected(connection) = &mut self.state else {
+            return Ok(ReadEnd::Done);
         };
         let mut budget = PollBudget::default();
         while budget.next() {
             if outlet.poll_capacity(task).is_pending() {
-                return Ok(true);
+                return Ok(ReadEnd::Full);
             }
-            if let Some(frame) = decode(buffer, limit).map_err(|_| DisconnectReason::Refused)? {
-                budget.spend(frame.len());
-                outlet.deliver(self.address.clone().into(), frame);
-                continue;
-            }
-            let capacity = capacity(buffer, limit);
-            buffer.reserve(capacity);
-            match stream.try_read_buf(&mut buffer.limit(capacity)) {
-                Ok(0) => return Err(DisconnectReason::Lost),
-                Ok(_) => {}
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    if stream.poll_read_ready(task).is_pending() {
-                        return Ok(false);
-                    }
+            match connection.read(limit, task)? {
+                ReadStep::Nothing => return Ok(ReadEnd::Done),
+                ReadStep::Part => {}
+                ReadStep::Frame(frame) => {
+                    budget.spend(frame.len());
+                    outlet.deliver(self.address.clone().into(), frame);
                 }
-                Err(_) => return Err(DisconnectReason::Lost),
             }
         }
-        task.waker().wake_by_ref();
-        Ok(false)
+        Ok(ReadEnd::Budget)
     }
 }

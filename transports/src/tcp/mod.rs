@@ -13,7 +13,7 @@ use crate::medium::{MediumActor, transport};
 use crate::stream::{BACKLOG, HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit};
+use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit};
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -43,13 +43,14 @@ pub struct TcpConfig {
     pub mtu: usize,
     /// How many peers have a place; beyond, they are refused.
     pub peers: usize,
-    /// How many connections may be open on which the peer has not said who it is.
+    /// How many connections may be open on which the peer has not said who it is or, with keys, has
+    /// not proven it.
     pub strangers: usize,
     /// How many bytes wait for each peer; beyond, frames are dropped.
     pub queue_bytes: usize,
     /// How long making a connection may take.
     pub connect_timeout: Duration,
-    /// How long a stranger may say nothing.
+    /// How long a stranger may say nothing and, with keys, then take to prove who it is.
     pub hello_timeout: Duration,
     /// How long sent bytes may stay unconfirmed until the kernel gives the connection up
     /// (`TCP_USER_TIMEOUT`, RFC 5482; its own patience is a quarter of an hour).
@@ -93,6 +94,14 @@ impl MediumActor for Tcp {
         self.0.open();
     }
 
+    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
+        self.0.attach(message);
+    }
+
+    fn adopt(&mut self, message: Adopt) {
+        self.0.adopt(message);
+    }
+
     fn transmit(&mut self, message: Transmit) {
         self.0.transmit(message);
     }
@@ -122,8 +131,8 @@ impl StreamFamily for OverIp {
     type Origin = IpAddr;
 
     fn bounds(&self) -> StreamLimits {
-        let TcpConfig { mtu, peers, strangers, queue_bytes, .. } = self.config;
-        StreamLimits { mtu, peers, strangers, queue_bytes }
+        let TcpConfig { mtu, peers, strangers, queue_bytes, hello_timeout, .. } = self.config;
+        StreamLimits { mtu, peers, strangers, queue_bytes, hello_timeout }
     }
 
     fn listen(&mut self) -> Result<(TcpListener, SocketAddr), String> {

@@ -25,13 +25,14 @@ pub struct UnixConfig {
     pub mtu: usize,
     /// How many peers have a place; beyond, they are refused.
     pub peers: usize,
-    /// How many connections may be open on which the peer has not said who it is.
+    /// How many connections may be open on which the peer has not said who it is or, with keys, has
+    /// not proven it.
     pub strangers: usize,
     /// How many bytes wait for each peer; beyond, frames are dropped.
     pub queue_bytes: usize,
     /// How long making a connection may take.
     pub connect_timeout: Duration,
-    /// How long a stranger may say nothing.
+    /// How long a stranger may say nothing and, with keys, then take to prove who it is.
     pub hello_timeout: Duration,
 }
 

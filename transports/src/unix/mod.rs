@@ -24,7 +24,7 @@ use crate::medium::{MediumActor, transport};
 use crate::stream::{HandshakeFuture, StreamFamily, StreamLimits, Streams, byte_stream};
 use crate::upstream::Upstream;
 use actix::Context;
-use blastema_contract::transport::{MediumAddress, Transmit};
+use blastema_contract::transport::{Adopt, Attach, MediumAddress, Transmit};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::path::Path;
@@ -52,6 +52,14 @@ impl MediumActor for Unix {
 
     fn open(&mut self, _: &mut Context<Self>) {
         self.0.open();
+    }
+
+    fn attach(&mut self, message: Attach, _: &mut Context<Self>) {
+        self.0.attach(message);
+    }
+
+    fn adopt(&mut self, message: Adopt) {
+        self.0.adopt(message);
     }
 
     fn transmit(&mut self, message: Transmit) {
@@ -84,8 +92,8 @@ impl StreamFamily for OverPaths {
     type Origin = ();
 
     fn bounds(&self) -> StreamLimits {
-        let UnixConfig { mtu, peers, strangers, queue_bytes, .. } = self.config;
-        StreamLimits { mtu, peers, strangers, queue_bytes }
+        let UnixConfig { mtu, peers, strangers, queue_bytes, hello_timeout, .. } = self.config;
+        StreamLimits { mtu, peers, strangers, queue_bytes, hello_timeout }
     }
 
     fn listen(&mut self) -> Result<(PathListener, Arc<Path>), String> {
