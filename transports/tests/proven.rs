@@ -76,7 +76,7 @@ impl Node {
         assert!(waited.is_ok(), "{:?}", self.counters().await);
     }
 
-    /// Hears the first frame of a connection, which nobody has proven yet, and adopts it.
+    /// Hears the first frame of a connection, which is not proven yet, and adopts it.
     async fn prove(&self, peer: &MediumAddress) -> MediumAddress {
         let (connection, _) = self.next().await;
         assert!(matches!(connection, MediumAddress::Connection { .. }), "{connection}");
@@ -404,7 +404,7 @@ fn a_connection_that_is_gone_is_not_adopted_and_takes_no_frames() {
         drop(gone);
         node.counted(|counters| counters.errors == 1).await;
         node.adopt(&connection, &at_port(7400));
-        node.send(&connection, b"nobody");
+        node.send(&connection, b"no peer");
         node.adopt(&at_port(7400), &at_port(7400));
 
         node.counted(|counters| counters.dropped == 1).await;

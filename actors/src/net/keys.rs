@@ -85,7 +85,7 @@ impl NodeKeys {
         Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
     }
 
-    /// A sealer for one network. Its counters begin anew, and so do all keys: one is made for each
+    /// A sealer for one network. Its counters begin at zero and its keys are new: one is made for each
     /// life of the links.
     ///
     /// # Panics

@@ -9,7 +9,7 @@
 //! **Without keys** a frame belongs to the link that leads to the address which it came from.
 //!
 //! **With keys** every frame is sealed for the neighbour, hellos included, and a frame belongs to
-//! the link whose neighbour has sealed it: an address proves nothing. What nobody of this robot has
+//! the link whose neighbour has sealed it: an address proves nothing. What no node of this robot has
 //! sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
 //! another incarnation has restarted; its link goes down at once. A bus carries sealed hellos from
 //! each node to each other instead of one greeting to all.
@@ -325,7 +325,7 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
         };
         let frame = match (&mut self.sealer, end.peer) {
             (Some(sealer), Some(peer)) => {
-                // Before the handshake there is nobody to hear it.
+                // Before the handshake no neighbour hears it.
                 let Some(sealed) = sealer.seal(peer, lane, &frame.pieces(), now) else { return };
                 sealed.into()
             }

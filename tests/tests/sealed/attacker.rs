@@ -136,7 +136,7 @@ fn hello(of: &str, incarnation: u64, sequence: u32) -> Vec<u8> {
 }
 
 /// No fault of the node names another node, now or before.
-async fn accuses_nobody(node: &Node) {
+async fn accuses_no_node(node: &Node) {
     for entry in node.faults().await.entries {
         let kind = &entry.fault.kind;
         use FaultKind::{LinkDown, NameTaken, NodeFaulty, NodeLost};
@@ -145,7 +145,7 @@ async fn accuses_nobody(node: &Node) {
 }
 
 #[test]
-fn who_can_read_repeat_change_and_forge_everything_is_taken_for_nobody() {
+fn an_attacker_that_reads_repeats_changes_and_forges_everything_is_taken_for_no_node() {
     blastema::run(async {
         let folder = tempfile::tempdir().expect("a folder");
         let keys = RobotKeys::new(folder.path(), &NODES, 1);
@@ -185,15 +185,15 @@ fn who_can_read_repeat_change_and_forge_everything_is_taken_for_nobody() {
             let link = &node.links().await[0];
             assert_eq!(link.state, LinkState::Up, "{link:?}");
             assert!(link.refusals.total() < 10, "none of it is the neighbour's: {link:?}");
-            // Whatever a flood takes of this computer, no node was given up, and none accused.
-            accuses_nobody(node).await;
+            // A flood takes time of this computer, and no node was given up or accused for it.
+            accuses_no_node(node).await;
         }
         left.shutdown().await;
         right.shutdown().await;
     });
 }
 
-/// The preamble of a stream transport: whoever can connect can say it.
+/// The preamble of a stream transport: every station that can connect can say it.
 async fn claim(port: u16, at: SocketAddr) -> Option<TcpStream> {
     let mut preamble = *b"BLST\x01\0\0\0";
     preamble[6..].copy_from_slice(&port.to_be_bytes());
@@ -229,7 +229,7 @@ fn a_connection_that_claims_to_be_the_neighbours_replaces_none() {
         }
 
         assert!(is_up(&left).await);
-        accuses_nobody(&left).await;
+        accuses_no_node(&left).await;
         // None of them gets an answer but the preamble.
         for mut stream in held {
             let mut heard = Vec::new();

@@ -50,33 +50,7 @@ pub(super) fn write(path: &Path, text: &str, mode: u32, existing: Existing) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_secret_that_others_can_read_or_replace_is_refused_with_the_command_that_mends_it() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("base.key");
-        write(&path, "text", SECRET, Existing::Keep).expect("it can be written");
-        let with = |file: u32, of_folder: u32| {
-            fs::set_permissions(&path, Permissions::from_mode(file)).expect("it is ours");
-            fs::set_permissions(folder.path(), Permissions::from_mode(of_folder))
-                .expect("so is it");
-            read_secret(&path).map(|text| text.len())
-        };
-
-        assert_eq!(with(0o600, 0o700), Ok(4));
-        assert_eq!(with(0o400, 0o755), Ok(4));
-        assert_eq!(with(0o600, 0o1777), Ok(4), "files in /tmp are their owner's");
-        for mode in [0o644, 0o640, 0o604, 0o620] {
-            let refused = with(mode, 0o700).expect_err("others can read or write it");
-            let cure = format!("(mode {mode:04o}): chmod 600 {}", path.display());
-            assert!(refused.ends_with(&cure), "{refused}");
-        }
-        for mode in [0o777, 0o770, 0o702] {
-            let refused = with(0o600, mode).expect_err("others can write there");
-            let cure = format!("(mode {mode:04o}): chmod go-w {}", folder.path().display());
-            assert!(refused.ends_with(&cure), "{refused}");
-        }
-    }
+    use std::os::unix::fs::MetadataExt;
 
     #[test]
     fn a_file_that_is_there_is_replaced_only_on_purpose_and_nothing_else_is_left() {

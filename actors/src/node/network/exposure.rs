@@ -49,7 +49,7 @@ impl Network {
         self.reach() != Reach::Process
     }
 
-    /// How its frames are sealed by a node that has keys. Within a process nobody else can send.
+    /// How its frames are sealed by a node that has keys. Within a process no other program can send.
     pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
         let (profile, forgeable_addresses) = match &self.medium {
             // Frames of a bus are small, and its cable is within the robot.

@@ -182,7 +182,7 @@ fn links_come_up_over_seals_and_nothing_goes_out_that_can_be_read() {
 }
 
 #[test]
-fn whatever_others_send_reaches_no_link_and_is_no_fault_of_the_neighbour() {
+fn what_others_send_reaches_no_link_and_is_no_fault_of_the_neighbour() {
     let mut world = World::up();
     let recorded: Vec<_> =
         world.sent.iter().map(|(node, _, frame)| (*node, frame.clone())).collect();

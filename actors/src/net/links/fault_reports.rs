@@ -1,0 +1,142 @@
+//! What the links of a network report as faults: neighbours that never came or are refused, frames
+//! that are refused all the time, names and keys that two nodes have.
+
+use super::LinksActor;
+use crate::net::LinkSpec;
+use crate::platform;
+use blastema_core::detection::LinkCondition;
+use blastema_core::net::link::PeerRefusal;
+use blastema_core::net::{LinkId, Refusals};
+use blastema_core::{FaultKind, Incarnation, Instant};
+use std::time::Duration;
+use tracing::{error, warn};
+
+/// When another node shook hands with a neighbour's key while the neighbour was heard.
+#[derive(Clone, Copy)]
+pub(super) struct KeyInUse {
+    first: Instant,
+    last: Instant,
+}
+
+/// A process that was restarted within tenths of a second shakes hands while its former
+/// incarnation counts as heard, for less than this.
+const RESTART_SPAN: Duration = Duration::from_secs(1);
+/// A second computer with the key tries again every second.
+const KEY_FREE_AFTER: Duration = Duration::from_secs(10);
+
+impl LinksActor {
+    /// Frames that are refused for seconds are a fault until none was refused for a while: another
+    /// node sends with the neighbour's address, or the neighbour is broken.
+    pub(super) fn look_at_refusals(&mut self) {
+        let now = platform::now();
+        let links = self.bundle.iter().map(|(number, _)| number);
+        let links = links.map(|number| (Some(number), self.bundle.refused_of(number)));
+        let others = match self.bundle.seal_refusals() {
+            Some(refusals) => Refusals { unexpected: refusals.total(), ..Refusals::default() },
+            None => self.bundle.strangers(),
+        };
+        let looks: Vec<_> = links.chain([(None, others)]).collect();
+        for (number, refusals) in looks {
+            let alarm = self.complaints.handle_look(number, refusals, now);
+            let Some(since) = alarm else { continue };
+            let network = &self.wiring.network;
+            let detail = match number.and_then(|number| self.specs.get(&number)) {
+                Some(LinkSpec { name, remote, .. }) => format!(
+                    "what comes from {remote}, by link {name}, is refused all the time: {since}"
+                ),
+                None if self.bundle.is_sealed() => format!(
+                    "{} frames in a second on network {network} that no node of this robot has \
+                     sealed: another station sends there, or a node has other keys; their addresses \
+                     may be forged",
+                    since.total()
+                ),
+                None => format!(
+                    "what comes from addresses that no link of {network} leads to is refused all the \
+                     time: {since}"
+                ),
+            };
+            warn!(%network, "{detail}");
+            self.wiring.faults.declare(FaultKind::CheckFailed, detail);
+        }
+        if self.complaints.take_over(now) {
+            self.wiring.faults.clear(FaultKind::CheckFailed);
+        }
+    }
+
+    /// Two nodes have one address on the medium, which is ours: its owner is reported, too.
+    pub(super) fn clash(&self, detail: String) {
+        error!(network = %self.wiring.network, "{detail}");
+        self.wiring.faults.declare(FaultKind::NameTaken, detail);
+    }
+
+    /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
+    pub(super) fn missing(&mut self, number: LinkId, hello_received: bool) {
+        if self.mtu.is_none() {
+            // Why nothing is hello_received was reported, and is found here.
+            self.unheard.insert(number);
+            return;
+        }
+        let Some(spec) = self.specs.get(&number) else { return };
+        let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let remote = &spec.remote;
+        let reason = match hello_received {
+            true => format!(
+                "{who} is heard since the start, and does not hear us: check its address for us"
+            ),
+            false => format!(
+                "never heard since the start: check the address {remote}, the cable, and that {who} runs"
+            ),
+        };
+        warn!(network = %self.wiring.network, link = %spec.name, "{reason}");
+        self.tell_monitor(number, LinkCondition::Down { reason });
+    }
+
+    /// A node with the neighbour's key shakes hands in another incarnation while the neighbour is
+    /// heard. It was restarted just now, or two computers have one key.
+    pub(super) fn key_in_use(&mut self, number: LinkId, open: Incarnation, refused: Incarnation) {
+        let now = platform::now();
+        let seen = self.keys_in_use.entry(number).or_insert(KeyInUse { first: now, last: now });
+        seen.last = now;
+        if now - seen.first < RESTART_SPAN || !self.namesakes.insert(number) {
+            return;
+        }
+        let Some(spec) = self.specs.get(&number) else { return };
+        let neighbour = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
+        let detail = format!(
+            "the key of {neighbour} is in use twice, as incarnation {open} and as {refused}: two \
+             computers have one key file; give one of them a key of its own"
+        );
+        error!(network = %self.wiring.network, link = %spec.name, "{detail}");
+        self.wiring.faults.declare(FaultKind::NameTaken, detail);
+    }
+
+    /// Forgets keys that no other node has used for a while.
+    pub(super) fn forget_keys_in_use(&mut self) {
+        let now = platform::now();
+        let free = |seen: &KeyInUse| now - seen.last >= KEY_FREE_AFTER;
+        let free: Vec<_> =
+            self.keys_in_use.iter().filter(|(_, seen)| free(seen)).map(|(n, _)| *n).collect();
+        for number in free {
+            self.keys_in_use.remove(&number);
+            self.forget_namesake(number);
+        }
+    }
+
+    /// The link has another neighbour, or is no more.
+    pub(super) fn forget_namesake(&mut self, number: LinkId) {
+        if self.namesakes.remove(&number) && self.namesakes.is_empty() {
+            self.wiring.faults.clear(FaultKind::NameTaken);
+        }
+    }
+
+    pub(super) fn refused(&mut self, number: LinkId, refusal: &PeerRefusal) {
+        let link = self.specs.get(&number).map(|spec| spec.name.clone()).unwrap_or_default();
+        error!(network = %self.wiring.network, %link, "{refusal}");
+        self.tell_monitor(number, LinkCondition::Down { reason: refusal.to_string() });
+        if let PeerRefusal::NameTaken { .. } | PeerRefusal::NumberTaken { .. } = refusal {
+            self.namesakes.insert(number);
+            let detail = format!("{refusal}, at the other end of {link}: give one another name");
+            self.wiring.faults.declare(FaultKind::NameTaken, detail);
+        }
+    }
+}
