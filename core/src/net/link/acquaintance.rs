@@ -1,54 +1,37 @@
 //! Which node sends on a link, and in which incarnation.
 //!
-//! ```text
-//!    neighbour                             we
-//!        │ hello 7, unknown incarnation ─────► │  a claimant, and no more
-//!        │ ◄──────── hello 40, echo of that 7  │
-//!        │ hello 8, echo of our 40 ──────────► │  it runs now, and receives: it is the neighbour
-//! ```
+//! Where frames are sealed, the neighbour's key has proved both, and no frame comes twice. Elsewhere
+//! a hello that continues the neighbour's series is accepted at once. Any other (another
+//! incarnation, another interval, a number far ahead) is accepted when the sender's next hello says
+//! the same, and the neighbour is silent although a hello was due, or has never been shown to
+//! receive ours. So a hello with a changed bit, one of an earlier incarnation that was late, and a
+//! second node of one name take no link down. A forger does: only keys refuse it.
 //!
-//! A hello that continues the neighbour's series is accepted at once. Any other (another
-//! incarnation, another interval, a number that was passed or is far ahead) makes its sender a
-//! *claimant*. The claimant becomes the neighbour with a further hello that continues its series
-//! and echoes a hello that we sent after its first, if the neighbour has been silent since although
-//! a hello was due. A hello with a changed bit is not continued, a forged one has no echo, and one
-//! of an earlier incarnation echoes hellos that we sent while that incarnation ran.
-//!
-//! Recorded hellos cannot echo hellos that we sent later. A hello with a later echo therefore
-//! replaces a claimant with an earlier one: replayed hellos neither keep a node from becoming the
-//! neighbour nor keep the link, also if this node has restarted and received the replay first.
-//!
-//! The present incarnation is the one that answers, not the one with the greater number: a node
-//! whose clock was set back while it was off is found as fast as any other. Of two that both
-//! answer, the first keeps the link.
+//! The present incarnation is the one that sends, not the one with the greater number: a node whose
+//! clock was set back while it was off is found as fast as any other. Of two that both send, the
+//! first keeps the link.
 
 use super::quality::QualityEstimator;
 use super::{Link, Neighbour, NeighbourRecord, PeerRefusal};
+use crate::Instant;
 use crate::net::link::arrival::{ArrivalEstimator, HelloArrival};
 use crate::net::wire::frame::Hello;
 use crate::net::wire::node_id::NodeId;
-use crate::{Incarnation, Instant};
 use std::time::Duration;
 
 /// A hello's number may be ahead by so many more intervals than have passed since the last one was
 /// received, which may have been delayed. The numbers in between count as missed.
-const AHEAD_MAX: u64 = 2;
+const AHEAD_MAX: i64 = 2;
 
-/// Of numbers that were passed, so many are remembered.
-const BEHIND_MAX: i32 = 64;
+/// A hello that so many later ones have overtaken is none that was merely late.
+const BEHIND_MAX: i64 = 64;
 
-/// The sender of hellos that contradict what is known of the neighbour.
+/// The last hello that contradicts what is known of the neighbour.
 #[derive(Debug)]
-pub(super) struct Claimant {
+pub(super) struct Contradiction {
     neighbour: Neighbour,
     interval: Duration,
-    /// Its last hello's number, and when it was received.
     sequence: u32,
-    last: Instant,
-    /// Our first hello that is later than its first.
-    challenge: u32,
-    /// The latest of our hellos that it has echoed.
-    answered: Option<u32>,
 }
 
 impl Link {
@@ -96,110 +79,58 @@ impl Link {
             self.begin_with(hello, interval, now);
             return HelloArrival::New { missed: 0 };
         };
-        let interval_before = record.arrivals.interval();
-        let same = record.neighbour.is(hello);
-        if self.authenticated.is_some() {
-            // Its key has proved its incarnation, and its seal that the hello is no repeat.
-            if same && interval == interval_before {
-                let arrival = record.arrivals.handle(hello.sequence, now);
-                if arrival == HelloArrival::Old {
-                    self.refusals.stale += 1;
-                }
-                return arrival;
-            }
-            self.begin_with(hello, interval, now);
-            return HelloArrival::New { missed: 0 };
-        }
-        let highest = record.arrivals.highest();
-        if same
-            && interval == interval_before
-            && !is_far_behind(highest, hello.sequence)
-            && !is_far_ahead(highest, hello.sequence, now - record.received_at, interval)
-        {
+        let same = record.neighbour.is(hello) && interval == record.arrivals.interval();
+        let (highest, passed) = (record.arrivals.highest(), now - record.received_at);
+        if same && !is_far_off(highest, hello.sequence, passed, interval) {
             let arrival = record.arrivals.handle(hello.sequence, now);
             match arrival {
-                HelloArrival::New { .. } if record.echoed.is_some() => self.claimant = None,
-                // It does not receive our hellos, or is replayed: the claimant stays.
-                HelloArrival::New { .. } => {}
+                HelloArrival::New { .. } => self.contradiction = None,
                 HelloArrival::Old => self.refusals.stale += 1,
             }
             return arrival;
         }
         // By the shorter interval it would be down before its second hello.
-        let slower = same && interval > interval_before && self.echo_in(hello).is_some();
-        if !slower && !self.has_confirmed(hello, interval, now) {
-            match same || self.is_older(hello) {
+        let slower = record.neighbour.is(hello) && interval > record.arrivals.interval();
+        if self.authenticated.is_none() && !slower && !self.is_confirmed(hello, interval, now) {
+            match self.is_known(hello) {
                 true => self.refusals.stale += 1,
                 false => self.refusals.unexpected += 1,
             }
             return HelloArrival::Old;
         }
-        self.claimant = None;
         self.begin_with(hello, interval, now);
         HelloArrival::New { missed: 0 }
     }
 
-    fn is_older(&self, hello: &Hello) -> bool {
+    /// Whether it is of the neighbour's present incarnation, or of an earlier one.
+    fn is_known(&self, hello: &Hello) -> bool {
         self.neighbour()
-            .is_some_and(|known| known.node == hello.node && hello.incarnation < known.incarnation)
+            .is_some_and(|known| known.node == hello.node && hello.incarnation <= known.incarnation)
     }
 
-    /// Which of our latest hellos it names.
-    fn echo_in(&self, hello: &Hello) -> Option<u32> {
-        let echo = hello.echo.filter(|echo| echo.incarnation == self.config.incarnation)?;
-        let mut sent = self.sent.iter().map(|(sequence, _)| *sequence);
-        sent.find(|sequence| *sequence == echo.sequence)
-    }
-
-    /// Whether this hello proves that the claimant, its sender, receives our hellos now, while the
-    /// neighbour is silent or does not. Without a claimant, or with one that it outdoes, its sender
-    /// becomes the claimant.
-    fn has_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
-        let answered = self.echo_in(hello);
-        let silent = self.neighbour.as_ref().is_none_or(|record| {
-            // Both are of one incarnation, so of the same node.
-            record.neighbour.is(hello)
-                || record.arrivals.expected() <= now
-                || record.echoed.is_none()
+    /// Whether the last contradiction said the same, and it is possible: another incarnation while
+    /// the neighbour is silent or was never shown to receive our hellos.
+    fn is_confirmed(&mut self, hello: &Hello, interval: Duration, now: Instant) -> bool {
+        let said =
+            Contradiction { neighbour: Neighbour::of(hello), interval, sequence: hello.sequence };
+        let before = self.contradiction.replace(said);
+        let again = before.is_some_and(|before| {
+            let later = hello.sequence.wrapping_sub(before.sequence).cast_signed() > 0;
+            later && before.neighbour.is(hello) && before.interval == interval
         });
-        let challenge = (self.next_hello.as_nanos() / self.interval().as_nanos() as u64) as u32;
-        match &mut self.claimant {
-            Some(claimant) if claimant.goes_on_with(hello, interval, now) => {
-                (claimant.sequence, claimant.last) = (hello.sequence, now);
-                claimant.answered = answered.or(claimant.answered);
-                silent && answered.is_some_and(|echo| is_from(claimant.challenge, echo))
+        let possible = self.neighbour.as_ref().is_none_or(|record| {
+            match record.neighbour.is(hello) {
+                // What the present incarnation has said before says nothing against it.
+                true => !self.carries() || interval != record.arrivals.interval(),
+                false => record.arrivals.expected() <= now || record.echoed.is_none(),
             }
-            // Late, duplicated, or replayed: it replaces no claimant.
-            Some(claimant) if !claimant.is_outdone_by(hello, interval, answered) => false,
-            _ => {
-                self.claimant = Some(Claimant {
-                    neighbour: Neighbour::of(hello),
-                    interval,
-                    sequence: hello.sequence,
-                    last: now,
-                    challenge,
-                    answered,
-                });
-                false
-            }
-        }
-    }
-
-    /// The claimant's hello that our next hello echoes, if it is the claimant's turn. While the
-    /// neighbour sends as well, that is every second hello; and if the neighbour receives ours,
-    /// only if the claimant does, too.
-    pub(super) fn claimants_turn(&self) -> Option<(Incarnation, u32, Instant)> {
-        let (number, sent_at) = self.sent.back().copied().unwrap_or((0, Instant::ORIGIN));
-        let claimant = self.claimant.as_ref().filter(|claimant| claimant.last >= sent_at)?;
-        let rival = self.neighbour.as_ref().filter(|record| record.received_at >= sent_at);
-        let its_turn = rival.is_none_or(|rival| {
-            number % 2 == 0 && (claimant.answered.is_some() || rival.echoed.is_none())
         });
-        its_turn.then_some((claimant.neighbour.incarnation, claimant.sequence, claimant.last))
+        again && possible
     }
 
     /// Starts with a new neighbour, or with a new incarnation of the present one.
     fn begin_with(&mut self, hello: &Hello, interval: Duration, now: Instant) {
+        self.contradiction = None;
         let arrivals = ArrivalEstimator::new(interval, hello.sequence, now);
         if let Some(record) = &mut self.neighbour
             && record.neighbour.is(hello)
@@ -229,25 +160,6 @@ impl Link {
     }
 }
 
-impl Claimant {
-    fn goes_on_with(&self, hello: &Hello, interval: Duration, now: Instant) -> bool {
-        self.neighbour.is(hello)
-            && self.interval == interval
-            && hello.sequence.wrapping_sub(self.sequence).cast_signed() > 0
-            && !is_far_ahead(self.sequence, hello.sequence, now - self.last, interval)
-    }
-
-    /// Whether a hello that does not go on from its last takes its place.
-    fn is_outdone_by(&self, hello: &Hello, interval: Duration, answered: Option<u32>) -> bool {
-        match (self.answered, answered) {
-            (Some(before), Some(answered)) => is_from(before.wrapping_add(1), answered),
-            (Some(_), None) => false,
-            (None, Some(_)) => true,
-            (None, None) => !self.neighbour.is(hello) || self.interval != interval,
-        }
-    }
-}
-
 impl Neighbour {
     fn of(hello: &Hello) -> Self {
         Neighbour { node: hello.node.clone(), incarnation: hello.incarnation }
@@ -258,20 +170,11 @@ impl Neighbour {
     }
 }
 
-/// Whether a number is the first or a later one.
-fn is_from(first: u32, number: u32) -> bool {
-    number.wrapping_sub(first).cast_signed() >= 0
-}
-
-/// Whether a number is too old for a hello that was merely overtaken.
-fn is_far_behind(last: u32, number: u32) -> bool {
-    last.wrapping_sub(number).cast_signed() >= BEHIND_MAX
-}
-
-/// Whether no node that sends a hello per interval can have come to this number.
-fn is_far_ahead(last: u32, number: u32, passed: Duration, interval: Duration) -> bool {
+/// Whether no node that sends a hello per interval can have come to this number, or it was passed
+/// so long ago that no network has held it back.
+fn is_far_off(last: u32, number: u32, passed: Duration, interval: Duration) -> bool {
     // Serial-number arithmetic (RFC 1982): the nearer way round decides.
-    let step = number.wrapping_sub(last).cast_signed();
-    let passed = (passed.as_nanos() / interval.as_nanos().max(1)) as u64;
-    u64::try_from(step).is_ok_and(|step| step > passed.saturating_add(AHEAD_MAX))
+    let step = i64::from(number.wrapping_sub(last).cast_signed());
+    let passed = (passed.as_nanos() / interval.as_nanos().max(1)) as i64;
+    step > passed.saturating_add(AHEAD_MAX) || step <= -BEHIND_MAX
 }

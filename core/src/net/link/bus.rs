@@ -67,7 +67,7 @@ impl Link {
             // Hellos are numbered by their interval: echoes of the old numbers say nothing any
             // more.
             self.sent.clear();
-            self.claimant = None;
+            self.contradiction = None;
             if let Some(record) = &mut self.neighbour {
                 record.echoed = None;
             }

@@ -13,9 +13,9 @@
 //! other end is ready: each end accepts what the other sends.
 //!
 //! A hello that continues the neighbour's series is accepted at once. A hello that contradicts it,
-//! such as one of another incarnation, is accepted after confirmation in both directions (see
-//! `acquaintance`). A frame that was altered, forged, or sent by an earlier incarnation therefore
-//! takes no link down.
+//! such as one of another incarnation, is accepted where the neighbour's key has proved it, or,
+//! without keys, when it is said twice and the neighbour is silent (see `acquaintance`). A frame
+//! that was altered, or sent by an earlier incarnation, therefore takes no link down.
 //!
 //! A link does not queue, retransmit or order anything: sessions do, end to end.
 
@@ -37,7 +37,7 @@ pub use self::types::{
     PEER_TIMEOUT, PeerRefusal,
 };
 
-use self::acquaintance::Claimant;
+use self::acquaintance::Contradiction;
 use self::quality::{QualityEstimator, QualityLimits};
 use self::reassembly::RoutingReassembly;
 use self::remote_down::RemoteDownNotice;
@@ -61,8 +61,8 @@ pub struct Link {
     /// The incarnation in which the neighbour is, as its key has proved; `None` where frames are
     /// not sealed.
     authenticated: Option<Incarnation>,
-    /// A sender whose hellos contradict that, and which has not proved yet that it receives ours.
-    claimant: Option<Claimant>,
+    /// The last hello that contradicts that.
+    contradiction: Option<Contradiction>,
     next_hello: Instant,
     /// By when a neighbour should have proved to be there; `None` once its absence was reported.
     expected_by: Option<Instant>,
@@ -143,7 +143,7 @@ impl Link {
             state: LinkState::Connecting,
             neighbour: None,
             authenticated: None,
-            claimant: None,
+            contradiction: None,
             next_hello: now,
             sent: VecDeque::with_capacity(Self::SENT_MAX),
             flaps: 0,
@@ -454,8 +454,7 @@ impl Link {
     }
 
     fn hello(&self, now: Instant, sequence: u32) -> Hello {
-        let echo =
-            self.claimants_turn().or(self.neighbour.as_ref().map(NeighbourRecord::last_received));
+        let echo = self.neighbour.as_ref().map(NeighbourRecord::last_received);
         let echo = echo.map(|(incarnation, sequence, at)| Echo {
             incarnation,
             sequence,

@@ -238,6 +238,27 @@ fn a_neighbour_that_restarts_takes_its_link_down_as_soon_as_it_has_proved_it() {
 }
 
 #[test]
+fn a_node_that_restarts_while_its_past_is_repeated_is_found() {
+    for node in 0..2 {
+        let mut world = World::up();
+        let other = 1 - node;
+        let past: Vec<_> =
+            world.sent.iter().filter(|sent| sent.0 == node).map(|sent| sent.2.clone()).collect();
+        world.ends[node] = end(node, 2, world.now);
+        // Twice the time that a restarted neighbour needs while no frame is repeated.
+        for n in 0..3_000 {
+            let again = past[n % past.len()].clone();
+            world.ends[other].handle_frame(node as u32, again, at(world.now));
+            world.run(1);
+        }
+
+        assert_eq!(world.states(), [LinkState::Up; 2]);
+        let known = world.ends[other].get(LINK).unwrap().neighbour().unwrap();
+        assert_eq!(known.incarnation, Incarnation(2));
+    }
+}
+
+#[test]
 fn hellos_of_another_incarnation_than_the_keys_are_refused_and_are_the_neighbours_own() {
     let mut world = World::up();
     // A link in another incarnation over the keys of the first: a broken node.
