@@ -1,5 +1,6 @@
 //! At which address of this machine a socket opens.
 
+use crate::descriptors::{MORE_DESCRIPTORS, are_used_up};
 use socket2::Socket;
 use std::io;
 use std::net::SocketAddr;
@@ -77,6 +78,7 @@ pub(crate) fn explain(
         _ if error.raw_os_error() == Some(NO_SUCH_DEVICE) => {
             "this machine has no such interface: check its name, or connect it"
         }
+        _ if are_used_up(error) => MORE_DESCRIPTORS,
         io::ErrorKind::Unsupported => "this system cannot bind to an interface: leave it out",
         io::ErrorKind::AddrInUse => {
             "another process uses this port: end that process, or choose another port (0 takes a free \
@@ -127,6 +129,15 @@ mod tests {
         let text = explain("udp", address("127.0.0.1:7400"), None, &error);
 
         assert!(text.contains("127.0.0.1:7400") && text.contains("choose another port"), "{text}");
+    }
+
+    #[test]
+    fn want_of_files_is_explained() {
+        let error = io::Error::from_raw_os_error(24);
+
+        let text = explain("tcp", address("127.0.0.1:7400"), None, &error);
+
+        assert!(text.contains("ulimit -n") && text.contains("LimitNOFILE="), "{text}");
     }
 
     #[test]

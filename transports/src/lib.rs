@@ -20,6 +20,8 @@
 #[cfg(any(feature = "udp", feature = "tcp"))]
 mod bound_address;
 #[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
+mod descriptors;
+#[cfg(any(feature = "udp", feature = "tcp", feature = "unix"))]
 mod frame_split;
 mod frame_transport;
 mod medium;

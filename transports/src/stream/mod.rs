@@ -32,6 +32,7 @@ pub mod framing;
 use self::connection::{DisconnectReason, ReadEnd};
 use self::peer::{ConnectionState, StreamPeer};
 use self::stranger::{Greeting, Stranger, UnprovenConnection};
+use crate::descriptors::DescriptorWarning;
 use crate::medium::PollBudget;
 use crate::reopen_backoff::ReopenBackoff;
 use crate::upstream::Upstream;
@@ -183,6 +184,7 @@ pub(crate) struct Streams<F: StreamFamily> {
     /// peer the strangers.
     first: usize,
     denials: BTreeSet<String>,
+    descriptors: DescriptorWarning,
 }
 
 struct Listener<F: StreamFamily> {
@@ -204,6 +206,7 @@ impl<F: StreamFamily> Streams<F> {
             peers: Vec::new(),
             first: 0,
             denials: BTreeSet::new(),
+            descriptors: DescriptorWarning::default(),
         }
     }
 
@@ -224,7 +227,7 @@ impl<F: StreamFamily> Streams<F> {
 
     /// Takes new connections; each is a stranger at first.
     fn accept(&mut self, task: &mut task::Context<'_>) {
-        let Some(Listener { socket, pause, .. }) = &mut self.listener else { return };
+        let Some(Listener { socket, local, pause }) = &mut self.listener else { return };
         if let Some(sleep) = pause {
             if sleep.as_mut().poll(task).is_pending() {
                 return;
@@ -243,8 +246,11 @@ impl<F: StreamFamily> Streams<F> {
                     self.strangers.push_back(Stranger::Greeting(Greeting { origin, said }));
                 }
                 Poll::Ready(Err(error)) if error.kind() == io::ErrorKind::ConnectionAborted => {}
-                Poll::Ready(Err(_)) => {
+                Poll::Ready(Err(error)) => {
                     self.outlet.counters.errors += 1;
+                    let local: MediumAddress = local.clone().into();
+                    let what = format_args!("no connection to {local} can be accepted");
+                    self.descriptors.warn(what, &error);
                     *pause = Some(Box::pin(tokio::time::sleep(ACCEPT_PAUSE)));
                     break;
                 }
@@ -395,6 +401,9 @@ impl<F: StreamFamily> Streams<F> {
             if let Err(error) = peer.poll_progress(task) {
                 tracing::debug!(%error, peer = ?peer.address, "a peer cannot be reached");
                 log_denial(&mut self.denials, &error);
+                let address: MediumAddress = peer.address.clone().into();
+                let what = format_args!("no connection to {address} can be made");
+                self.descriptors.warn(what, &error);
                 self.outlet.counters.errors += 1;
                 self.outlet.counters.dropped += peer.rest();
                 task.waker().wake_by_ref();

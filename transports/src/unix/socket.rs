@@ -8,6 +8,7 @@
 //!   ├── frames ─ ─ ─ ─ ─ ─ ─ ─ frames┤
 //! ```
 
+use crate::descriptors::{MORE_DESCRIPTORS, are_used_up};
 use crate::stream::BACKLOG;
 use crate::stream::framing::{
     FramingError, LONGEST_PATH, PREAMBLE, decode_path_length, encode_path_preamble,
@@ -147,6 +148,7 @@ fn clear(path: &Path, address: &SockAddr) -> io::Result<()> {
 /// What a person may do about a socket that does not open.
 pub fn explain(path: &Path, error: &io::Error) -> String {
     let advice = match error.kind() {
+        _ if are_used_up(error) => MORE_DESCRIPTORS,
         io::ErrorKind::AddrInUse => {
             "another process uses the socket: end that process, or choose another path"
         }
