@@ -3,6 +3,7 @@
 
 mod attacker;
 mod media;
+mod processes;
 mod start;
 
 use blastema::prelude::*;
@@ -57,4 +58,9 @@ async fn ask(node: &Node, of: &str) -> u32 {
     let name = format!("{of}:{of}-counter");
     let counter = node.sender::<Count>(&name).expect("a name");
     counter.ask_within(Count, PATIENCE).await.expect("it answers")
+}
+
+#[test]
+fn a_process_plays_its_role() {
+    processes::play_role();
 }

@@ -14,6 +14,9 @@ use tracing::{error, warn};
 /// When another node shook hands with a neighbour's key while the neighbour was heard.
 #[derive(Clone, Copy)]
 pub(super) struct KeyInUse {
+    /// The incarnation of the other one, which was refused. A process that is restarted again and
+    /// again has another each time.
+    refused: Incarnation,
     first: Instant,
     last: Instant,
 }
@@ -95,8 +98,10 @@ impl LinksActor {
     /// heard. It was restarted just now, or two computers have one key.
     pub(super) fn key_in_use(&mut self, number: LinkId, open: Incarnation, refused: Incarnation) {
         let now = platform::now();
-        let seen = self.keys_in_use.entry(number).or_insert(KeyInUse { first: now, last: now });
-        seen.last = now;
+        let seen = KeyInUse { refused, first: now, last: now };
+        let before = self.keys_in_use.get(&number).filter(|before| before.refused == refused);
+        let seen = before.map_or(seen, |before| KeyInUse { last: now, ..*before });
+        self.keys_in_use.insert(number, seen);
         if now - seen.first < RESTART_SPAN || !self.namesakes.insert(number) {
             return;
         }

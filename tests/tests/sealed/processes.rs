@@ -1,0 +1,152 @@
+//! Nodes with keys whose processes are killed, stopped and starved.
+
+use super::{Count, PATIENCE, ask, node, until};
+use blastema::prelude::*;
+use blastema::{LinkState, Network};
+use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
+use std::time::Duration;
+
+const NODES: [&str; 2] = ["left", "right"];
+
+fn network(scheme: &str, own: usize, at: &[String]) -> Network {
+    Network::new("lan", &format!("{scheme}://{}", at[own])).peer(NODES[1 - own], &at[1 - own])
+}
+
+/// Is the right node: with the addresses of both, the medium, and the folder of the keys.
+pub(super) fn play_role() {
+    let Some(scheme) = role() else { return };
+    blastema::platform::end_with_parent(std::os::unix::process::parent_id()).unwrap();
+    let at = addresses();
+    let file = Path::new(&at[2]).join("right.key");
+    blastema::run(async {
+        let counter = ChildSpec::new("right-counter", || super::Counter(0));
+        let builder = Node::builder("right").work_threads(1).keys(file).child(counter);
+        let _node = builder.network(network(&scheme, 1, &at)).start().await.expect("it starts");
+        std::future::pending::<()>().await;
+    });
+}
+
+/// The left node here, the right one in a process.
+struct Pair {
+    left: Node,
+    right: Process,
+    at: Vec<String>,
+    _folder: tempfile::TempDir,
+}
+
+impl Pair {
+    async fn start(scheme: &'static str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = RobotKeys::new(folder.path(), &NODES, 1);
+        let mut at: Vec<_> = free_addresses(2).iter().map(ToString::to_string).collect();
+        at.push(folder.path().display().to_string());
+        let right = Process::start_with(scheme, &at, &[]);
+        let left = node(&keys, "left", network(scheme, 0, &at)).start().await.expect("it starts");
+        assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
+        Pair { left, right, at, _folder: folder }
+    }
+
+    /// The incarnation that the right node's link is with.
+    async fn incarnation(&self) -> u64 {
+        let links = self.left.links().await;
+        links[0].neighbour.as_ref().map_or(0, |neighbour| neighbour.incarnation.0)
+    }
+
+    /// Asks until there is an answer.
+    async fn first_answer(&self) -> u32 {
+        let counter = self.left.sender::<Count>("right:right-counter").expect("a name");
+        let mut answer = None;
+        until(
+            async || {
+                answer = counter.ask_within(Count, PATIENCE).await.ok();
+                answer.is_some()
+            },
+            "an answer",
+        )
+        .await;
+        answer.expect("it came")
+    }
+
+    async fn is_up(&self) -> bool {
+        self.left.links().await[0].state == LinkState::Up
+    }
+}
+
+#[test]
+fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_past() {
+    blastema::run(async {
+        for scheme in ["udp", "tcp"] {
+            let mut pair = Pair::start(scheme).await;
+            for round in 0..5 {
+                let before = pair.incarnation().await;
+                // A request to the process that was killed is told to be lost, and is not served.
+                let first = pair.first_answer().await;
+                assert_eq!(first, 1, "{scheme}, {round}");
+                for number in 2..=10 {
+                    assert_eq!(ask(&pair.left, "right").await, number, "{scheme}, {round}");
+                }
+                let began = std::time::Instant::now();
+                pair.right.kill();
+                pair.right = Process::start_with(scheme, &pair.at, &[]);
+                until(async || pair.is_up().await && pair.incarnation().await > before, "again")
+                    .await;
+                eprintln!("TIME {scheme} {round} up {:?}", began.elapsed());
+                assert!(pair.left.connected("right", PATIENCE).await);
+                eprintln!("TIME {scheme} {round} connected {:?}", began.elapsed());
+            }
+            // A restart within tenths of a second is no second computer with the key.
+            let mut faults = pair.left.faults().await.entries.into_iter();
+            assert!(!faults.any(|entry| entry.fault.kind == FaultKind::NameTaken), "{scheme}");
+            pair.left.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_stopped_process_goes_on_with_the_keys_that_it_had() {
+    blastema::run(async {
+        let pair = Pair::start("udp").await;
+        let (mut served, incarnation) = (0, pair.incarnation().await);
+        for _ in 0..5 {
+            served += 1;
+            assert_eq!(ask(&pair.left, "right").await, served);
+            pair.right.signal("-STOP");
+            until(async || !pair.is_up().await, "the left node sees that it is silent").await;
+            pair.right.signal("-CONT");
+            until(async || pair.is_up().await, "it is back").await;
+        }
+        assert_eq!(pair.incarnation().await, incarnation);
+        assert!(pair.left.connected("right", PATIENCE).await);
+        served += 1;
+        assert_eq!(ask(&pair.left, "right").await, served);
+        pair.left.shutdown().await;
+    });
+}
+
+#[test]
+fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_kept() {
+    blastema::run(async {
+        let ends = Arc::new(AtomicBool::new(false));
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let busy: Vec<_> = (0..4 * cores)
+            .map(|_| {
+                let ends = ends.clone();
+                std::thread::spawn(move || while !ends.load(SeqCst) {})
+            })
+            .collect();
+        let pair = Pair::start("udp").await;
+        for number in 1..=50 {
+            assert_eq!(ask(&pair.left, "right").await, number);
+            blastema::sleep(Duration::from_millis(10)).await;
+        }
+        let refusals = pair.left.links().await[0].refusals;
+        assert_eq!(refusals.forged + refusals.malformed, 0, "{refusals:?}");
+        ends.store(true, SeqCst);
+        busy.into_iter().for_each(|thread| thread.join().expect("it spins"));
+        pair.left.shutdown().await;
+    });
+}
