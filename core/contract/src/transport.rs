@@ -226,7 +226,7 @@ pub enum ConnectionTrust {
     /// that peer. For networks without keys.
     #[default]
     Claimed,
-    /// The connection is nobody's until the receiver says whose it is, by [`Adopt`]. Until then its
+    /// The connection is no peer's until the receiver says whose it is, by [`Adopt`]. Until then its
     /// frames come from [`MediumAddress::Connection`], few and small, and not for long.
     Proven,
 }
