@@ -174,6 +174,10 @@ pub(crate) fn has_aes() -> bool {
     return false;
 }
 
+/// `EMFILE` and `ENFILE`, which have no kind of their own: the process may open no more files, the
+/// system may not.
+const TOO_MANY_FILES: [i32; 2] = [24, 23];
+
 /// Starts a thread of the middleware's own.
 ///
 /// # Errors
@@ -183,6 +187,24 @@ pub(crate) fn start_thread(
     body: impl FnOnce() + Send + 'static,
 ) -> io::Result<thread::JoinHandle<()>> {
     thread::Builder::new().name(name.into()).spawn(body)
+}
+
+/// An arbiter on a thread of its own.
+///
+/// # Errors
+/// The operating system has no thread left, or no files for its event loop.
+pub(crate) fn own_arbiter() -> io::Result<actix_rt::ArbiterHandle> {
+    let arbiter = actix_rt::Arbiter::try_with_tokio_rt(|| {
+        tokio::runtime::Builder::new_current_thread().enable_all().build()
+    });
+    match arbiter {
+        Ok(arbiter) => Ok(arbiter.handle()),
+        Err(error) if error.raw_os_error().is_some_and(|it| TOO_MANY_FILES.contains(&it)) => {
+            let advice = "raise the limit (`ulimit -n`, or `LimitNOFILE=` of a systemd service)";
+            Err(io::Error::new(error.kind(), format!("{error}: {advice}")))
+        }
+        Err(error) => Err(error),
+    }
 }
 
 /// Writes to standard error what a user must know without reading the log.

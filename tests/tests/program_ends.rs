@@ -88,6 +88,15 @@ impl Process {
         Process::spawn(shell, role, &[])
     }
 
+    /// As a user who may open so many files starts it. It is ended when it takes too long.
+    fn start_with_files(role: &str, files: usize) -> Self {
+        let program = std::env::current_exe().expect("a running program has a path");
+        let line = format!("ulimit -n {files}; exec \"$0\" \"$@\"");
+        let mut timeout = Command::new("timeout");
+        timeout.arg(PATIENCE.as_secs().to_string()).args(["sh", "-c", &line]).arg(program);
+        Process::spawn(timeout, role, &[])
+    }
+
     fn spawn(mut command: Command, role: &str, environment: &[(&str, String)]) -> Self {
         let mut child = command
             .args(["--exact", "a_process_plays_its_role", "--nocapture"])
@@ -151,6 +160,7 @@ fn a_process_plays_its_role() {
             "stuck" => get_stuck().await,
             "unsafe" => drop_with_outputs_that_panic().await,
             "plain" => drop_without_outputs().await,
+            "asks" => ask_a_joint().await,
             role => drive_and(role).await,
         }
     });
@@ -243,6 +253,33 @@ fn a_node_without_outputs_that_is_dropped_says_so_in_one_line_and_no_more() {
     let lines: Vec<_> = errors.lines().collect();
     assert!(code == Some(0) && lines.len() == 1, "{errors}");
     assert!(lines[0].contains("module1") && lines[0].contains("dropped while it ran"), "{errors}");
+}
+
+/// Needs a thread for a component.
+async fn ask_a_joint() -> Result<(), Box<dyn std::error::Error>> {
+    let node = Node::builder("module1").child(ChildSpec::new("joint", || Joint)).start().await?;
+    node.sender::<Leak>("joint")?.ask(Leak).await?;
+    println!("asked");
+    node.shutdown().await;
+    Ok(())
+}
+
+#[test]
+fn a_program_that_may_open_too_few_files_says_so_and_does_not_hang() {
+    let (mut refused, mut without_thread, mut worked) = (0, 0, 0);
+    // What a node needs grows: whatever it is, one of these is a little less than enough.
+    for files in (8..64).step_by(3) {
+        let (code, lines, errors) = Process::start_with_files("asks", files).end();
+        if lines.iter().any(|line| line == "asked") {
+            worked += 1;
+            continue;
+        }
+        assert!(code == Some(101) && errors.contains("Too many open files"), "{files}: {errors}");
+        without_thread += usize::from(errors.contains("joint: it was given no thread"));
+        refused += usize::from(errors.contains("ulimit -n"));
+    }
+    assert!(refused > without_thread && without_thread > 0, "{refused}, {without_thread}");
+    assert!(worked > 0);
 }
 
 #[test]

@@ -2,7 +2,10 @@
 
 use std::io;
 #[cfg(any(feature = "tcp", feature = "unix"))]
-use {std::fmt::Display, std::time::Duration, tokio::time::Instant};
+use {
+    std::{fmt::Display, future::Future, pin::Pin, task, time::Duration},
+    tokio::time::Sleep,
+};
 
 /// `EMFILE` and `ENFILE`, which have no kind of their own: the process may open no more files, the
 /// system may not.
@@ -23,39 +26,55 @@ pub(crate) fn are_used_up(error: &io::Error) -> bool {
 #[cfg(any(feature = "tcp", feature = "unix"))]
 #[derive(Default)]
 pub(crate) struct DescriptorWarning {
-    last: Option<Instant>,
+    pause: Option<Pin<Box<Sleep>>>,
 }
 
 #[cfg(any(feature = "tcp", feature = "unix"))]
 impl DescriptorWarning {
     /// Warns of an error, if it is of this kind: `what` did not come about. The answer is whether
     /// it was logged.
-    pub(crate) fn warn(&mut self, what: impl Display, error: &io::Error) -> bool {
-        let due = self.last.is_none_or(|last| last.elapsed() >= BETWEEN_WARNINGS);
-        let warns = due && are_used_up(error);
-        if warns {
-            self.last = Some(Instant::now());
+    pub(crate) fn warn(
+        &mut self,
+        what: impl Display,
+        error: &io::Error,
+        task: &mut task::Context<'_>,
+    ) -> bool {
+        if !are_used_up(error) {
+            return false;
+        }
+        let warned_lately =
+            self.pause.as_mut().is_some_and(|it| it.as_mut().poll(task).is_pending());
+        if !warned_lately {
+            self.pause = Some(Box::pin(tokio::time::sleep(BETWEEN_WARNINGS)));
             tracing::warn!("{what} ({error}): {MORE_DESCRIPTORS}");
         }
-        warns
+        !warned_lately
     }
 }
 
 #[cfg(all(test, any(feature = "tcp", feature = "unix")))]
 mod tests {
     use super::*;
+    use blastema_doubles::{advance, paused};
+    use std::task::Waker;
 
-    #[tokio::test(start_paused = true)]
-    async fn want_of_files_is_warned_of_once_a_minute_and_nothing_else_is() {
-        let [process, system] = TOO_MANY_FILES.map(io::Error::from_raw_os_error);
-        let other = io::Error::from(io::ErrorKind::ConnectionRefused);
-        let mut warning = DescriptorWarning::default();
+    #[test]
+    fn want_of_files_is_warned_of_once_a_minute_and_nothing_else_is() {
+        paused(async {
+            let [process, system] = TOO_MANY_FILES.map(io::Error::from_raw_os_error);
+            let other = io::Error::from(io::ErrorKind::ConnectionRefused);
+            let mut warning = DescriptorWarning::default();
+            let mut warns = |error: &io::Error| {
+                let mut task = task::Context::from_waker(Waker::noop());
+                warning.warn("no connection", error, &mut task)
+            };
 
-        assert!(!warning.warn("no connection", &other));
-        assert!(warning.warn("no connection", &process));
-        assert!(!warning.warn("no connection", &system));
-        tokio::time::advance(BETWEEN_WARNINGS).await;
-        assert!(!warning.warn("no connection", &other));
-        assert!(warning.warn("no connection", &system));
+            assert!(!warns(&other));
+            assert!(warns(&process));
+            assert!(!warns(&system));
+            advance(BETWEEN_WARNINGS).await;
+            assert!(!warns(&other));
+            assert!(warns(&system));
+        });
     }
 }

@@ -126,7 +126,7 @@ async fn closed(mut stream: impl AsyncReadExt + Unpin) {
 }
 
 #[test]
-fn a_connection_is_nobodys_until_the_receiver_knows_whose_it_is() {
+fn a_connection_is_no_peers_until_the_receiver_knows_whose_it_is() {
     run(async {
         let node = Node::open(TcpConfig::default()).await;
         let mut stream = claiming(node.port(), 7400).await;
@@ -404,7 +404,7 @@ fn a_connection_that_is_gone_is_not_adopted_and_takes_no_frames() {
         drop(gone);
         node.counted(|counters| counters.errors == 1).await;
         node.adopt(&connection, &at_port(7400));
-        node.send(&connection, b"no peer");
+        node.send(&connection, b"too late");
         node.adopt(&at_port(7400), &at_port(7400));
 
         node.counted(|counters| counters.dropped == 1).await;
@@ -433,7 +433,7 @@ fn connections_that_were_believed_end_when_a_receiver_wants_proof() {
 }
 
 #[test]
-fn over_paths_a_connection_is_nobodys_too_until_it_is_adopted() {
+fn over_paths_a_connection_is_no_peers_too_until_it_is_adopted() {
     run(async {
         let folder = tempfile::TempDir::new().unwrap();
         let ours = folder.path().join("ours");

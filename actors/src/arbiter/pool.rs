@@ -317,10 +317,7 @@ impl ArbiterPool {
         if let (None, Some(system)) = (System::try_current(), &self.0.system) {
             System::set_current(system.clone());
         }
-        let arbiter = Arbiter::try_with_tokio_rt(|| {
-            tokio::runtime::Builder::new_current_thread().enable_all().build()
-        })?;
-        let handle = arbiter.handle();
+        let handle = platform::own_arbiter()?;
         let heartbeat = Arc::new(ArbiterHeartbeat::default());
         let adopted = heartbeat.clone();
         handle.spawn_fn(move || adopted.adopt());

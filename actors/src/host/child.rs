@@ -123,6 +123,8 @@ impl<C: Component> Child for ComponentChild<C> {
                 record.set_incarnation(incarnation);
                 let reason = format!("it was given no thread: {error}");
                 self.own_thread = record.limits.own_thread;
+                // No executor declares it, and the supervisor waits for the recoverer's decision.
+                record.declare(FaultKind::InitializationFailed, reason.clone());
                 self.tell(incarnation, ChildEvent::StartFailed { reason });
                 return incarnation;
             }

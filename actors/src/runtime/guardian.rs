@@ -56,14 +56,6 @@ macro_rules! answers_the_monitor {
 }
 pub(crate) use answers_the_monitor;
 
-/// An arbiter on a thread of its own, for the middleware.
-pub(crate) fn own_arbiter() -> std::io::Result<ArbiterHandle> {
-    let arbiter = Arbiter::try_with_tokio_rt(|| {
-        tokio::runtime::Builder::new_current_thread().enable_all().build()
-    })?;
-    Ok(arbiter.handle())
-}
-
 /// Runs actors that must not die. They restart, in their own `restarting`, from their
 /// configuration.
 #[derive(Clone, Default)]

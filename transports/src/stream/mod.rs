@@ -250,7 +250,7 @@ impl<F: StreamFamily> Streams<F> {
                     self.outlet.counters.errors += 1;
                     let local: MediumAddress = local.clone().into();
                     let what = format_args!("no connection to {local} can be accepted");
-                    self.descriptors.warn(what, &error);
+                    self.descriptors.warn(what, &error, task);
                     *pause = Some(Box::pin(tokio::time::sleep(ACCEPT_PAUSE)));
                     break;
                 }
@@ -403,7 +403,7 @@ impl<F: StreamFamily> Streams<F> {
                 log_denial(&mut self.denials, &error);
                 let address: MediumAddress = peer.address.clone().into();
                 let what = format_args!("no connection to {address} can be made");
-                self.descriptors.warn(what, &error);
+                self.descriptors.warn(what, &error, task);
                 self.outlet.counters.errors += 1;
                 self.outlet.counters.dropped += peer.rest();
                 task.waker().wake_by_ref();

@@ -15,7 +15,7 @@ use crate::node::network::description::NetworkDescription;
 use crate::node::network::services::{check_service, check_service_order};
 use crate::node::network::{Cable, Network};
 use crate::node::network_row::NetworkRow;
-use crate::runtime::guardian::own_arbiter;
+use crate::platform::own_arbiter;
 use crate::service::{Carried, ReplicaBody, ServiceSpecError};
 use actix::prelude::*;
 use blastema_contract::monitor::Register;
