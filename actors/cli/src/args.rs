@@ -42,7 +42,9 @@ Examples:
   blastema keys add gripper --robot ranger.robot
   blastema keys show
 
-Nodes of this version do not use keys yet.
+A node uses its key if its program says `.keys(\"base.key\")` at its builder, or the environment
+variable BLASTEMA_KEYS names the file. ROBOT.roster must be in the same folder. Both are read when
+the node starts.
 
 Exit status:
   0  it was done
@@ -106,9 +108,8 @@ pub(crate) enum Subcommand {
     Fault(FaultJob),
     /// Make and change the keys of a robot's nodes
     ///
-    /// Nodes of this version do not use keys yet: their networks are neither authenticated nor
-    /// encrypted, whatever files there are. The files made here are those that a later version
-    /// reads.
+    /// A node that has its key seals all its networks that leave the process: without a key of this
+    /// robot nothing is heard or, but on CAN, read. Roles and the policy are not enforced yet.
     ///
     /// ROBOT.robot signs the list of nodes: keep it off the robot, with a copy in a safe place.
     /// NODE.key is the secret of one node. ROBOT.roster is the signed list of all nodes, with their
@@ -172,7 +173,8 @@ pub(crate) enum FaultJob {
 pub(crate) enum KeysJob {
     /// Make a robot's key, a key for each of its nodes, and the signed list of them
     ///
-    /// Nodes of this version do not use keys yet. A file that is there is never overwritten.
+    /// Copy each NODE.key and ROBOT.roster to the node's computer, into one folder. A file that is
+    /// there is never overwritten.
     #[command(after_help = KEYS_HELP)]
     New {
         /// The robot's name

@@ -86,7 +86,7 @@ fn secrets(text: &str) -> Vec<String> {
 fn keys_are_made_changed_and_shown_without_any_secret() {
     let mut bench = Bench::new();
     let made = bench.done(&["new", "ranger", "base", "arm", "laptop", "--role", "laptop=operator"]);
-    assert!(made.contains("Nodes of this version do not use keys yet."), "{made}");
+    assert!(made.contains("ranger.roster beside it: .keys(\"base.key\")\n"), "{made}");
     for (name, expected) in [
         ("ranger.robot", 0o600),
         ("base.key", 0o600),
@@ -192,7 +192,7 @@ fn the_help_says_what_nodes_do_with_keys() {
     let mut bench = Bench::new();
     for command in ["new", "show", "add", "revoke", "replace", "edit"] {
         let help = bench.done(&[command, "--help"]);
-        assert!(help.contains("Nodes of this version do not use keys yet"), "{help}");
+        assert!(help.contains(".keys(\"base.key\")") && help.contains("BLASTEMA_KEYS"), "{help}");
         assert!(help.contains("Exit status") && !help.contains("--push"), "{help}");
         assert!(bench.done(&["--help"]).contains(command));
     }

@@ -21,7 +21,7 @@
 //! | [recovery] | which recovery action answers which fault; strategies of one's own |
 //! | [placement] | threads, handlers that hang, and what cannot be recovered |
 //! | [networks] | several nodes: links, routes, sessions, and cables that are cut |
-//! | [security] | which processes and stations can speak to a node, and what `insecure` means |
+//! | [security] | keys that seal networks; who can speak to a node, and what `insecure` means |
 //! | [names] | names of the whole robot: addresses without a node |
 //! | [media] | what a network can be made of, written as one string; media of one's own |
 //! | [guarantees] | order, loss, restarts, and the times until faults are found |

@@ -37,8 +37,9 @@ pub use isolation::IsolateError;
 /// that is up is used, and the next takes over when it fails, without loss or duplicates for what
 /// is sent reliably. Nodes that are no neighbours reach each other through those that are.
 ///
-/// A network that leaves this computer must be declared [`insecure`](Network::insecure), or the
-/// node does not start.
+/// A node with [keys](crate::NodeBuilder::keys) seals each network that leaves the process. Without
+/// them, one that leaves this computer must be declared [`insecure`](Network::insecure), or the node
+/// does not start.
 ///
 /// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
 ///
@@ -47,11 +48,8 @@ pub use isolation::IsolateError;
 ///
 /// let ethernet = Network::new("ethernet", "udp://0.0.0.0:7400?interface=eth0")
 ///     .peer("module2", "192.168.0.2:7400")
-///     .link(Link::to("module3", "192.168.0.3:7400").cost(20))
-///     .insecure();
-/// let cable = Network::new("cable", "serial:///dev/ttyUSB0?baud=921600")
-///     .peer("module2", "")
-///     .insecure();
+///     .link(Link::to("module3", "192.168.0.3:7400").cost(20));
+/// let cable = Network::new("cable", "serial:///dev/ttyUSB0?baud=921600").peer("module2", "");
 /// ```
 #[must_use = "a network does nothing until it is given to a node"]
 pub struct Network {
@@ -166,13 +164,13 @@ impl Network {
         }
     }
 
-    /// Accepts that every station on this network can read its traffic and command this robot:
-    /// networks are neither authenticated nor encrypted. Without this word, or `insecure` in the
-    /// endpoint's text, a network that leaves this computer is
-    /// [`StartError::Insecure`](crate::StartError::Insecure). Such a network has the fault
-    /// [`Insecure`](crate::FaultKind::Insecure) for as long as the node runs. The word changes
-    /// nothing about a network that stays within this computer. See the
-    /// [manual](crate::manual::security).
+    /// Accepts that every station on this network can read its traffic and command this robot: the
+    /// node has no [keys](crate::NodeBuilder::keys), so nothing is authenticated or encrypted.
+    /// Without keys, and without this word or `insecure` in the endpoint's text, a network that
+    /// leaves this computer is [`StartError::Insecure`](crate::StartError::Insecure). Such a network
+    /// has the fault [`Insecure`](crate::FaultKind::Insecure) for as long as the node runs. The word
+    /// changes nothing about a network that stays within this computer. A node that has keys refuses
+    /// it. See the [manual](crate::manual::security).
     pub fn insecure(mut self) -> Self {
         self.insecure = true;
         self
@@ -201,7 +199,8 @@ impl Network {
         self
     }
 
-    /// Discovers neighbours of any name, and informs neighbours of each other.
+    /// Discovers neighbours of any name, and informs neighbours of each other. On a sealed network
+    /// these are the nodes of the roster.
     pub fn discover_anybody(mut self) -> Self {
         self.admission = Some(Admitted::AnyNode);
         self

@@ -1,6 +1,6 @@
 //! `blastema keys`: makes the keys of a robot's nodes, and changes the signed list of them.
 //!
-//! Nodes of this version do not use keys yet.
+//! What nodes do with them: `blastema::manual::security`.
 
 mod edit;
 mod files;
@@ -62,7 +62,10 @@ fn new(robot: &str, nodes: &[String], out: &Path, roles: &[String]) -> Result<()
     ))?;
     write_keys(&keys)?;
     signer.write_roster(Existing::Keep)?;
-    said("Nodes of this version do not use keys yet.\n")
+    said(&format!(
+        "in each node's program write its key, with {robot}.roster beside it: .keys(\"{}.key\")\n",
+        nodes[0]
+    ))
 }
 
 /// The file that signs the list of nodes.

@@ -15,9 +15,9 @@
 //! | `roster` | the list, its canonical text, its signature, its serial number |
 //! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
 //!
-//! Nodes of this version do not use keys yet: nothing outside of the command-line program reads
-//! these files. What this module does not do: it reads no file and no clock, and takes randomness as
-//! an argument.
+//! A node reads its key and the roster when it starts, and seals its networks with them. Roles and
+//! the policy are parsed and shown; nothing enforces them yet. What this module does not do: it reads
+//! no file and no clock, and takes randomness as an argument.
 
 pub mod crypto;
 pub mod key_file;
