@@ -99,35 +99,47 @@ pub struct RobotKeys(PathBuf);
 impl RobotKeys {
     /// Makes keys for these nodes. Each `seed` makes another robot.
     pub fn new(folder: &Path, nodes: &[&str], seed: u8) -> Self {
-        let name = |text: &str| NodeName::new(text).expect("a name");
-        let robot = Seed::new([seed; 32]);
-        let seed_of = |place: usize| {
-            let mut bytes = [seed; 32];
-            bytes[0] = place as u8;
-            Seed::new(bytes)
-        };
-        let listed = nodes.iter().enumerate().map(|(place, node)| RosterNode {
-            name: name(node),
-            keys: seed_of(place).public_keys(),
-            role: Role::Node,
-        });
-        let roster = NodeRoster::new(name("ranger"), listed).expect("nodes of different names");
         let keys = RobotKeys(folder.to_owned());
-        fs::write(folder.join("ranger.roster"), roster.sign(&robot)).expect("a folder");
-        for (place, node) in nodes.iter().enumerate() {
-            let (node, seed) = (name(node), seed_of(place));
-            let file = keys.of(node.as_str());
-            let key = KeyFile { robot: name("ranger"), node, seed, signer: robot.signer() };
+        let roster = RobotKeys::roster(nodes, seed, 1);
+        fs::write(folder.join("ranger.roster"), roster).expect("a folder");
+        for node in nodes {
+            let (robot, signer) = (name("ranger"), Seed::new([seed; 32]).signer());
+            let key = KeyFile { robot, node: name(node), seed: seed_of(node, seed), signer };
+            let file = keys.of(node);
             fs::write(&file, key.to_text().as_bytes()).expect("a folder");
             fs::set_permissions(&file, Permissions::from_mode(0o600)).expect("it is ours");
         }
         keys
     }
 
+    /// The signed text of a roster of that robot.
+    pub fn roster(nodes: &[&str], seed: u8, serial: u64) -> String {
+        let listed = nodes.iter().map(|node| RosterNode {
+            name: name(node),
+            keys: seed_of(node, seed).public_keys(),
+            role: Role::Node,
+        });
+        let mut roster = NodeRoster::new(name("ranger"), listed).expect("different names");
+        roster.serial = serial;
+        roster.sign(&Seed::new([seed; 32]))
+    }
+
     /// The file of a node's key.
     pub fn of(&self, node: &str) -> PathBuf {
         self.0.join(format!("{node}.key"))
     }
+}
+
+fn name(text: &str) -> NodeName {
+    NodeName::new(text).expect("a name")
+}
+
+/// The secret of a node: its name, and the robot's number.
+fn seed_of(node: &str, robot: u8) -> Seed {
+    let mut bytes = [robot; 32];
+    let own = node.len().min(31);
+    bytes[..own].copy_from_slice(&node.as_bytes()[..own]);
+    Seed::new(bytes)
 }
 
 /// Answers `R` with what a channel holds.

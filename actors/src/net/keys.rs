@@ -5,15 +5,17 @@ use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
 use blastema_core::net::trust::key_file::KeyFile;
-use blastema_core::net::trust::roster::NodeRoster;
+use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::{Incarnation, NodeName};
 use std::path::{Path, PathBuf};
 
 /// The keys with which a node seals what it sends.
+#[derive(Clone)]
 pub(crate) struct NodeKeys {
     own: KeyFile,
     roster: NodeRoster,
+    path: PathBuf,
 }
 
 /// How the frames of one network are sealed.
@@ -65,7 +67,38 @@ impl NodeKeys {
                  copy the newest {node}.key and {robot}.roster here",
                 file.display()
             )),
-            Some(_) => Ok(NodeKeys { own, roster }),
+            Some(_) => Ok(NodeKeys { own, roster, path }),
+        }
+    }
+
+    /// The file of the roster.
+    pub(super) fn roster_path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The keys with the roster that the file holds now; `None` if it is the one that is known.
+    ///
+    /// # Errors
+    /// It is refused, and why.
+    pub(super) fn reread(&self) -> Result<Option<NodeKeys>, String> {
+        let (path, known) = (self.path.display(), self.serial());
+        let roster = NodeRoster::parse_signed(&read_public(&self.path)?, &self.own.signer)
+            .map_err(|error| format!("{path}: {error}"))?;
+        let serial = roster.serial;
+        match self.roster.order_of(&roster) {
+            RosterOrder::Same => Ok(None),
+            RosterOrder::Older => Err(format!(
+                "{path} has serial {serial}, and this node has seen {known}: copy the newest roster here"
+            )),
+            RosterOrder::Conflicting => Err(format!(
+                "{path} differs from the roster that this node has, under the same serial {serial}: two \
+                 copies of the robot's file were changed; use one of them"
+            )),
+            RosterOrder::Newer if roster.node(&self.own.node).is_none() => Err(format!(
+                "{} is not in roster {serial} ({path}): it was revoked, and the other nodes refuse it",
+                self.own.node
+            )),
+            RosterOrder::Newer => Ok(Some(NodeKeys { roster, ..self.clone() })),
         }
     }
 
@@ -77,6 +110,11 @@ impl NodeKeys {
     /// The roster's serial number.
     pub(crate) fn serial(&self) -> u64 {
         self.roster.serial
+    }
+
+    /// The serial number, as handshakes tell it.
+    pub(super) fn serial_told(&self) -> u32 {
+        u32::try_from(self.roster.serial).unwrap_or(u32::MAX)
     }
 
     /// The key of another node of the robot.
@@ -98,7 +136,7 @@ impl NodeKeys {
         let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
-            roster: u32::try_from(self.roster.serial).unwrap_or(u32::MAX),
+            roster: self.serial_told(),
             profile,
             fast_aes: platform::has_aes(),
             forgeable_addresses,

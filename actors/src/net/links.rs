@@ -11,6 +11,7 @@ use self::fault_reports::KeyInUse;
 use super::LinkSpec;
 use super::fault_reporter::FaultReporter;
 use super::keys::{NodeKeys, SealTerms};
+use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -440,6 +441,24 @@ impl Handler<CarrierChanged> for LinksActor {
             return;
         }
         self.no_carrier("the interface has lost its carrier", platform::now());
+        self.drive(context);
+    }
+}
+
+impl Handler<RosterChanged> for LinksActor {
+    type Result = ();
+
+    fn handle(&mut self, RosterChanged(keys): RosterChanged, context: &mut Context<Self>) {
+        let Some((known, _)) = &mut self.wiring.seal else { return };
+        *known = keys.clone();
+        let now = platform::now();
+        self.bundle.set_roster(keys.serial_told());
+        for (number, spec) in &self.specs {
+            let key = spec.neighbour.as_ref().and_then(|node| keys.key_of(node));
+            if let Err(error) = self.bundle.set_key(*number, key.map(|key| key.public), now) {
+                error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
+            }
+        }
         self.drive(context);
     }
 }

@@ -29,6 +29,7 @@ pub(crate) mod keys;
 mod links;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
+mod roster_watch;
 mod router;
 pub(crate) mod safe_state;
 mod sessions;
@@ -197,6 +198,8 @@ pub(crate) struct NetHandle {
     stubs: Arc<stub::PeerStubs>,
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
+    /// Ends with the last handle.
+    _roster: Option<Arc<roster_watch::RosterWatch>>,
 }
 
 /// Starts the network of a node, and connects the registry and the topics to it.
@@ -309,7 +312,11 @@ pub(crate) fn start(
         router.do_send(AddLinks { links: numbers, carry, given_up, report });
         (name, address)
     });
-    let networks = networks.collect();
+    let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
+    let roster = keys.map(|keys| {
+        let told = networks.iter().map(|(_, links)| links.clone().recipient()).collect();
+        Arc::new(roster_watch::RosterWatch::start(keys, told))
+    });
     if let Some(discovery) = &discovery {
         discovery.do_send(AddNetworks(domains));
     }
@@ -325,6 +332,7 @@ pub(crate) fn start(
         stubs,
         wardens,
         carrier,
+        _roster: roster,
     })
 }
 

@@ -5,6 +5,7 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+use std::time::SystemTime;
 use zeroize::Zeroizing;
 
 /// No file of keys is longer.
@@ -92,6 +93,18 @@ fn check_folder(path: &Path) -> Result<(), String> {
 pub fn folder_of(path: &Path) -> &Path {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
     parent.unwrap_or(Path::new("."))
+}
+
+/// By which it is seen that a file was replaced: its time and size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct FileStamp(SystemTime, u64);
+
+impl FileStamp {
+    /// Of the file there, if there is one.
+    pub(crate) fn of(path: &Path) -> Option<Self> {
+        let file = fs::metadata(path).ok()?;
+        Some(FileStamp(file.modified().ok()?, file.len()))
+    }
 }
 
 #[cfg(test)]

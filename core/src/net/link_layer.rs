@@ -103,6 +103,9 @@ struct LinkEnd<A> {
     address: A,
     /// The neighbour, where frames are sealed for it.
     peer: Option<NodeId>,
+    /// The address of the connection that was adopted last. What came over it before still bears
+    /// that address.
+    adopted: Option<A>,
 }
 
 /// The machine of all links of one network. `A` are the medium's addresses.
@@ -160,7 +163,7 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
             peer = Some(node);
         }
         self.by_address.insert(address.clone(), number);
-        self.ends.insert(number, LinkEnd { address, peer });
+        self.ends.insert(number, LinkEnd { address, peer, adopted: None });
         self.links.insert(number, link);
         self.collect(now);
         Ok(())
@@ -169,11 +172,51 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
     /// Takes a link out, and forgets its keys.
     pub fn remove(&mut self, number: LinkId) {
         self.links.remove(number);
-        let Some(LinkEnd { address, peer }) = self.ends.remove(&number) else { return };
+        let Some(LinkEnd { address, peer, .. }) = self.ends.remove(&number) else { return };
         self.by_address.remove(&address);
         if let (Some(sealer), Some(peer)) = (&mut self.sealer, peer) {
             self.by_peer.remove(&peer);
             sealer.remove_peer(peer);
+        }
+    }
+
+    /// The roster has changed: the neighbour of a link has this key now, or none any more. Keys
+    /// that were agreed on by another one are dropped at once, and the link goes down.
+    ///
+    /// # Errors
+    /// [`PeerKeyError`]: the key is none, and the neighbour has no other.
+    pub fn set_key(
+        &mut self,
+        number: LinkId,
+        key: Option<[u8; PUBLIC_KEY]>,
+        now: Instant,
+    ) -> Result<(), PeerKeyError> {
+        let end = self.ends.get(&number).and_then(|end| Some((end.address.clone(), end.peer?)));
+        let (Some(sealer), Some((address, peer))) = (&mut self.sealer, end) else { return Ok(()) };
+        let was_open = sealer.channel(peer).is_some();
+        let added = match key {
+            Some(public) => sealer.add_peer(peer, &public),
+            None => {
+                sealer.remove_peer(peer);
+                Ok(())
+            }
+        };
+        if sealer.channel(peer).is_none() {
+            if was_open && let Some(link) = self.links.get_mut(number) {
+                link.handle_no_carrier("the neighbour's key is not in the roster any more", now);
+            }
+            if key.is_some() {
+                sealer.connect(peer, address, now);
+            }
+        }
+        self.collect(now);
+        added
+    }
+
+    /// This node has a roster with this serial number now, of which it tells in handshakes.
+    pub fn set_roster(&mut self, serial: u32) {
+        if let Some(sealer) = &mut self.sealer {
+            sealer.set_roster(serial);
         }
     }
 
@@ -336,31 +379,23 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
     }
 
     fn collect_sealer(&mut self, now: Instant) {
-        // Where a connection was adopted, its own address leads nowhere any more.
-        let mut adopted: Option<(A, A)> = None;
         while let Some(output) = self.sealer.as_mut().and_then(Machine::poll_output) {
             match output {
                 SealerOutput::Transmit { to, frame } => {
-                    let to = match &adopted {
-                        Some((connection, peer)) if *connection == to => peer.clone(),
-                        _ => to,
-                    };
-                    let lane = FrameLane::Hello;
-                    let frame = frame.into();
+                    let adopted = |end: &&LinkEnd<A>| end.adopted.as_ref() == Some(&to);
+                    let end = self.ends.values().find(adopted);
+                    let to = end.map_or_else(|| to.clone(), |end| end.address.clone());
+                    let (frame, lane) = (frame.into(), FrameLane::Hello);
                     self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
                 }
-                SealerOutput::PeerOpen { peer: node, address, payload, .. } => {
-                    let Some(link) = self.by_peer.get(&node).copied() else { continue };
-                    if let Some(own) = self.ends.get(&link).map(|end| end.address.clone())
-                        && own != address
-                    {
-                        let (connection, peer) = (address.clone(), own.clone());
-                        self.outputs.push_back(LinkLayerOutput::Adopt { connection, peer });
-                        if let Some(sealer) = &mut self.sealer {
-                            sealer.set_address(node, own.clone());
-                        }
-                        adopted = Some((address, own));
+                SealerOutput::Answered { peer, address } => {
+                    if let Some(link) = self.by_peer.get(&peer).copied() {
+                        self.adopt(link, peer, address);
                     }
+                }
+                SealerOutput::PeerOpen { peer, address, payload, .. } => {
+                    let Some(link) = self.by_peer.get(&peer).copied() else { continue };
+                    self.adopt(link, peer, address);
                     if let Some(link) = self.links.get_mut(link) {
                         link.handle_authenticated(payload.incarnation, now);
                     }
@@ -377,6 +412,22 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
                 }
             }
         }
+    }
+
+    /// The neighbour has proved itself at this address. Where that is not its own, it is that of a
+    /// connection, which is the neighbour's from here on. Both ends adopt the same one: the
+    /// initiator that which was answered on, and the responder that which the initiator uses then.
+    fn adopt(&mut self, link: LinkId, peer: NodeId, connection: A) {
+        let Some(end) = self.ends.get_mut(&link) else { return };
+        if end.address == connection || end.adopted.as_ref() == Some(&connection) {
+            return;
+        }
+        end.adopted = Some(connection.clone());
+        let address = end.address.clone();
+        if let Some(sealer) = &mut self.sealer {
+            sealer.set_address(peer, address.clone());
+        }
+        self.outputs.push_back(LinkLayerOutput::Adopt { connection, peer: address });
     }
 }
 

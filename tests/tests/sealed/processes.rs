@@ -89,14 +89,11 @@ fn a_killed_process_is_found_again_with_new_keys_and_serves_no_request_of_the_pa
                 for number in 2..=10 {
                     assert_eq!(ask(&pair.left, "right").await, number, "{scheme}, {round}");
                 }
-                let began = std::time::Instant::now();
                 pair.right.kill();
                 pair.right = Process::start_with(scheme, &pair.at, &[]);
                 until(async || pair.is_up().await && pair.incarnation().await > before, "again")
                     .await;
-                eprintln!("TIME {scheme} {round} up {:?}", began.elapsed());
                 assert!(pair.left.connected("right", PATIENCE).await);
-                eprintln!("TIME {scheme} {round} connected {:?}", began.elapsed());
             }
             // A restart within tenths of a second is no second computer with the key.
             let mut faults = pair.left.faults().await.entries.into_iter();
@@ -147,6 +144,37 @@ fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_k
         assert_eq!(refusals.forged + refusals.malformed, 0, "{refusals:?}");
         ends.store(true, SeqCst);
         busy.into_iter().for_each(|thread| thread.join().expect("it spins"));
+        pair.left.shutdown().await;
+    });
+}
+
+/// A roster is changed as a file: by another program, while the nodes run.
+#[test]
+fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
+    blastema::run(async {
+        let pair = Pair::start("udp").await;
+        let folder = Path::new(&pair.at[2]);
+        assert_eq!(ask(&pair.left, "right").await, 1);
+        let replace = |nodes: &[&str], serial| {
+            let text = RobotKeys::roster(nodes, 1, serial);
+            std::fs::write(folder.join("new"), text).expect("a folder");
+            std::fs::rename(folder.join("new"), folder.join("ranger.roster")).expect("a folder");
+        };
+
+        replace(&["left"], 2);
+        until(async || !pair.is_up().await, "the link is down").await;
+        let gone = async || pair.left.links().await[0].seal.is_none();
+        until(gone, "its keys are gone").await;
+
+        // An old roster is not taken.
+        replace(&NODES, 1);
+        blastema::sleep(Duration::from_secs(5)).await;
+        assert!(!pair.is_up().await);
+
+        replace(&NODES, 3);
+        until(async || pair.is_up().await, "the link is back").await;
+        assert!(pair.left.connected("right", PATIENCE).await);
+        assert_eq!(pair.first_answer().await, 2);
         pair.left.shutdown().await;
     });
 }

@@ -16,7 +16,7 @@ pub(crate) use shared::{SharedExecutor, executor_here};
 
 use outbox::DeferredReport;
 
-use super::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
+use super::lifecycle::{Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
 use super::schedule::{DueWork, ScheduledWork};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;

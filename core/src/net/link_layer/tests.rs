@@ -1,6 +1,9 @@
 //! Two nodes on one medium, whose links are sealed, and what others do on that medium.
 
 use super::*;
+
+mod connections;
+
 use crate::net::link::{LinkConfig, LinkState};
 use crate::net::seal::{NoiseCrypto, SealerConfig};
 use crate::net::wire::frame::{Frame, Hello};
@@ -309,6 +312,36 @@ fn a_link_on_a_sealed_network_needs_a_key_and_each_node_has_one_link() {
     assert_eq!(end.insert(other, link(0, 1, 0), 5, Some(key(1)), at(0)), Ok(()));
     assert_eq!(end.link_at(&5), Some(other));
     assert_eq!(end.link_at(&1), None);
+}
+
+#[test]
+fn a_neighbour_that_is_revoked_loses_its_link_and_one_that_is_listed_again_gets_it_back() {
+    let mut world = World::up();
+    let revoke = |world: &mut World, key: Option<NeighbourKey>| {
+        let now = at(world.now);
+        world.ends[0].set_key(LINK, key.map(|key| key.public), now).expect("a key or none");
+        world.poll(0);
+    };
+
+    revoke(&mut world, None);
+    world.packet(1, "after its end");
+    world.packet(0, "in plain text");
+    world.run(2_000);
+
+    assert_eq!(world.states()[0], LinkState::Down);
+    assert_eq!(world.packets(0).len() + world.packets(1).len(), 0);
+    assert!(world.ends[0].channel(LINK).is_none());
+    let sealed = |frame: &Bytes| [0xb0, 0xd0].contains(&(frame[0] & 0xf0)) && frame[0] != 0xb1;
+    assert!(world.sent.iter().all(|(_, _, frame)| sealed(frame)), "nothing is sent in the clear");
+
+    revoke(&mut world, Some(key(1)));
+    world.run(3_000);
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    let since = world.ends[0].channel(LINK).unwrap().since;
+    // The same key changes nothing.
+    revoke(&mut world, Some(key(1)));
+    world.run(100);
+    assert_eq!(world.ends[0].channel(LINK).unwrap().since, since);
 }
 
 #[test]

@@ -34,13 +34,13 @@ const PROVEN_INTERVAL: Duration = Duration::from_millis(100);
 pub(super) enum HandshakeStep<A> {
     Begin(NodeId),
     Init(InitFrame, A),
-    Answer(NodeId, AnswerFrame),
+    Answer(NodeId, AnswerFrame, A),
 }
 
 impl<A> HandshakeStep<A> {
     pub(super) fn peer(&self) -> NodeId {
         match self {
-            HandshakeStep::Begin(peer) | HandshakeStep::Answer(peer, _) => *peer,
+            HandshakeStep::Begin(peer) | HandshakeStep::Answer(peer, ..) => *peer,
             HandshakeStep::Init(init, _) => init.from,
         }
     }
@@ -173,7 +173,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
             HandshakeFrame::Answer(answer) => {
                 let (node, _) = self.asked(answer.answered)?;
                 self.peer(node)?.has_proof(&frame, bytes)?;
-                self.push(HandshakeStep::Answer(node, *answer))
+                self.push(HandshakeStep::Answer(node, *answer, from.clone()))
             }
             HandshakeFrame::Cookie(cookie) => self.handle_cookie(cookie, now),
             HandshakeFrame::Prefer { channel, suite } => {
@@ -292,10 +292,12 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         }
         let peer = self.peer(node)?;
         if let Approach::Asking { init, to, .. } = &peer.approach
-            && to == from
+            && (to == from || now >= peer.knock_at)
         {
-            // The init was lost: it is sent once more, which costs no arithmetic.
+            // The init was lost, or the peer is elsewhere: it is sent once more, which costs no
+            // arithmetic.
             let frame = peer.encoded(&HandshakeFrame::Init(*init), now);
+            peer.knock_at = now + KNOCK_INTERVAL;
             self.repeats.insert(node, nonce);
             self.transmit(from.clone(), frame);
             return Ok(());
@@ -341,7 +343,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         match step {
             HandshakeStep::Begin(node) => self.send_init(node, now),
             HandshakeStep::Init(init, from) => self.answer(&init, from, now),
-            HandshakeStep::Answer(node, answer) => self.complete(node, &answer, now),
+            HandshakeStep::Answer(node, answer, from) => self.complete(node, &answer, from, now),
         }
     }
 
@@ -427,13 +429,13 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         }
     }
 
-    fn complete(&mut self, node: NodeId, answer: &AnswerFrame, now: Instant) {
+    fn complete(&mut self, node: NodeId, answer: &AnswerFrame, to: A, now: Instant) {
         let Some(peer) = self.peers.get_mut(&node) else { return };
-        let Approach::Asking { handshake, init, to, .. } = &mut peer.approach else { return };
+        let Approach::Asking { handshake, init, .. } = &mut peer.approach else { return };
         if init.channel != answer.answered {
             return;
         }
-        let (suite, number, to) = (init.suite, init.channel, to.clone());
+        let (suite, number) = (init.suite, init.channel);
         let Some((payload, keys)) = self.crypto.read_answer(handshake, &answer.noise) else {
             peer.refused += 1;
             return;
@@ -451,6 +453,7 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.approach = Approach::Confirming { to: to.clone(), since: now };
         peer.attempt = 1;
         self.index(node);
+        self.outputs.push_back(SealerOutput::Answered { peer: node, address: to.clone() });
         self.confirm(node, to);
         self.schedule(node, now);
     }

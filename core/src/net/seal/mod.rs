@@ -198,6 +198,14 @@ pub enum SealerOutput<A> {
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
     },
+    /// The peer has answered an init there: it holds its key, and is there now. It opens the channel
+    /// with its first frame.
+    Answered {
+        /// Which.
+        peer: NodeId,
+        /// Where its answer came from.
+        address: A,
+    },
     /// A node with the peer's key, in another incarnation, shakes hands while the peer is heard:
     /// the peer was restarted within some tenths of a second, or two nodes have one key.
     KeyInUse {
@@ -365,6 +373,11 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         if let Some(known) = self.peers.get_mut(&peer) {
             known.set_address(address);
         }
+    }
+
+    /// This node has a roster with this serial number now.
+    pub fn set_roster(&mut self, serial: u32) {
+        self.config.roster = serial;
     }
 
     /// How many bytes a seal adds to a frame.

@@ -1,0 +1,85 @@
+//! Whether the file of the roster was replaced, looked at from a thread of its own.
+//!
+//! A roster with a higher serial number is taken at once: a node that is not in it any more loses
+//! its links, one that is new gets keys. A file that is refused is logged, and the node goes on with
+//! the roster that it has.
+
+use super::keys::NodeKeys;
+use crate::platform;
+use crate::platform::key_files::FileStamp;
+use actix::prelude::*;
+use std::sync::Arc;
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use tracing::{error, info};
+
+/// How often the file is looked at: by its time and size.
+const POLL_INTERVAL: Duration = Duration::from_secs(2);
+
+/// There is a newer roster.
+#[derive(Clone, Message)]
+#[rtype(result = "()")]
+pub(crate) struct RosterChanged(pub(crate) Arc<NodeKeys>);
+
+/// Ends the watch when it is dropped.
+pub(crate) struct RosterWatch {
+    /// Nothing is sent; the thread ends when it is gone.
+    stop: Option<Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl RosterWatch {
+    /// Tells these of each newer roster.
+    pub(crate) fn start(keys: Arc<NodeKeys>, told: Vec<Recipient<RosterChanged>>) -> RosterWatch {
+        let (stop, stopped) = channel();
+        let watch = move || {
+            let mut file = RosterFile { stamp: FileStamp::of(keys.roster_path()), keys };
+            while stopped.recv_timeout(POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                if let Some(keys) = file.look() {
+                    told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
+                }
+            }
+        };
+        // Without the thread, a new roster counts when the node starts again.
+        let thread = platform::start_thread("roster", watch).ok();
+        RosterWatch { stop: Some(stop), thread }
+    }
+}
+
+impl Drop for RosterWatch {
+    fn drop(&mut self) {
+        self.stop = None;
+        if let Some(thread) = self.thread.take() {
+            // It wakes up when the other end of its channel is gone.
+            let _ = thread.join();
+        }
+    }
+}
+
+struct RosterFile {
+    keys: Arc<NodeKeys>,
+    stamp: Option<FileStamp>,
+}
+
+impl RosterFile {
+    /// The keys with a newer roster, if the file was replaced by one.
+    fn look(&mut self) -> Option<Arc<NodeKeys>> {
+        let now = FileStamp::of(self.keys.roster_path());
+        if now.is_none() || std::mem::replace(&mut self.stamp, now) == now {
+            return None;
+        }
+        match self.keys.reread() {
+            Ok(Some(keys)) => {
+                info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
+                self.keys = Arc::new(keys);
+                Some(self.keys.clone())
+            }
+            Ok(None) => None,
+            Err(refused) => {
+                error!("the roster is refused: {refused}");
+                None
+            }
+        }
+    }
+}
