@@ -51,7 +51,7 @@ impl FrameMedium for Fifos {
     }
 
     fn reach(&self) -> Reach {
-        Reach::Computer // without this, the node would refuse a network that is not `insecure()`
+        Reach::Computer // without this, a node without keys would refuse the network
     }
 
     fn open(&mut self) -> io::Result<OpenedMedium> {

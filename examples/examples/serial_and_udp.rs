@@ -41,8 +41,9 @@ impl Handle<Move> for Arm {
     }
 }
 
-/// The networks of one end. The serial line is dearer, and so only used when it must be. Devices on
-/// it are not authenticated, which the word `insecure` accepts.
+/// The networks of one end. The serial line is dearer, and so only used when it must be. Nodes with
+/// keys (`.keys("arm.key")` at the builder) seal both; these have none, which the word `insecure`
+/// accepts for the line.
 fn networks(own: &str, serial: &Path, far: &str, peer: &str) -> [Network; 2] {
     let serial = format!("serial://{}?baud=921600", serial.display());
     [

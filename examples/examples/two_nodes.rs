@@ -2,7 +2,7 @@
 //! cut, what was sent goes the other way, once and in order.
 //!
 //! Both nodes live in one process here, so that the example is one program; as two programs they
-//! would be the same.
+//! would be the same. Nodes on two computers have keys: `.keys("module1.key")` at each builder.
 #![allow(clippy::print_stdout, reason = "an example shows what happens")]
 
 use blastema::prelude::*;

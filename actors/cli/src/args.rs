@@ -87,7 +87,8 @@ pub(crate) enum Subcommand {
     /// recovers
     ///
     /// Three processes, module1 to module3, run a service robot with a hundred small objects. Two
-    /// networks on loopback addresses and free ports connect them. Ten faults are injected one
+    /// networks on loopback addresses and free ports connect them, sealed with keys that are made for
+    /// this run. Ten faults are injected one
     /// after the other while numbered messages are sent. A terminal shows a live view, any other
     /// output gets one line for each step; tables follow at the end. It takes less than 30 seconds.
     /// Ctrl-C ends all processes.
@@ -288,6 +289,9 @@ pub(crate) struct ModuleOptions {
     /// The process with which this one ends
     #[arg(long)]
     pub(crate) parent: u32,
+    /// The file of the module's key, with the roster beside it
+    #[arg(long, value_name = "FILE")]
+    pub(crate) keys: PathBuf,
 }
 
 fn parse_duration(text: &str) -> Result<Duration, String> {

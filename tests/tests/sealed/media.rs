@@ -24,6 +24,10 @@ async fn carries(folder: &Path, networks: [Network; 2], cipher: &str) -> [Node; 
         let links = node.links().await;
         let seal = links[0].seal.expect("it is sealed");
         assert!(seal.cipher.contains(cipher), "{seal:?}");
+        let shown = node.snapshot().await.to_json();
+        for part in [r#""sealed":true"#, &format!(r#""seal":"{}""#, seal.cipher)] {
+            assert!(shown.contains(part), "{part} is missing in {shown}");
+        }
     }
     [left, right]
 }

@@ -1,10 +1,12 @@
 //! The channel between the director and its modules: a Unix socket in a private folder.
 //!
-//! The folder exists only while a module is awaited, so that nothing is left behind even if the
-//! director is killed while the robot runs. Both sides check that the other one belongs to the same
-//! user, the director also that it is the process that it started.
+//! The folder, which holds the modules' keys too, exists only until all modules are ready, so that
+//! nothing is left behind even if the director is killed while the robot runs. Both sides check that
+//! the other one belongs to the same user, the director also that it is the process that it started.
 
 use super::protocol::{LINE_LIMIT, decode, encode};
+use super::robot::Module;
+use crate::keys::run_keys::RunKeys;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::os::unix::fs::PermissionsExt;
@@ -47,26 +49,29 @@ pub(crate) enum ControlError {
         /// Its user.
         user: u32,
     },
+    /// The keys of the modules could not be made or written.
+    #[error("no keys for the modules: {0}")]
+    Keys(String),
     /// The socket failed.
     #[error("the control channel failed: {0}")]
     Socket(#[from] io::Error),
 }
 
-/// The socket on which the director accepts its modules.
+/// The socket on which the director accepts its modules, in a folder with their keys.
 #[derive(Debug)]
 pub(crate) struct ControlListener {
     listener: UnixListener,
     path: PathBuf,
-    // Removes the folder when it is dropped.
-    _folder: TempDir,
+    // Removed when it is dropped.
+    folder: TempDir,
 }
 
 impl ControlListener {
-    /// Creates the folder and listens in it.
+    /// Creates the folder, writes the modules' keys there, and listens.
     ///
     /// # Errors
     /// See [`ControlError`].
-    pub(crate) fn open() -> Result<ControlListener, ControlError> {
+    pub(crate) fn open(keys: &RunKeys) -> Result<ControlListener, ControlError> {
         let base = std::env::temp_dir();
         sweep(&base);
         let prefix = format!("{PREFIX}{}-", std::process::id());
@@ -77,13 +82,19 @@ impl ControlListener {
         if path.as_os_str().len() > PATH_LIMIT {
             return Err(ControlError::PathTooLong { path });
         }
+        keys.write(folder.path()).map_err(ControlError::Keys)?;
         let listener = UnixListener::bind(&path)?;
-        Ok(ControlListener { listener, path, _folder: folder })
+        Ok(ControlListener { listener, path, folder })
     }
 
     /// Returns the path of the socket.
     pub(crate) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns the file of a module's key.
+    pub(crate) fn key_of(&self, module: Module) -> PathBuf {
+        RunKeys::file_of(self.folder.path(), module.name())
     }
 
     /// Accepts the next process of the same user and returns its id. Others are refused.
@@ -195,9 +206,14 @@ mod tests {
     use super::*;
     use crate::demo::protocol::{DirectorCommand, ModuleEvent};
 
+    fn open() -> ControlListener {
+        let keys = RunKeys::new("robot", &["module1"]).expect("there is chance");
+        ControlListener::open(&keys).expect("a folder can be made")
+    }
+
     #[tokio::test]
     async fn both_sides_know_each_other_and_talk_in_lines() {
-        let listener = ControlListener::open().expect("a folder can be made");
+        let listener = open();
         let path = listener.path().to_owned();
         let own = std::process::id();
 
@@ -217,7 +233,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_module_does_not_obey_a_process_that_did_not_start_it() {
-        let listener = ControlListener::open().expect("a folder can be made");
+        let listener = open();
         let path = listener.path().to_owned();
 
         let (_, outside) = tokio::join!(listener.admit(), enter(&path, 1));
@@ -227,7 +243,7 @@ mod tests {
 
     #[tokio::test]
     async fn the_folder_is_private_and_goes_with_the_door() {
-        let listener = ControlListener::open().expect("a folder can be made");
+        let listener = open();
         let folder = listener.path().parent().expect("the socket is in a folder").to_owned();
         let mode = fs::metadata(&folder).expect("it exists").permissions().mode();
         drop(listener);

@@ -11,6 +11,7 @@ use super::scenario::{ProgressLine, Scenario, ScenarioOutput, ScenarioPlan};
 use super::trial::TrialOutput;
 use super::view::{DemoView, LINE_LIMIT};
 use super::wiring::CableAddresses;
+use crate::keys::run_keys::RunKeys;
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::time::Duration;
@@ -94,6 +95,8 @@ pub(crate) struct Director {
     lines: VecDeque<ProgressLine>,
     wiring: CableAddresses,
     rewired: u32,
+    /// The modules' keys: the same for a module that is started again.
+    keys: RunKeys,
     listener: Option<ControlListener>,
     crew: BTreeMap<Module, Member>,
     messages: (Sender<Said>, Receiver<Said>),
@@ -139,11 +142,14 @@ impl Director {
         let signals = Signals::catch()?;
         let wiring = CableAddresses::choose()
             .map_err(system("the loopback addresses cannot be used (is the interface lo up?)"))?;
+        let keys = RunKeys::new("demonstration", &Module::ALL.map(Module::name))
+            .map_err(ControlError::Keys)?;
         let mut director = Director {
             scenario: Scenario::new(plan, MachineInstant::now()),
             lines: VecDeque::new(),
             wiring,
             rewired: 0,
+            keys,
             listener: None,
             crew: BTreeMap::new(),
             messages: channel(QUEUE),
@@ -245,6 +251,10 @@ impl Director {
             _ => {}
         }
         self.scenario.handle_event(module, event, now);
+        if self.scenario.robot.are_ready() {
+            // From here on the file system holds nothing of the run.
+            self.listener = None;
+        }
         Ok(())
     }
 
@@ -288,12 +298,12 @@ impl Director {
     }
 
     fn launch(&mut self, module: Module, failures: u32) -> Result<(), DemoError> {
-        if self.listener.is_none() {
-            self.listener = Some(ControlListener::open()?);
-        }
-        let path =
-            self.listener.as_ref().map(|listener| listener.path().to_owned()).unwrap_or_default();
-        let process = Process::launch(module, &path, self.ended.0.clone())
+        let listener = match self.listener.take() {
+            Some(listener) => listener,
+            None => ControlListener::open(&self.keys)?,
+        };
+        let listener = self.listener.insert(listener);
+        let process = Process::launch(module, listener, self.ended.0.clone())
             .map_err(system("a module's process cannot be started"))?;
         let entry_due = Instant::now() + ENTRY;
         let reason = String::new();
@@ -311,10 +321,6 @@ impl Director {
         tokio::spawn(speak(writer, queue, self.wiring.clone(), delay));
         tokio::spawn(listen(module, process, reader, self.messages.0.clone()));
         member.commands = Some(commands);
-        if self.crew.values().all(|member| member.commands.is_some()) {
-            // From here on the file system holds nothing of the run.
-            self.listener = None;
-        }
     }
 
     fn carry_out(&mut self, output: TrialOutput) {

@@ -1,9 +1,10 @@
 //! Starts the processes of the modules.
 
+use super::control::ControlListener;
 use super::robot::Module;
 use std::collections::VecDeque;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, BufReader};
 use tokio::process::{Child, Command};
@@ -45,7 +46,7 @@ impl Process {
     /// The operating system starts no more processes.
     pub(crate) fn launch(
         module: Module,
-        control: &Path,
+        listener: &ControlListener,
         ends: Sender<ModuleEnded>,
     ) -> io::Result<Process> {
         let mut child = Command::new(executable())
@@ -53,7 +54,9 @@ impl Process {
             .arg("module")
             .args(["--name", module.name()])
             .arg("--control")
-            .arg(control)
+            .arg(listener.path())
+            .arg("--keys")
+            .arg(listener.key_of(module))
             .args(["--parent", &std::process::id().to_string()])
             .stdin(Stdio::null())
             .stdout(Stdio::null())

@@ -4,6 +4,7 @@
 
 mod edit;
 mod files;
+pub(crate) mod run_keys;
 mod show;
 
 use self::files::{Existing, PUBLIC, SECRET, check_absent, write};

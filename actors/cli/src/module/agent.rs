@@ -10,6 +10,7 @@ use crate::demo::robot::Module;
 use crate::demo::wiring::CableAddresses;
 use blastema::prelude::*;
 use blastema::{FaultEvent, FaultEvents};
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 use tokio::sync::mpsc::{Receiver, Sender as Queue};
@@ -26,13 +27,14 @@ const LAST_WORD: Duration = Duration::from_millis(50);
 #[derive(Debug)]
 pub(super) struct ModuleAgent {
     module: Module,
+    keys: PathBuf,
     measurements: Measurements,
 }
 
 impl ModuleAgent {
-    /// Reports go to `events`.
-    pub(super) fn new(module: Module, events: Queue<ModuleEvent>) -> ModuleAgent {
-        ModuleAgent { module, measurements: Measurements::new(module, events) }
+    /// The module's key is the file `keys`, and reports go to `events`.
+    pub(super) fn new(module: Module, keys: PathBuf, events: Queue<ModuleEvent>) -> ModuleAgent {
+        ModuleAgent { module, keys, measurements: Measurements::new(module, events) }
     }
 
     /// Runs the node and executes commands until `Shutdown` or the end of the channel.
@@ -71,7 +73,8 @@ impl ModuleAgent {
         module_node::check_addresses(self.module, wiring).map_err(|error| {
             ModuleEvent::StartFailed { reason: error.to_string(), address_taken: true }
         })?;
-        let mut builder = module_node::build(self.module, wiring, &self.measurements);
+        let builder = module_node::build(self.module, wiring, &self.measurements);
+        let mut builder = builder.keys(&self.keys);
         let mut faults = builder.fault_events();
         let mut starting = pin!(builder.start());
         // Faults found during the start explain a failed start.

@@ -90,6 +90,6 @@ async fn serve(module: Module, options: &ModuleOptions) -> Result<(), ModuleErro
             }
         }
     });
-    ModuleAgent::new(module, events).hold(wiring, commands).await;
+    ModuleAgent::new(module, options.keys.clone(), events).hold(wiring, commands).await;
     Ok(())
 }

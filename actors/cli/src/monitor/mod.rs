@@ -4,8 +4,9 @@ pub(crate) mod client;
 pub(crate) mod tables;
 
 use self::client::{InspectError, look};
+use self::tables::Colour;
 use crate::args::MonitorOptions;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 
 /// The reason why a node cannot be shown.
 #[derive(Debug, thiserror::Error)]
@@ -25,7 +26,8 @@ pub(crate) enum MonitorError {
 pub(crate) fn run(options: &MonitorOptions) -> Result<(), MonitorError> {
     for path in &options.sockets {
         let seen = blastema::run(look(path, options.within))?;
-        let shown = if options.json { seen.text } else { tables::draw(&seen.picture) };
+        let colour = if io::stdout().is_terminal() { Colour::Ansi } else { Colour::Plain };
+        let shown = if options.json { seen.text } else { tables::draw(&seen.picture, colour) };
         let printed = io::stdout().write_all(shown.as_bytes()).and_then(|()| io::stdout().flush());
         match printed {
             // The reader has closed its end, as `head` does.

@@ -53,6 +53,7 @@ const TABLES: [(&str, &str, &[Column]); 10] = [
             ("network", "network"),
             ("medium", "medium"),
             ("reach", "reach"),
+            ("sealed", "sealed"),
             ("insecure", "insecure"),
         ],
     ),
@@ -70,6 +71,8 @@ const TABLES: [(&str, &str, &[Column]); 10] = [
             ("loss in 1000", "loss_permille"),
             ("cost", "cost"),
             ("refused", "refused"),
+            ("seal", "seal"),
+            ("key age", "key_age_ms"),
         ],
     ),
     (
@@ -173,9 +176,26 @@ const TABLES: [(&str, &str, &[Column]); 10] = [
 /// The longest text of a cell. The JSON document has longer texts in full.
 pub(crate) const WIDEST: usize = 60;
 
+/// Whether the output shows colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Colour {
+    Plain,
+    /// By the sequences of ECMA-48, as terminals understand them.
+    Ansi,
+}
+
+impl Colour {
+    fn red(self, line: &str) -> String {
+        match self {
+            Colour::Plain => line.to_owned(),
+            Colour::Ansi => format!("\x1b[31m{line}\x1b[0m"),
+        }
+    }
+}
+
 /// Returns the snapshot as text. An unknown value is a dash. Empty tables are left out; a table of
-/// a part that has not answered says so.
-pub(crate) fn draw(picture: &Value) -> String {
+/// a part that has not answered says so. What is insecure is red.
+pub(crate) fn draw(picture: &Value, colour: Colour) -> String {
     let mut text =
         format!("{} {}", cell("", &picture["node"], WIDEST), cell("", &picture["state"], WIDEST));
     if let Some(reason) = picture["reason"].as_str() {
@@ -185,8 +205,8 @@ pub(crate) fn draw(picture: &Value) -> String {
     for network in picture["networks"].as_array().into_iter().flatten() {
         if network["insecure"] == true {
             let name = cell("", &network["network"], WIDEST);
-            let _ =
-                writeln!(text, "INSECURE: every station on network {name} can command this robot");
+            let line = format!("INSECURE: every station on network {name} can command this robot");
+            let _ = writeln!(text, "{}", colour.red(&line));
         }
     }
     for (title, name, columns) in TABLES {
@@ -195,7 +215,14 @@ pub(crate) fn draw(picture: &Value) -> String {
         }
         let rows = picture[name].as_array().map(Vec::as_slice).unwrap_or_default();
         if !rows.is_empty() {
-            let _ = write!(text, "\n{title}\n{}", table(columns, rows, WIDEST));
+            let _ = writeln!(text, "\n{title}");
+            // Each row is one line, below that of the headings.
+            let insecure =
+                [false].into_iter().chain(rows.iter().map(|row| row["insecure"] == true));
+            for (line, insecure) in table(columns, rows, WIDEST).lines().zip(insecure) {
+                let shown = if insecure { colour.red(line) } else { line.to_owned() };
+                let _ = writeln!(text, "{shown}");
+            }
         }
     }
     text
@@ -272,9 +299,15 @@ mod tests {
             ],
             "threads": [],
             "networks": [
-                { "network": "lan", "medium": "udp://10.0.0.1:7400", "reach": "network", "insecure": true },
-                { "network": "here", "medium": "memory://a", "reach": "this process", "insecure": false },
+                { "network": "lan", "medium": "udp://10.0.0.1:7400", "reach": "network", "sealed": false, "insecure": true },
+                { "network": "wire", "medium": "udp://10.0.1.1:7400", "reach": "network", "sealed": true, "insecure": false },
+                { "network": "here", "medium": "memory://a", "reach": "this process", "sealed": false, "insecure": false },
             ],
+            "links": [{
+                "network": "wire", "link": "wire", "state": "up", "neighbour": "arm", "last_sign_ms": 12.0,
+                "round_trip_ms": 0.2, "jitter_ms": 0.01, "loss_permille": 0, "cost": 10, "refused": 0,
+                "seal": "AES-256-GCM", "key_age_ms": 61000.0,
+            }],
             "faults": null,
         });
 
@@ -283,9 +316,14 @@ module1 running
 INSECURE: every station on network lan can command this robot
 
 networks
- network  medium               reach         insecure
- lan      udp://10.0.0.1:7400  network       yes
- here     memory://a           this process  -
+ network  medium               reach         sealed  insecure
+ lan      udp://10.0.0.1:7400  network       -       yes
+ wire     udp://10.0.1.1:7400  network       yes     -
+ here     memory://a           this process  -       -
+
+links
+ network  link  state  neighbour  last sign  round trip   jitter  loss in 1000  cost  refused  seal         key age
+ wire     wire  up     arm            12 ms     0.20 ms  0.01 ms             0    10        0  AES-256-GCM   61.0 s
 
 global names
  name  node     object  epoch  known for
@@ -294,7 +332,14 @@ global names
 
 faults: not answered
 ";
-        assert_eq!(draw(&picture), text);
+        assert_eq!(draw(&picture, Colour::Plain), text);
+
+        let coloured = draw(&picture, Colour::Ansi);
+        let red: Vec<&str> = coloured.lines().filter(|line| line.starts_with("\x1b[31m")).collect();
+        assert!(red.iter().all(|line| line.ends_with("\x1b[0m")), "{red:?}");
+        assert!(red[0].contains("INSECURE") && red[1].contains(" lan "), "{red:?}");
+        assert_eq!(red.len(), 2, "{red:?}");
+        assert_eq!(coloured.replace("\x1b[31m", "").replace("\x1b[0m", ""), text);
     }
 
     #[test]

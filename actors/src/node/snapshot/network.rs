@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct NetworkSnapshot {
-    /// The networks, and which of them are insecure.
+    /// The networks, and which of them are sealed or insecure.
     pub networks: Vec<NetworkRow>,
     /// The links, in the order in which they were described.
     pub links: Option<Vec<LinkRow>>,
@@ -56,6 +56,7 @@ fn network(row: &NetworkRow) -> Value {
         "network": &*row.network,
         "medium": row.medium,
         "reach": row.reach.to_string(),
+        "sealed": row.sealed,
         "insecure": row.insecure,
     })
 }
@@ -72,6 +73,8 @@ fn link(row: &LinkRow) -> Value {
         "loss_permille": row.quality.loss_permille,
         "cost": row.cost,
         "refused": row.refusals.total(),
+        "seal": row.seal.map(|seal| seal.cipher),
+        "key_age_ms": millis(row.seal.map(|seal| seal.key_age)),
     })
 }
 
