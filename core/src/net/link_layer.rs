@@ -388,11 +388,6 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
                     let (frame, lane) = (frame.into(), FrameLane::Hello);
                     self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
                 }
-                SealerOutput::Answered { peer, address } => {
-                    if let Some(link) = self.by_peer.get(&peer).copied() {
-                        self.adopt(link, peer, address);
-                    }
-                }
                 SealerOutput::PeerOpen { peer, address, payload, .. } => {
                     let Some(link) = self.by_peer.get(&peer).copied() else { continue };
                     self.adopt(link, peer, address);
@@ -415,8 +410,8 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
     }
 
     /// The neighbour has proved itself at this address. Where that is not its own, it is that of a
-    /// connection, which is the neighbour's from here on. Both ends adopt the same one: the
-    /// initiator that which was answered on, and the responder that which the initiator uses then.
+    /// connection, which is the neighbour's from here on. Both ends use the same one: the initiator
+    /// receives the responder's first frame on the connection that the responder has adopted.
     fn adopt(&mut self, link: LinkId, peer: NodeId, connection: A) {
         let Some(end) = self.ends.get_mut(&link) else { return };
         if end.address == connection || end.adopted.as_ref() == Some(&connection) {

@@ -453,7 +453,6 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         peer.approach = Approach::Confirming { to: to.clone(), since: now };
         peer.attempt = 1;
         self.index(node);
-        self.outputs.push_back(SealerOutput::Answered { peer: node, address: to.clone() });
         self.confirm(node, to);
         self.schedule(node, now);
     }

@@ -198,14 +198,6 @@ pub enum SealerOutput<A> {
         /// It had a channel in the same incarnation: these are new keys.
         renewed: bool,
     },
-    /// The peer has answered an init there: it holds its key, and is there now. It opens the channel
-    /// with its first frame.
-    Answered {
-        /// Which.
-        peer: NodeId,
-        /// Where its answer came from.
-        address: A,
-    },
     /// A node with the peer's key, in another incarnation, shakes hands while the peer is heard:
     /// the peer was restarted within some tenths of a second, or two nodes have one key.
     KeyInUse {

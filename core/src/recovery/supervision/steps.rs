@@ -580,11 +580,9 @@ impl Supervisor {
     ) -> Option<ChildKey> {
         let &key = self.index.get(name)?;
         let child = self.kept(key);
-        if incarnation < child.incarnation {
-            return None;
-        }
-        child.incarnation = incarnation;
-        Some(key)
+        let is_present = incarnation >= child.incarnation;
+        child.incarnation = child.incarnation.max(incarnation);
+        is_present.then_some(key)
     }
 
     pub(super) fn living(&self) -> impl Iterator<Item = ChildKey> + '_ {
