@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tracing::{error, info};
 
-/// How often the file is looked at: by its time and size.
+/// How often the file is looked at.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
 /// There is a newer roster.

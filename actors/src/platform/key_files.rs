@@ -5,7 +5,6 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::time::SystemTime;
 use zeroize::Zeroizing;
 
 /// No file of keys is longer.
@@ -95,15 +94,20 @@ pub fn folder_of(path: &Path) -> &Path {
     parent.unwrap_or(Path::new("."))
 }
 
-/// By which it is seen that a file was replaced: its time and size.
+/// By which it is seen that a file was replaced or written to: its number, size and time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct FileStamp(SystemTime, u64);
+pub(crate) struct FileStamp {
+    number: u64,
+    length: u64,
+    modified: (i64, i64),
+}
 
 impl FileStamp {
     /// Of the file there, if there is one.
     pub(crate) fn of(path: &Path) -> Option<Self> {
         let file = fs::metadata(path).ok()?;
-        Some(FileStamp(file.modified().ok()?, file.len()))
+        let modified = (file.mtime(), file.mtime_nsec());
+        Some(FileStamp { number: file.ino(), length: file.len(), modified })
     }
 }
 
