@@ -2,7 +2,8 @@
 //!
 //! An envelope is plain data and crosses threads sealed. Its handler's future is built on the
 //! receiving thread, in a future slot: a pinned place that is kept per component and contract and
-//! filled again and again, so that a message costs one allocation, the envelope. The future owns a
+//! filled again and again, so that a message costs one allocation, the envelope; an event that a
+//! hub hands to an idle listener needs no envelope, and costs none. The future owns a
 //! share of the component's slot and borrows the component for as long as it runs. The guard owns
 //! the other share, so that an unwinding handler never drops the component.
 
@@ -14,7 +15,6 @@ use crate::messaging::message_log::LogId;
 use crate::messaging::reply::Responder;
 use crate::platform;
 use blastema_core::{Contract, DeliveryError, Instant, MessageId};
-use pin_project_lite::pin_project;
 use std::any::{Any, TypeId};
 use std::future::Future;
 use std::pin::Pin;
@@ -72,23 +72,22 @@ pub(crate) trait Envelope<C: Component> {
     /// Reports to the caller that the message was not accepted, and returns it.
     fn give_back(&mut self, why: DeliveryError);
     /// A slot for the futures of this contract.
-    fn future_slot(&self) -> Pin<Box<dyn FutureSlot<C>>>;
+    fn future_slot(&self) -> Box<dyn FutureSlot<C>>;
     /// Where such a slot finds the message.
     fn contents(&mut self) -> &mut dyn Any;
 }
 
 /// A pinned place, on the arbiter only, in which one contract's handler futures run one after
 /// another.
-pub(crate) trait FutureSlot<C: Component> {
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool;
-    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()>;
-    /// Both.
-    fn begin(
-        self: Pin<&mut Self>,
-        contents: &mut dyn Any,
-        slot: &Rc<ComponentSlot<C>>,
-        cx: &mut Context<'_>,
-    ) -> Poll<()>;
+pub(crate) trait FutureSlot<C: Component>: Any {
+    fn refill(&mut self, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool;
+    fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()>;
+}
+
+/// The same to a caller that knows the contract, and has its message at hand.
+pub(crate) trait EventFutureSlot<C: Component, M: Contract> {
+    /// Begins the handler of an event.
+    fn begin(&mut self, event: M, slot: &Rc<ComponentSlot<C>>, cx: &mut Context<'_>) -> Poll<()>;
 }
 
 struct Contents<M: Contract> {
@@ -112,12 +111,15 @@ struct Rare {
     logged: Option<LogId>,
 }
 
-pin_project! {
-    struct HandlerFuture<M: Contract, G, F> {
-        make: G,
-        answer: Option<Responder<M>>,
-        #[pin]
-        future: Option<F>,
+struct HandlerFuture<M: Contract, G, F> {
+    make: G,
+    answer: Option<Responder<M>>,
+    future: Pin<Box<Option<F>>>,
+}
+
+impl<M: Contract, G, F> HandlerFuture<M, G, F> {
+    fn new(make: G) -> Self {
+        HandlerFuture { make, answer: None, future: Box::pin(None) }
     }
 }
 
@@ -165,8 +167,8 @@ where
         }
     }
 
-    fn future_slot(&self) -> Pin<Box<dyn FutureSlot<C>>> {
-        Box::pin(HandlerFuture { make: self.make, answer: None, future: None::<F> })
+    fn future_slot(&self) -> Box<dyn FutureSlot<C>> {
+        Box::new(HandlerFuture::<M, G, F>::new(self.make))
     }
 
     fn contents(&mut self) -> &mut dyn Any {
@@ -178,45 +180,49 @@ impl<C, M, G, F> FutureSlot<C> for HandlerFuture<M, G, F>
 where
     C: Component,
     M: Contract,
-    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + 'static,
     F: Future<Output = M::Reply> + 'static,
 {
     #[inline]
-    fn refill(self: Pin<&mut Self>, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool {
-        let mut this = self.project();
+    fn refill(&mut self, contents: &mut dyn Any, slot: &Rc<ComponentSlot<C>>) -> bool {
         let Some(contents) = contents.downcast_mut::<Contents<M>>() else { return false };
         let Some(message) = contents.message.take() else { return false };
-        *this.answer = contents.answer.take();
-        this.future.set(Some((this.make)(slot.clone(), message)));
+        self.answer = contents.answer.take();
+        self.future.set(Some((self.make)(slot.clone(), message)));
         true
     }
 
     #[inline]
-    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<()> {
-        let mut this = self.project();
-        let Some(future) = this.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
+    fn poll(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        let Some(future) = self.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
         let Poll::Ready(reply) = future.poll(cx) else { return Poll::Pending };
-        if let Some(answer) = this.answer.take() {
+        if let Some(answer) = self.answer.take() {
             match heartbeat::send_refusal() {
                 None => answer.give(reply),
                 Some(why) => answer.refuse(why, None),
             }
         }
-        this.future.set(None);
+        self.future.set(None);
         Poll::Ready(())
     }
+}
 
-    fn begin(
-        mut self: Pin<&mut Self>,
-        contents: &mut dyn Any,
-        slot: &Rc<ComponentSlot<C>>,
-        cx: &mut Context<'_>,
-    ) -> Poll<()> {
-        if FutureSlot::<C>::refill(self.as_mut(), contents, slot) {
-            FutureSlot::<C>::poll(self, cx)
-        } else {
-            Poll::Ready(())
+impl<C, M, G, F> EventFutureSlot<C, M> for HandlerFuture<M, G, F>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    #[inline]
+    fn begin(&mut self, event: M, slot: &Rc<ComponentSlot<C>>, cx: &mut Context<'_>) -> Poll<()> {
+        self.future.set(Some((self.make)(slot.clone(), event)));
+        let Some(future) = self.future.as_mut().as_pin_mut() else { return Poll::Ready(()) };
+        if future.poll(cx).is_pending() {
+            return Poll::Pending;
         }
+        self.future.set(None);
+        Poll::Ready(())
     }
 }
 
@@ -245,54 +251,64 @@ pub(crate) fn seal_message<C: Handle<M>, M: Contract>(
     id: Option<MessageId>,
     times: impl Into<Times>,
 ) -> BoxedEnvelope<C> {
-    Box::new(sealed(message, answer, id, times.into()))
+    let Times { posted_at, captured_at, logged } = times.into();
+    let contents = Contents { message: Some(message), answer };
+    let is_rare = id.is_some() || captured_at.is_some() || logged.is_some();
+    let rare = is_rare.then(|| Box::new(Rare { id, captured_at, logged }));
+    Box::new(Sealed { make: handle::<C, M>, contents, posted_at, rare })
 }
 
-/// Packs an event for a component that serves it at once.
-#[inline]
-pub(crate) fn seal_event<C: Handle<M>, M: Contract>(message: M, times: Times) -> impl Envelope<C> {
-    sealed::<C, M>(message, None, None, times)
+/// A slot for the futures of this contract.
+pub(crate) fn future_slot<C: Handle<M>, M: Contract>() -> Box<dyn FutureSlot<C>> {
+    slot_of(handle::<C, M>)
 }
 
+/// The slot, if it is for the futures of this contract.
 #[inline]
+pub(crate) fn event_future_slot<C: Handle<M>, M: Contract>(
+    slot: &mut dyn FutureSlot<C>,
+) -> Option<&mut (impl EventFutureSlot<C, M> + use<C, M>)> {
+    typed(handle::<C, M>, slot)
+}
+
+#[expect(clippy::manual_async_fn, reason = "an `async fn` keeps a second copy of its arguments")]
 #[expect(
     clippy::await_holding_refcell_ref,
     reason = "messages wait while one is served; the control queue does not borrow"
 )]
-fn sealed<C: Handle<M>, M: Contract>(
+fn handle<C: Handle<M>, M: Contract>(
+    slot: Rc<ComponentSlot<C>>,
     message: M,
-    answer: Option<Responder<M>>,
-    id: Option<MessageId>,
-    times: Times,
-) -> impl Envelope<C> + Send {
-    let make = |slot: Rc<ComponentSlot<C>>, message: M| async move {
+) -> impl Future<Output = M::Reply> + use<C, M> {
+    async move {
         let mut contents = slot.contents.borrow_mut();
         let (component, cx) = contents.both();
         if let Some(injected) = cx.before() {
             injected.await;
         }
         component.handle(message, cx).await
-    };
-    seal(make, message, answer, id, times)
+    }
 }
 
-/// Names the closure's type by inference; neither it nor its future's can be written down.
-#[inline]
-fn seal<C, M, G, F>(
-    make: G,
-    message: M,
-    answer: Option<Responder<M>>,
-    id: Option<MessageId>,
-    Times { posted_at, captured_at, logged }: Times,
-) -> Sealed<M, G>
+/// Names the future's type by inference; it cannot be written down.
+fn slot_of<C, M, G, F>(make: G) -> Box<dyn FutureSlot<C>>
 where
     C: Component,
     M: Contract,
-    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + Send + 'static,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + 'static,
     F: Future<Output = M::Reply> + 'static,
 {
-    let contents = Contents { message: Some(message), answer };
-    let is_rare = id.is_some() || captured_at.is_some() || logged.is_some();
-    let rare = is_rare.then(|| Box::new(Rare { id, captured_at, logged }));
-    Sealed { make, contents, posted_at, rare }
+    Box::new(HandlerFuture::<M, G, F>::new(make))
+}
+
+/// The same for the slot of this contract's futures.
+#[inline]
+fn typed<C, M, G, F>(_: G, slot: &mut dyn FutureSlot<C>) -> Option<&mut HandlerFuture<M, G, F>>
+where
+    C: Component,
+    M: Contract,
+    G: Fn(Rc<ComponentSlot<C>>, M) -> F + Copy + 'static,
+    F: Future<Output = M::Reply> + 'static,
+{
+    (slot as &mut dyn Any).downcast_mut()
 }

@@ -2,7 +2,7 @@
 
 use super::hub::{Batch, EventListener, Hub, HubProgress, ListenerEntry, Runs};
 use crate::component::cell::ComponentCell;
-use crate::component::{Component, Handle, envelope};
+use crate::component::{Component, Handle};
 use crate::host::executor;
 use crate::host::executor::ComponentExecutor;
 use crate::liveness::label::CONDITION;
@@ -44,16 +44,16 @@ impl<C: Handle<E>, E: Event> EventListener<E> for Resident<C> {
         let activity_slot = executor.as_ref().map(|executor| executor.activity_slot());
         entry.activity_slot.set(activity_slot);
         hub.heartbeat.run(activity_slot.map(|activity_slot| activity_slot.index));
-        let at_once = executor.as_ref().is_some_and(|executor| executor.serves_at_once());
+        let mut at_once = executor.as_mut().and_then(|executor| executor.event_service::<E>());
         let mut progress = HubProgress::Done;
         while let Some(posted) = hub.next(batch) {
             if hub.is_for(entry, batch, posted) {
-                let free = executor.as_mut().filter(|executor| at_once && executor.is_free());
+                let free = at_once.as_mut().filter(|service| service.is_free());
                 let event = posted.event.clone();
                 match free {
-                    Some(executor) => {
+                    Some(service) => {
                         hub.runs.set(Runs::Handler);
-                        executor.serve_at_once(&mut envelope::seal_event(event, posted.at));
+                        service.serve(event, posted.at);
                         hub.runs.set(Runs::Other);
                     }
                     None if hub.still_gets(entry) => self.cell.queue_event(event, posted.at),

@@ -179,3 +179,32 @@ async fn a_component_that_listens_twice_to_one_topic_is_refused() {
     assert!(matches!(&why, SpecError::ListenTwice { topic, .. } if topic == "test/fresh"), "{why}");
     assert!(why.to_string().contains("write one `listen`"), "{why}");
 }
+
+/// Awaits what a task of its own tells it.
+struct Awaiting(tokio::sync::mpsc::UnboundedSender<u32>);
+
+impl Component for Awaiting {
+    fn ports(ports: &mut Ports<Self>) {
+        ports.listen::<News>().on("test/news");
+    }
+}
+
+impl Handle<News> for Awaiting {
+    async fn handle(&mut self, News(n): News, cx: &mut Context<Self>) {
+        let (tell, told) = tokio::sync::oneshot::channel();
+        cx.spawn(async move { tell.send(n).expect("the handler awaits it") });
+        self.0.send(told.await.unwrap()).unwrap();
+    }
+}
+
+#[blastema_testkit::test]
+async fn what_a_handler_starts_and_awaits_runs_though_an_event_began_it() {
+    let (sender, mut told) = tokio::sync::mpsc::unbounded_channel();
+    let awaiting = ChildSpec::new("awaiting", move || Awaiting(sender.clone()));
+    let node = TestNode::start(Node::builder("module1").child(awaiting)).await;
+
+    node.publisher::<News>("test/news").unwrap().publish(News(1)).unwrap();
+    node.settle().await;
+
+    assert_eq!(told.try_recv(), Ok(1));
+}

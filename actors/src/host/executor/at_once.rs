@@ -1,22 +1,34 @@
 //! Events straight from the arbiter's hub to the handler, without the queue.
 
-use super::{ComponentExecutor, Service};
-use crate::component::Component;
-use crate::component::envelope::Envelope;
-use std::task::{self, Poll};
+use super::{ComponentExecutor, LoggedMessage, Service, SlotInUse};
+use crate::component::cell::ComponentCell;
+use crate::component::envelope::{self, EventFutureSlot, Times};
+use crate::component::incarnation::IncarnationState;
+use crate::component::slot::ComponentSlot;
+use crate::component::{Component, Handle};
+use crate::liveness::activity::ActivityRecord;
+use crate::messaging::message_log;
+use blastema_core::Contract;
+use std::any::TypeId;
+use std::rc::Rc;
+use std::task;
 
-impl<C: Component> ComponentExecutor<C> {
-    /// Whether the component serves events of a hub at once while it is free. Nothing that it
-    /// serves so changes that, unless it ends the incarnation.
-    #[inline]
-    pub(crate) fn serves_at_once(&self) -> bool {
-        self.lifecycle.is_serving()
-            && !self.over
-            && self.component.is_some()
-            && self.waker.is_some()
-            && self.budget.is_trusted()
-    }
+/// Serves the events of one contract, one after another: what they have in common is looked up
+/// once.
+pub(crate) struct EventService<'a, C: Component, S> {
+    cell: &'a ComponentCell<C>,
+    state: &'a IncarnationState<C>,
+    component: &'a Rc<ComponentSlot<C>>,
+    activity: &'static ActivityRecord,
+    service: &'a mut Service,
+    logged: &'a mut Option<Box<LoggedMessage>>,
+    cx: task::Context<'a>,
+    at: usize,
+    label: u32,
+    future_slot: &'a mut S,
+}
 
+impl<C: Component, S> EventService<'_, C, S> {
     /// Nothing is before an event that comes now.
     #[inline]
     pub(crate) fn is_free(&self) -> bool {
@@ -27,23 +39,63 @@ impl<C: Component> ComponentExecutor<C> {
             && !self.state.token.is_muted()
     }
 
-    /// An event straight to the handler, without the queue: only for an executor that serves at
-    /// once and is free. It runs on the arbiter's hub, which has named the component to the
-    /// heartbeat, under the hub's guard and the component's activity record.
+    /// An event straight to the handler, without the queue: only while the component is free. It
+    /// runs on the arbiter's hub, which has named the component to the heartbeat, under the hub's
+    /// guard and the component's activity record. Where the handler awaits something, the executor
+    /// goes on with it in its own polls.
     #[inline]
-    pub(crate) fn serve_at_once(&mut self, envelope: &mut impl Envelope<C>) {
-        let at = self.note_message(&envelope.header(), envelope);
-        self.service = Service::Message(at);
-        let (Some(waker), Some(component)) = (&self.waker, &self.component) else { return };
-        let mut cx = task::Context::from_waker(waker);
-        match self.slots_in_use[at].future_slot.as_mut().begin(
-            envelope.contents(),
-            component,
-            &mut cx,
-        ) {
-            Poll::Ready(()) => self.end_message(),
-            Poll::Pending => drop(self.wait()),
+    pub(crate) fn serve<M: Contract>(&mut self, event: M, times: Times)
+    where
+        S: EventFutureSlot<C, M>,
+    {
+        self.state.captured_at.set(Some(times.captured_at()));
+        if let Some(id) = times.logged {
+            *self.logged = Some(Box::new((id, M::NAME, false)));
+            message_log::begun(id, M::NAME, &self.cell.record.name, self.state.incarnation);
         }
+        self.activity.begin(self.label);
+        *self.service = Service::Message(self.at);
+        if self.future_slot.begin(event, self.component, &mut self.cx).is_pending() {
+            return;
+        }
+        *self.service = Service::Idle;
+        if let Some(id) = times.logged {
+            *self.logged = None;
+            message_log::served(id, M::NAME, &self.cell.record.name, false);
+        }
+        self.activity.step();
+    }
+}
+
+impl<C: Component> ComponentExecutor<C> {
+    /// Serves the events of one contract while the component is free for them; `None` where it
+    /// does not serve events of a hub at once now. Nothing that it serves so changes that, unless
+    /// it ends the incarnation.
+    #[inline]
+    pub(crate) fn event_service<M: Contract>(
+        &mut self,
+    ) -> Option<EventService<'_, C, impl EventFutureSlot<C, M>>>
+    where
+        C: Handle<M>,
+    {
+        let is_idle = matches!(self.service, Service::Idle);
+        if !is_idle || !self.lifecycle.is_serving() || self.over || !self.budget.is_trusted() {
+            return None;
+        }
+        let at = self.slot_for(TypeId::of::<M>(), M::NAME, envelope::future_slot::<C, M>);
+        let SlotInUse { label, future_slot, .. } = &mut self.slots_in_use[at];
+        Some(EventService {
+            cell: &self.cell,
+            state: &self.state,
+            component: self.component.as_ref()?,
+            activity: self.slot.activity,
+            service: &mut self.service,
+            logged: &mut self.logged,
+            cx: task::Context::from_waker(self.waker.as_ref()?),
+            at,
+            label: *label,
+            future_slot: envelope::event_future_slot::<C, M>(&mut **future_slot)?,
+        })
     }
 
     /// The hub has found that this component took long over an event.
@@ -62,7 +114,8 @@ impl<C: Component> ComponentExecutor<C> {
         if (self.over || self.state.has_wishes() || !self.outbox.is_empty())
             && let Some(waker) = &self.waker
         {
-            waker.wake_by_ref(); // The executor's own poll reports, and ends what is to end.
+            // The executor's own poll fulfils what was asked for, reports, and ends what is to end.
+            waker.wake_by_ref();
         }
     }
 }

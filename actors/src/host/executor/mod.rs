@@ -68,7 +68,7 @@ type RestartTimes = VecDeque<Instant>;
 struct SlotInUse<C: Component> {
     contract: TypeId,
     label: u32,
-    future_slot: Pin<Box<dyn FutureSlot<C>>>,
+    future_slot: Box<dyn FutureSlot<C>>,
 }
 
 /// How far one step came.
@@ -379,7 +379,7 @@ impl<C: Component> ComponentExecutor<C> {
     fn begin_message(&mut self, header: &EnvelopeHeader, envelope: &mut dyn Envelope<C>) {
         let at = self.note_message(header, envelope);
         let Some(component) = &self.component else { return };
-        if self.slots_in_use[at].future_slot.as_mut().refill(envelope.contents(), component) {
+        if self.slots_in_use[at].future_slot.refill(envelope.contents(), component) {
             self.service = Service::Message(at);
         } else {
             self.slot.activity.step();
@@ -388,33 +388,33 @@ impl<C: Component> ComponentExecutor<C> {
 
     /// Names what is taken into service, and says which slot its future has.
     #[inline]
-    fn note_message<E>(&mut self, header: &EnvelopeHeader, envelope: &E) -> usize
-    where
-        E: Envelope<C> + ?Sized,
-    {
+    fn note_message(&mut self, header: &EnvelopeHeader, envelope: &dyn Envelope<C>) -> usize {
         self.state.captured_at.set(Some(header.captured_at));
         if let Some(id) = header.logged {
             self.logged = Some(Box::new((id, header.name, envelope.revocable().is_some())));
             let record = &self.cell.record;
             message_log::begun(id, header.name, &record.name, self.state.incarnation);
         }
-        let known = self.slots_in_use.iter().position(|in_use| in_use.contract == header.contract);
-        let at = known.unwrap_or_else(|| self.add_slot(header, envelope.future_slot()));
+        let at = self.slot_for(header.contract, header.name, || envelope.future_slot());
         self.slot.activity.begin(self.slots_in_use[at].label);
         at
     }
 
-    /// One more contract is served.
-    #[cold]
-    fn add_slot(
+    /// Which slot the futures of a contract have.
+    #[inline]
+    fn slot_for(
         &mut self,
-        header: &EnvelopeHeader,
-        future_slot: Pin<Box<dyn FutureSlot<C>>>,
+        contract: TypeId,
+        name: &'static str,
+        make: impl FnOnce() -> Box<dyn FutureSlot<C>>,
     ) -> usize {
-        self.slots_in_use.truncate(SLOTS_MAX - 1);
-        let (contract, label) = (header.contract, label::number(header.name));
-        self.slots_in_use.push(SlotInUse { contract, label, future_slot });
-        self.slots_in_use.len() - 1
+        let known = self.slots_in_use.iter().position(|in_use| in_use.contract == contract);
+        known.unwrap_or_else(|| {
+            let label = label::number(name);
+            self.slots_in_use.truncate(SLOTS_MAX - 1);
+            self.slots_in_use.push(SlotInUse { contract, label, future_slot: make() });
+            self.slots_in_use.len() - 1
+        })
     }
 
     fn begin_hook(&mut self, hook: Hook) {
@@ -429,7 +429,7 @@ impl<C: Component> ComponentExecutor<C> {
         match &mut self.service {
             Service::Idle => return Progress::More,
             Service::Message(at) => {
-                if self.slots_in_use[*at].future_slot.as_mut().poll(cx).is_pending() {
+                if self.slots_in_use[*at].future_slot.poll(cx).is_pending() {
                     return self.wait();
                 }
                 self.end_message();
