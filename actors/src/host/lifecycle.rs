@@ -81,12 +81,18 @@ pub(crate) fn is_start(during: &str) -> bool {
 pub(crate) enum EndReason {
     /// It was ordered to.
     Stopped,
-    /// It was ordered to, and another incarnation follows.
-    Replaced,
     /// It ended itself.
     Returned,
-    /// It could not go on.
+    /// It did not come to work, or could not go on.
     Fatal,
+}
+
+/// An order to end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StopOrder {
+    Stop,
+    /// Another incarnation follows.
+    MakeWay,
 }
 
 /// What the executor is to do next.
@@ -142,6 +148,8 @@ pub(crate) struct IncarnationLifecycle {
     /// A hook found that something is not there yet.
     retried: Option<Retried>,
     end: Option<EndReason>,
+    /// Its supervisor waits for its end.
+    ordered: Option<StopOrder>,
     reports: VecDeque<LifecycleReport>,
 }
 
@@ -156,6 +164,7 @@ impl IncarnationLifecycle {
             start_failure: None,
             retried: None,
             end: None,
+            ordered: None,
             reports: VecDeque::from([LifecycleReport::State(Lifecycle::Created, None)]),
         }
     }
@@ -179,6 +188,11 @@ impl IncarnationLifecycle {
     /// How it ends, where it does.
     pub(crate) fn end_reason(&self) -> Option<EndReason> {
         self.end
+    }
+
+    /// What its supervisor has ordered, which waits for its end, whatever it ends of.
+    pub(crate) fn stop_order(&self) -> Option<StopOrder> {
+        self.ordered
     }
 
     pub(crate) fn is_ending(&self) -> bool {
@@ -308,7 +322,7 @@ impl IncarnationLifecycle {
             // Its supervisor does not reset what did not come to work: another incarnation follows,
             // or none.
             self.hooks.extend([Hook::Shutdown, Hook::Finalize]);
-            self.end = Some(EndReason::Replaced);
+            self.end = Some(EndReason::Fatal);
         }
     }
 
@@ -340,18 +354,29 @@ impl IncarnationLifecycle {
         }
     }
 
-    /// The incarnation is to end in order.
-    pub(crate) fn handle_stop(&mut self, end: EndReason) {
-        if self.end.is_some() {
-            // A caller that waits for its stop is notified, whatever it ends of.
-            if end == EndReason::Stopped
-                || (end == EndReason::Replaced && self.end != Some(EndReason::Stopped))
-            {
-                self.end = Some(end);
-                self.start_failure = None;
-            }
-            return;
+    /// The incarnation is ordered to end.
+    pub(crate) fn handle_stop(&mut self, order: StopOrder) {
+        if self.ordered != Some(StopOrder::Stop) {
+            self.ordered = Some(order);
         }
+        self.start_failure = None;
+        match self.end {
+            Some(EndReason::Returned) => self.end = Some(EndReason::Stopped),
+            // What has failed before it was stopped has failed.
+            Some(EndReason::Stopped | EndReason::Fatal) => {}
+            None => self.begin_end(EndReason::Stopped),
+        }
+    }
+
+    /// The incarnation ends itself.
+    pub(crate) fn handle_return(&mut self) {
+        if self.end.is_none() {
+            self.begin_end(EndReason::Returned);
+        }
+    }
+
+    /// The incarnation is to end in order.
+    fn begin_end(&mut self, end: EndReason) {
         self.end = Some(end);
         self.awaited = None;
         self.retried = None;

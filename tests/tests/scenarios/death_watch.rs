@@ -1,6 +1,6 @@
 //! Death watch: anyone may ask to be told.
 
-use crate::puppet::{Deed, Strings, ask, strike};
+use crate::puppet::{Deed, Pull, Strings, ask, strike};
 use blastema::prelude::*;
 use blastema_testkit::TestNode;
 use std::time::Duration;
@@ -35,6 +35,27 @@ async fn who_watches_is_told_of_every_death_and_how_it_came() {
     assert!(first[0].starts_with("widow#1 mourns arm#1: Panicked { text: \"struck\""), "{first:?}");
     assert_eq!(second, ["widow#1 mourns arm#2: Returned"]);
     assert_eq!(third, ["widow#1 mourns arm#3: Stopped"]);
+}
+
+#[blastema_testkit::test]
+async fn one_that_does_not_come_to_work_has_failed_whichever_hook_failed() {
+    for hook in ["on_initialize", "on_startup", "on_activated"] {
+        let strings = Strings::default();
+        let node = node_of(&strings).await;
+        strings.pull("arm", hook, Pull::Fail("jammed"));
+        strings.pull("arm", "on_aborting", Pull::Wait(Duration::from_millis(50)));
+
+        // Whether the second incarnation or the third answers it is not the question here.
+        let _ = node.restart_child("arm").await;
+        node.advance(Duration::from_secs(1)).await;
+
+        let told = mourned(&node, &strings).await;
+        let expected = ["widow#1 mourns arm#1: Stopped", "widow#1 mourns arm#2: Fatal"];
+        assert_eq!(told, expected, "{hook}");
+        let kinds = node.faults().await.entries.into_iter().map(|entry| entry.fault.kind);
+        let kinds: Vec<_> = kinds.collect();
+        assert_eq!(kinds.len(), 1, "{hook}: {kinds:?}");
+    }
 }
 
 #[blastema_testkit::test]

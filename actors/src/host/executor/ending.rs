@@ -5,7 +5,7 @@ use crate::component::Component;
 use crate::component::cell::Blame;
 use crate::component::incarnation::{DeferredCommands, IncarnationState};
 use crate::host::executor::outbox::DeferredReport;
-use crate::host::lifecycle::{EndReason, IncarnationLifecycle};
+use crate::host::lifecycle::{EndReason, IncarnationLifecycle, StopOrder};
 use crate::liveness::label;
 use crate::messaging::death_watch::{Down, DownReason};
 use crate::messaging::message_log;
@@ -136,7 +136,11 @@ impl<C: Component> ComponentExecutor<C> {
         let event = match (exit, self.lifecycle.take_start_failure()) {
             // One that has not come to work does not die in addition.
             (_, Some(reason)) => Some(ChildEvent::StartFailed { reason }),
-            (ExitReason::Stopped, None) => Some(ChildEvent::Stopped),
+            (ExitReason::Stopped | ExitReason::Fatal, None)
+                if self.lifecycle.stop_order().is_some() =>
+            {
+                Some(ChildEvent::Stopped)
+            }
             (ExitReason::Panicked { text, at, .. }, None) if starting => {
                 Some(ChildEvent::StartFailed { reason: format!("it panicked at {at}: {text}") })
             }
@@ -167,23 +171,15 @@ impl<C: Component> ComponentExecutor<C> {
         if self.cell.queue.owner() != Some(incarnation) {
             return self.leave(); // It was abandoned while what is the user's was dropped.
         }
+        if self.lifecycle.stop_order() == Some(StopOrder::Stop) {
+            self.cell.end_by(incarnation);
+        } else {
+            self.cell.queue.leave(incarnation);
+        }
         let exit = match end {
-            EndReason::Stopped => {
-                self.cell.end_by(incarnation);
-                ExitReason::Stopped
-            }
-            EndReason::Replaced => {
-                self.cell.queue.leave(incarnation);
-                ExitReason::Stopped
-            }
-            EndReason::Returned => {
-                self.cell.queue.leave(incarnation);
-                ExitReason::Returned
-            }
-            EndReason::Fatal => {
-                self.cell.queue.leave(incarnation);
-                ExitReason::Fatal
-            }
+            EndReason::Stopped => ExitReason::Stopped,
+            EndReason::Returned => ExitReason::Returned,
+            EndReason::Fatal => ExitReason::Fatal,
         };
         self.cell.record.set_state(Lifecycle::Finalized);
         self.cell.record.cold().exits.keep(incarnation, exit.clone());

@@ -16,7 +16,7 @@ pub(crate) use shared::{SharedExecutor, executor_here};
 
 use outbox::DeferredReport;
 
-use super::lifecycle::{EndReason, Hook, IncarnationLifecycle, LifecycleStep};
+use super::lifecycle::{Hook, IncarnationLifecycle, LifecycleStep, StopOrder};
 use super::schedule::{DueWork, ScheduledWork};
 use crate::arbiter::pool::ArbiterSlot;
 use crate::arbiter::turn_budget::TurnBudget;
@@ -186,8 +186,8 @@ impl<C: Component> ComponentExecutor<C> {
     fn obey(&mut self) {
         for command in self.commands.take() {
             match command {
-                HostCommand::Stop => self.lifecycle.handle_stop(EndReason::Stopped),
-                HostCommand::MakeWay => self.lifecycle.handle_stop(EndReason::Replaced),
+                HostCommand::Stop => self.lifecycle.handle_stop(StopOrder::Stop),
+                HostCommand::MakeWay => self.lifecycle.handle_stop(StopOrder::MakeWay),
                 HostCommand::Reset => self.lifecycle.handle_reset(),
                 HostCommand::Activate(active) => self.lifecycle.handle_activate(active),
                 HostCommand::Panic => {
@@ -499,7 +499,7 @@ impl<C: Component> ComponentExecutor<C> {
             self.lifecycle.handle_failure(failure);
         }
         if wishes.stop {
-            self.lifecycle.handle_stop(EndReason::Returned);
+            self.lifecycle.handle_return();
         }
         let timers = self.state.timers.get();
         self.schedule.take_on(wishes.tasks, &wishes.cancelled, timers, &self.budget);

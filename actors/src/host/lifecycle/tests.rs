@@ -41,7 +41,7 @@ fn incarnation(state: Lifecycle) -> IncarnationLifecycle {
         }
         Finalized => {
             run(&mut lifecycle);
-            lifecycle.handle_stop(EndReason::Stopped);
+            lifecycle.handle_stop(StopOrder::Stop);
             run(&mut lifecycle);
         }
     }
@@ -132,6 +132,7 @@ fn a_failed_activation_at_the_start_is_reported_at_the_end() {
         assert_eq!(lifecycle.state, Error);
         let last = [Hook::Aborting, Hook::Error, Hook::Shutdown, Hook::Finalize];
         assert_eq!(run(&mut lifecycle), last);
+        assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
         assert_eq!(answers(reports(&mut lifecycle)), []);
         assert_eq!(lifecycle.take_start_failure().as_deref(), Some("jammed"));
     }
@@ -143,11 +144,12 @@ fn a_failed_start_that_is_stopped_reports_only_the_stop() {
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
     lifecycle.handle_done(Hook::Initialize, failed("no device"));
 
-    lifecycle.handle_stop(EndReason::Replaced);
+    lifecycle.handle_stop(StopOrder::MakeWay);
 
     assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
-    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Replaced));
+    assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal), "it has failed");
     assert_eq!(lifecycle.take_start_failure(), None);
+    assert_eq!(lifecycle.stop_order(), Some(StopOrder::MakeWay));
 }
 
 #[test]
@@ -182,9 +184,12 @@ fn a_failure_while_aborting_counts_only_when_it_is_fatal() {
 fn stop_ends_every_state_in_its_own_way() {
     let check = |state, expected: &[Hook]| {
         let mut lifecycle = incarnation(state);
-        lifecycle.handle_stop(EndReason::Stopped);
+        lifecycle.handle_stop(StopOrder::Stop);
         assert_eq!(run(&mut lifecycle), expected, "{state}");
-        assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Stopped), "{state}");
+        let failed = state == Fatal;
+        let end = if failed { EndReason::Fatal } else { EndReason::Stopped };
+        assert_eq!(lifecycle.next(), LifecycleStep::End(end), "{state}");
+        assert_eq!(lifecycle.stop_order(), Some(StopOrder::Stop));
         assert_eq!(lifecycle.state, Finalized);
     };
     check(Created, &[Hook::Finalize]);
@@ -203,7 +208,7 @@ fn a_stop_that_overtakes_the_activation_deactivates_again() {
         lifecycle.handle_done(hook, Ok(()));
     }
     assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Activated));
-    lifecycle.handle_stop(EndReason::Stopped);
+    lifecycle.handle_stop(StopOrder::Stop);
 
     lifecycle.handle_done(Hook::Activated, Ok(()));
 
@@ -334,7 +339,7 @@ fn an_incarnation_that_waits_is_stopped_fails_and_is_not_activated_twice() {
         lifecycle
     };
     let mut stopped = waiting(Hook::Initialize);
-    stopped.handle_stop(EndReason::Stopped);
+    stopped.handle_stop(StopOrder::Stop);
     assert!(!stopped.handle_retry());
     assert_eq!(run(&mut stopped), [Hook::Finalize]);
 

@@ -351,7 +351,7 @@ fn the_last_hook_of_a_failed_start_has_no_longer_than_that_of_a_stop() {
         let event = stage.reports.drain().pop().expect("it has ended").event;
         assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
         let ended = stage.exits.drain().pop().expect("its end is told");
-        assert_eq!((ended.incarnation, ended.exit), (Incarnation(1), ExitReason::Stopped));
+        assert_eq!((ended.incarnation, ended.exit), (Incarnation(1), ExitReason::Fatal));
     });
 }
 

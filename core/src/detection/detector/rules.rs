@@ -205,6 +205,7 @@ impl Detector {
         let hang = self.behind.get(object).copied().filter(|&root| self.is_hang(root));
         let hang = hang.filter(|_| exit == ExitReason::Aborted);
         let cause = hang.map_or(Cause::Itself, Cause::Known);
+        let error = self.fault_log.open_fault(&scene.location, &FaultKind::ErrorState);
         let seen = self.objects.get_mut(object).expect("the caller has put it there");
         let before = seen.state;
         // An incarnation that was already over ends in some way or other; that is no second fault.
@@ -222,7 +223,8 @@ impl Detector {
                 // it ended.
                 (FaultKind::UnexpectedExit, "it ended itself without having been told to".into())
             }
-            ExitReason::Fatal if !over => {
+            // One whose start has failed leaves by way of its error state.
+            ExitReason::Fatal if !over && error.is_none() => {
                 (FaultKind::UnexpectedExit, "it could not go on, and did not say why".into())
             }
             ExitReason::Aborted if !over && before != Lifecycle::Finalized => {

@@ -339,6 +339,26 @@ fn an_incarnation_that_was_over_already_ends_without_a_second_fault() {
 }
 
 #[test]
+fn a_fatal_end_is_a_fault_of_its_own_only_where_nothing_was_said_before() {
+    for (states, kind) in [
+        (vec![], FaultKind::UnexpectedExit),
+        (
+            vec![Lifecycle::Initialized, Lifecycle::Error, Lifecycle::Finalized],
+            FaultKind::ErrorState,
+        ),
+        (vec![Lifecycle::Fatal, Lifecycle::Finalized], FaultKind::InitializationFailed),
+    ] {
+        let mut bench = Bench::new();
+        states.iter().for_each(|&to| bench.see("arm", ONE, state(to)));
+
+        bench.see("arm", ONE, exited(ExitReason::Fatal));
+
+        assert_eq!(bench.entries().len(), 1, "{states:?}");
+        assert_eq!(bench.fault(1).kind, kind);
+    }
+}
+
+#[test]
 fn a_hook_that_fails_while_an_incarnation_ends_is_recorded_and_not_handed_over() {
     let failed = |state, why: &str| Finding::State { state, reason: Some(why.to_owned()) };
     let mut bench = Bench::new();
