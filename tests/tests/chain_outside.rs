@@ -302,16 +302,17 @@ fn a_node_is_shut_down_while_its_strategies_and_safe_outputs_block() {
 }
 
 #[test]
-fn a_node_comes_to_rest_although_its_safe_outputs_block() {
+fn a_node_whose_safe_outputs_block_restarts_nothing_more_and_comes_to_rest() {
     blastema::run(async {
         let (hold, outputs) = Block::new();
         let builder = Node::builder("module1").child(joint("joint1")).callback_limit(LIMIT);
-        let builder = builder
+        let mut builder = builder
             .fault_kind("OIL")
-            .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Restart)))
+            .plan(Plan::default().on(oil(), Ladder::first(RecoveryAction::Restart).times(3)))
             .intensity(0, Duration::from_secs(60))
             .when_exceeded(WhenExceeded::Escalate)
             .safe_outputs(move |_| outputs.block());
+        let mut events = builder.fault_events();
         let node = builder.start().await.unwrap();
 
         leak(&node, "joint1").await;
@@ -322,6 +323,16 @@ fn a_node_comes_to_rest_although_its_safe_outputs_block() {
         until(async || fault_of(&node, "safe-outputs").await).await;
         drop(hold);
         node.shutdown().await;
+        drop(node);
+        let mut decided = Vec::new();
+        while let Some(event) = events.next().await {
+            if let FaultTransition::Decided { action } = event.turn
+                && action.starts_with("restart")
+            {
+                decided.push(action);
+            }
+        }
+        assert_eq!(decided, ["restart"], "it is too late for another attempt");
     });
 }
 

@@ -236,7 +236,8 @@ impl Handler<SafeStateChanged> for RecovererActor {
 
     fn handle(&mut self, message: SafeStateChanged, context: &mut Context<Self>) {
         match message {
-            SafeStateChanged::Entered { .. } => self.machine.handle_rest(platform::now()),
+            SafeStateChanged::Entering => self.machine.handle_rest(platform::now()),
+            SafeStateChanged::Entered { .. } => return,
             SafeStateChanged::Left => self.machine.handle_work(),
             SafeStateChanged::NodeEnds => self.machine.handle_node_end(platform::now()),
         }

@@ -99,8 +99,8 @@ impl Handler<SafeStateChanged> for SafeStateActor {
         self.reported = Some(match message {
             SafeStateChanged::Entered { reason } => Some(reason),
             SafeStateChanged::Left => None,
-            // The peers see the node leave.
-            SafeStateChanged::NodeEnds => return,
+            // The peers see the node leave, and hear of the safe state when it is one.
+            SafeStateChanged::Entering | SafeStateChanged::NodeEnds => return,
         });
         let peers: Vec<_> = self.peers.values().map(|(node, _)| node.clone()).collect();
         peers.iter().for_each(|node| self.tell(node));

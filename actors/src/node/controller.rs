@@ -93,8 +93,8 @@ pub(super) struct NodeController {
     phase: Phase,
     /// The node is in the safe state, and restarts as soon as all children have ended.
     again: bool,
-    /// It enters the safe state: the safe outputs are being applied.
-    comes_to_rest: bool,
+    /// Why it enters the safe state: the safe outputs are being applied.
+    comes_to_rest: Option<String>,
     /// It was told to stop for good.
     closed: bool,
     /// Who waits for the start; as many as have asked for it.
@@ -126,7 +126,7 @@ impl NodeController {
             incarnation: Incarnation::default(),
             phase: Phase::Down,
             again: false,
-            comes_to_rest: false,
+            comes_to_rest: None,
             closed: false,
             started: Vec::new(),
             failed: Vec::new(),
@@ -172,7 +172,7 @@ impl NodeController {
     /// All children have ended.
     fn handle_down(&mut self, context: &mut Context<Self>) {
         self.phase = Phase::Down;
-        if self.closed || !(self.rests() || self.comes_to_rest) {
+        if self.closed || !(self.rests() || self.comes_to_rest.is_some()) {
             self.setup.state.send_replace(NodeState::Stopped);
         }
         // Who waited may have gone.
@@ -223,24 +223,26 @@ impl NodeController {
     }
 
     fn rest(&mut self, fault: &Fault, reason: String, context: &mut Context<Self>) {
-        if self.comes_to_rest || self.rests() || self.state() == NodeState::Stopped {
+        if self.comes_to_rest.is_some() || self.rests() || self.state() == NodeState::Stopped {
             return;
         }
         info!(reason, "the node enters the safe state");
-        self.comes_to_rest = true;
+        self.comes_to_rest = Some(reason);
+        // What cannot be restarted any more is not tried again while the outputs take their time.
+        self.tell(&SafeStateChanged::Entering);
         let mut applied = self.setup.safe_outputs.rest(fault);
         self.setup.actuators.rest();
         if !matches!(applied.try_recv(), Err(oneshot::error::TryRecvError::Empty)) {
-            return self.handle_safe(reason);
+            return self.handle_safe();
         }
         // For as long as they may take at most.
         let applied = actix::fut::wrap_future::<_, Self>(applied);
-        context.spawn(applied.map(|_, controller: &mut Self, _| controller.handle_safe(reason)));
+        context.spawn(applied.map(|_, controller: &mut Self, _| controller.handle_safe()));
     }
 
     /// The safe outputs are applied, or take longer than they may.
-    fn handle_safe(&mut self, reason: String) {
-        self.comes_to_rest = false;
+    fn handle_safe(&mut self) {
+        let Some(reason) = self.comes_to_rest.take() else { return };
         // It may have been told to stop in between.
         if self.state() != NodeState::Stopped {
             self.tell_rest(Some(&reason));
@@ -263,8 +265,8 @@ impl Actor for NodeController {
 
 impl Supervised for NodeController {
     fn restarting(&mut self, _: &mut Context<Self>) {
-        // What waited for the safe outputs went with the panic.
-        self.comes_to_rest = false;
+        // What waited for the safe outputs went with the panic; they have been called.
+        self.handle_safe();
     }
 }
 

@@ -17,7 +17,10 @@ pub struct Recover {
 #[derive(Clone, Debug, PartialEq, Eq, Message)]
 #[rtype(result = "()")]
 pub enum SafeStateChanged {
-    /// The node has entered the safe state, where nothing is treated.
+    /// The node enters the safe state: its safe outputs are being applied, and nothing is treated
+    /// any more.
+    Entering,
+    /// The node has entered the safe state.
     Entered {
         /// Why.
         reason: String,
