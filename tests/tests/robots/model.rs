@@ -223,7 +223,7 @@ fn deaths(evidence: &Evidence, out: &mut Vec<String>) {
                 }
                 Cause::Condition(_) => conditions += 1,
                 Cause::Kill => kills += 1,
-                Cause::Declare | Cause::DropPanic => others += 1,
+                Cause::Declare => others += 1,
                 _ => {}
             }
         }
@@ -246,7 +246,7 @@ fn deaths(evidence: &Evidence, out: &mut Vec<String>) {
         };
         // The condition of a component that is between two incarnations ends none of them.
         let (panics, checks) = (count(FaultKind::Panic), count(FaultKind::CheckFailed));
-        let told = panics + checks.saturating_sub(others);
+        let told = panics + checks.saturating_sub(others + drops);
         let died = died.len() as u64;
         let in_conditions = u64::from(conditions > 0 && died == 0);
         if checks < drops && !evidence.is_away(part) {

@@ -303,6 +303,10 @@ impl Supervisor {
                 let child = child.name.clone();
                 self.outputs.push_back(SupervisorOutput::Retire { child });
                 self.coming.remove(&key);
+            } else if child.isolated && !child.worked {
+                // What kept it from work has been answered by isolation while it was ending.
+                child.goal = ChildTarget::Rest;
+                self.coming.remove(&key);
             } else {
                 child.failed = Some(reason);
             }

@@ -60,6 +60,19 @@ fn an_isolated_child_without_an_incarnation_is_not_waited_for() {
 }
 
 #[test]
+fn a_child_that_is_isolated_while_its_failed_start_ends_is_not_waited_for() {
+    let children = ["a", "b"].map(|child| (child, permanent()));
+    let mut rig = Rig::with(Strategy::RestForOne, 3, &children);
+    rig.begin();
+
+    assert_eq!(rig.isolate("a", true), ["isolate a", "1 recovered a #1"], "it runs its last hooks");
+    assert_eq!(rig.start_failed("a", 1), ["start b #1"]);
+
+    assert_eq!(rig.state("a"), ChildState::Resting);
+    assert_eq!(rig.started("b", 1), ["all started"]);
+}
+
+#[test]
 fn what_has_followed_the_struck_incarnation_is_not_isolated_for_its_fault() {
     let mut rig = Rig::serving(Strategy::OneForOne);
     rig.restart("b", ReplacementCause::Died, 1);
