@@ -130,7 +130,9 @@ impl World {
                         *phase = Phase::Stopping;
                     }
                 }
-                SupervisorOutput::Abandon { child } => {
+                SupervisorOutput::Abandon { child }
+                | SupervisorOutput::CutOff { child }
+                | SupervisorOutput::Overdue { child, .. } => {
                     self.orders.remove(&child);
                     self.present.remove(&child);
                 }
@@ -173,7 +175,6 @@ impl World {
                 | SupervisorOutput::Refused { .. }
                 | SupervisorOutput::Unavailable { .. }
                 | SupervisorOutput::Isolate { .. }
-                | SupervisorOutput::Overdue { .. }
                 | SupervisorOutput::Retire { .. }
                 | SupervisorOutput::Left { .. } => {}
             }
@@ -210,6 +211,8 @@ impl World {
             Turn::StartFails(at) => {
                 let name = name(at);
                 if let Some(&(incarnation, Phase::Starting)) = self.present.get(&name) {
+                    self.machine.handle_fails_to_start(&name, incarnation, self.now);
+                    self.look();
                     self.present.remove(&name);
                     self.machine.handle_start_failed(&name, incarnation, "no".into(), self.now);
                     self.look();

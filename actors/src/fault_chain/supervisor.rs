@@ -195,6 +195,12 @@ impl SupervisorActor {
     fn child(&mut self, name: &ObjectName) -> Option<&mut Box<dyn Child>> {
         self.children.get_mut(name)
     }
+
+    fn with(&mut self, name: &ObjectName, then: impl FnOnce(&mut dyn Child)) {
+        if let Some(child) = self.child(name) {
+            then(&mut **child);
+        }
+    }
 }
 
 impl MachineActor for SupervisorActor {
@@ -222,21 +228,12 @@ impl MachineActor for SupervisorActor {
                     None => {}
                 }
             }
-            SupervisorOutput::ExpectEnd { child } => {
-                if let Some(child) = self.child(&child) {
-                    child.expect_end();
-                }
-            }
-            SupervisorOutput::Abandon { child } => {
-                if let Some(child) = self.child(&child) {
-                    child.abandon();
-                }
-            }
-            SupervisorOutput::Reset { child } => {
-                if let Some(child) = self.child(&child) {
-                    child.reset();
-                }
-            }
+            SupervisorOutput::ExpectEnd { child } => self.with(&child, |child| child.expect_end()),
+            SupervisorOutput::Abandon { child } => self.with(&child, |child| child.abandon()),
+            SupervisorOutput::CutOff { child } => self.with(&child, |child| {
+                child.cut_off();
+            }),
+            SupervisorOutput::Reset { child } => self.with(&child, |child| child.reset()),
             SupervisorOutput::Isolate { child, isolated } => {
                 if let Some(child) = self.child(&child) {
                     let object = child.name().clone();
@@ -245,9 +242,7 @@ impl MachineActor for SupervisorActor {
                 }
             }
             SupervisorOutput::RestartGrant { child, order } => {
-                if let Some(child) = self.child(&child) {
-                    child.set_restart_grant(order);
-                }
+                self.with(&child, |child| child.set_restart_grant(order))
             }
             SupervisorOutput::Recovered { call, child, incarnation } => {
                 self.answer(call, Ok(Recovered { object: child, incarnation, waits: false }));
@@ -262,23 +257,20 @@ impl MachineActor for SupervisorActor {
             SupervisorOutput::Refused { child, incarnation, reason } => {
                 self.declare(child.clone(), incarnation, FaultKind::UnexpectedExit, reason);
                 // What waits below for its next incarnation waits in vain.
-                if let Some(child) = self.child(&child) {
-                    child.retire();
-                }
+                self.with(&child, |child| child.retire());
             }
             SupervisorOutput::Unavailable { reason } => {
                 warn!(supervisor = %self.name, reason, "its start waits for what is not there yet");
                 self.tell_parent(ChildEvent::Unavailable { reason });
             }
             SupervisorOutput::Overdue { child, incarnation, limit } => {
-                let detail = format!("it was not at work within {limit:?}");
-                self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
-            }
-            SupervisorOutput::Retire { child } => {
-                if let Some(child) = self.child(&child) {
-                    child.retire();
+                let is_reported = self.child(&child).is_some_and(|child| child.cut_off());
+                if !is_reported {
+                    let detail = format!("it was not at work within {limit:?}");
+                    self.declare(child, incarnation, FaultKind::InitializationFailed, detail);
                 }
             }
+            SupervisorOutput::Retire { child } => self.with(&child, |child| child.retire()),
             SupervisorOutput::Left { child } => {
                 self.children.remove(&child);
                 self.directory.remove(&child);
@@ -414,6 +406,9 @@ impl Handler<ChildReport> for SupervisorActor {
             ChildEvent::Started => machine.handle_started(&object, incarnation, now),
             ChildEvent::Unavailable { reason } => {
                 machine.handle_unavailable(&object, incarnation, reason, now);
+            }
+            ChildEvent::FailsToStart => {
+                machine.handle_fails_to_start(&object, incarnation, now);
             }
             ChildEvent::StartFailed { reason } => {
                 machine.handle_start_failed(&object, incarnation, reason, now);

@@ -47,10 +47,12 @@ impl<C: Component> ComponentChild<C> {
         }
     }
 
-    /// Ends the present incarnation without waiting for it. `is_overdue`: it has had its time.
-    fn cut_off(&mut self, is_overdue: bool) {
+    /// Ends the present incarnation without waiting for it, and says whether it keeps its thread.
+    /// `is_overdue`: it has had its time, and that is reported then.
+    fn give_up(&mut self, is_overdue: bool) -> bool {
         let record = &self.cell.record;
-        let Some(incarnation) = self.cell.queue.owner() else { return };
+        let Some(incarnation) = self.cell.queue.owner() else { return false };
+        let mut keeps_thread = false;
         self.cell.queue.leave(incarnation);
         let placement = record.take_placement();
         if let Some(placement) = &placement {
@@ -67,12 +69,15 @@ impl<C: Component> ComponentChild<C> {
             }
             record.record_fatal_message(incarnation);
             let heartbeat = &placement.arbiter.heartbeat;
-            if heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here() {
-                // The hang detector judges it no more. A start that is overdue is another fault.
-                if is_overdue && !is_start(during) && !heartbeat.is_fenced() {
+            keeps_thread =
+                heartbeat.running() == Some(placement.slot.index) && !heartbeat.is_here();
+            if keeps_thread {
+                // The hang detector judges it no more.
+                if is_overdue && !heartbeat.is_fenced() {
                     let is_named = reading.turn % 2 == 1 || reading.tasks || reading.condition;
                     let what = if is_named { sampler::during(&reading) } else { "its Drop" };
-                    let detail = format!("{what} keeps its thread, and its stop was cut off");
+                    let phase = if is_start(during) { "start" } else { "stop" };
+                    let detail = format!("{what} keeps its thread, and its {phase} was cut off");
                     record.declare(FaultKind::Hang, detail);
                 }
                 record.environment.arbiters.fence(&placement.arbiter, &record.name);
@@ -88,6 +93,7 @@ impl<C: Component> ComponentChild<C> {
         record.announce(|listener| listener.deactivated());
         let (object, ending) = (record.name.clone(), DownReason::Abandoned);
         record.tell_watchers(|| Down { object, node: None, incarnation, ending });
+        keeps_thread
     }
 
     fn tell(&self, incarnation: Incarnation, event: ChildEvent) {
@@ -108,7 +114,7 @@ impl<C: Component> Child for ComponentChild<C> {
         incarnation: Incarnation,
         report: Arc<Recipient<ChildReport>>,
     ) -> Incarnation {
-        self.cut_off(false);
+        self.give_up(false);
         self.report = Some(report.clone());
         let record = &self.cell.record;
         record.set_state(Lifecycle::Created);
@@ -163,12 +169,16 @@ impl<C: Component> Child for ComponentChild<C> {
     }
 
     fn retire(&mut self) {
-        self.cut_off(false);
+        self.give_up(false);
         self.cell.end();
     }
 
     fn abandon(&mut self) {
-        self.cut_off(true);
+        self.give_up(false);
+    }
+
+    fn cut_off(&mut self) -> bool {
+        self.give_up(true)
     }
 
     fn move_to_own_thread(&mut self) -> Result<(), &'static str> {

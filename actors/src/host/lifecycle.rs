@@ -346,7 +346,10 @@ impl IncarnationLifecycle {
     fn answer_failed(&mut self, reason: &str) {
         let reason = reason.to_owned();
         match self.awaited.take() {
-            Some(Awaited::Start) => self.start_failure = Some(reason),
+            Some(Awaited::Start) => {
+                self.start_failure = Some(reason);
+                self.reports.push_back(LifecycleReport::Child(ChildEvent::FailsToStart));
+            }
             Some(Awaited::Reset) => {
                 self.reports.push_back(LifecycleReport::Child(ChildEvent::ResetFailed { reason }));
             }

@@ -84,7 +84,8 @@ impl SessionsActor {
         let (node, incarnation) = (self.node.clone(), self.incarnation);
         let config = SessionConfig::new(node, incarnation, peer.node.clone());
         let (number, idle_timeout) = (peer.number, self.idle_timeout);
-        let config = SessionConfig { number, idle_timeout, ..config };
+        let seed = platform::random_seed();
+        let config = SessionConfig { number, seed, idle_timeout, ..config };
         self.machines.insert(id, Session::new(config, platform::now()));
     }
 

@@ -358,7 +358,11 @@ impl Handler<ChildReport> for NodeController {
                 self.handle_down(context);
             }
             ChildEvent::Stopped => self.handle_down(context),
-            ChildEvent::Reset | ChildEvent::ResetFailed { .. } | ChildEvent::Died { .. } => {}
+            // A component says these, to its supervisor.
+            ChildEvent::FailsToStart
+            | ChildEvent::Reset
+            | ChildEvent::ResetFailed { .. }
+            | ChildEvent::Died { .. } => {}
         }
     }
 }

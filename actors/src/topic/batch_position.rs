@@ -1,7 +1,7 @@
 //! How far a hub has come with the events that it gives to its listeners.
 
-use std::sync::atomic::AtomicU64;
-use std::sync::atomic::Ordering::Relaxed;
+use crate::sync::atomic::AtomicU64;
+use crate::sync::atomic::Ordering::Relaxed;
 
 /// How far a hub has come with a batch. Other threads read it, so that it is one word.
 #[derive(Default)]

@@ -23,8 +23,8 @@ use std::collections::VecDeque;
 use std::future::poll_fn;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::rc::Rc;
-use std::sync::atomic::Ordering::{Relaxed, SeqCst};
-use std::sync::atomic::{AtomicBool, AtomicU64, fence};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Mutex, Weak};
 use std::task::{self, Poll};
 
@@ -383,16 +383,9 @@ impl<E: Event> Hub<E> {
         Some(posted)
     }
 
-    /// Whether the event that was begun last is for this entry still: the entry is present, or has
-    /// left without taking this event along.
+    /// Whether the event that was begun last is for this entry still.
     pub(super) fn still_gets(&self, entry: &ListenerEntry<E>) -> bool {
-        let HubQueue { position, serving, .. } = &*self.shared;
-        // With the fence in `leftover`: either this thread finds that the entry has left, or the
-        // other one finds that the event was begun.
-        fence(SeqCst);
-        let begun = position.read().begun;
-        let leaves_it = |&(number, past): &(u64, usize)| number == entry.number && begun <= past;
-        entry.is_present() || lock(serving).left.iter().any(leaves_it)
+        self.shared.still_gets(entry.number, || entry.is_present())
     }
 
     /// Whether the entry gets this event here.

@@ -4,13 +4,14 @@ use super::batch_position::{BatchPosition, BatchProgress};
 use super::lock;
 use crate::component::envelope::Times;
 use crate::messaging::queue::{BoundedQueue, Pushed};
+use crate::sync::Mutex;
+use crate::sync::atomic::Ordering::SeqCst;
+use crate::sync::atomic::{AtomicBool, AtomicU64, fence};
 use blastema_core::Event;
 use std::cell::Cell;
 use std::cmp::Ordering;
 use std::collections::VecDeque;
-use std::sync::atomic::Ordering::SeqCst;
-use std::sync::atomic::{AtomicBool, AtomicU64, fence};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// What publishers know of a hub, and listeners that leave it.
 pub(crate) struct HubQueue<E> {
@@ -96,6 +97,17 @@ impl<E: Event> HubQueue<E> {
         progress.entry == entry && progress.is_undecided
     }
 
+    /// Whether the event that was begun last is for this entry still: the entry is present, or has
+    /// left without taking this event along.
+    pub(super) fn still_gets(&self, entry: u64, is_present: impl FnOnce() -> bool) -> bool {
+        // With the fence in `leftover`: either this thread finds that the entry has left, or the
+        // other one finds that the event was begun.
+        fence(SeqCst);
+        let begun = self.position.read().begun;
+        let leaves_it = |&(number, past): &(u64, usize)| number == entry && begun <= past;
+        is_present() || lock(&self.serving).left.iter().any(leaves_it)
+    }
+
     /// The events since `since` that an entry leaves undelivered here. `leave` ends the entry, and
     /// `is_undecided` is set where its condition has not decided on one event more.
     pub(super) fn leftover(
@@ -106,7 +118,7 @@ impl<E: Event> HubQueue<E> {
     ) -> Vec<Posted<E>> {
         let mut serving = lock(&self.serving);
         let entry = leave();
-        fence(SeqCst); // See `Hub::still_gets`.
+        fence(SeqCst); // See `still_gets`.
         let progress = self.position.read();
         let past = serving.past(entry, &progress);
         is_undecided.set(entry == progress.entry && progress.is_undecided);

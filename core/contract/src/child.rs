@@ -49,6 +49,13 @@ pub trait Child: Send {
     /// child if the old one is stuck.
     fn abandon(&mut self);
 
+    /// The same with an incarnation that has had its time to start, or to end. Says whether it
+    /// keeps its thread; that is reported then.
+    fn cut_off(&mut self) -> bool {
+        self.abandon();
+        false
+    }
+
     /// From its next [`start`](Child::start) on, the child lives on a thread of its own.
     ///
     /// # Errors
@@ -92,6 +99,9 @@ pub enum ChildEvent {
         /// What it waits for, as the component said it.
         reason: String,
     },
+    /// It could not be built, initialised or activated; its last hooks run.
+    /// [`StartFailed`](ChildEvent::StartFailed) follows when they have.
+    FailsToStart,
     /// It could not be built, initialised or activated, and has ended: its last hooks have run.
     StartFailed {
         /// Why, as the component said it.

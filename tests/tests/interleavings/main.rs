@@ -13,6 +13,8 @@
 
 mod activity;
 mod arbiter;
+mod component;
+mod hubs;
 mod liveness;
 mod messaging;
 mod queues;
@@ -61,7 +63,8 @@ type Model = (&'static str, fn());
 fn main() {
     let wanted: Vec<String> =
         std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
-    let models = [&queues::MODELS[..], &replies::MODELS, &tokens::MODELS, &activity::MODELS];
+    let models =
+        [&queues::MODELS[..], &replies::MODELS, &tokens::MODELS, &activity::MODELS, &hubs::MODELS];
     let chosen = |name: &str| wanted.is_empty() || wanted.iter().any(|word| name.contains(word));
     for (name, model) in models.into_iter().flatten().filter(|(name, _)| chosen(name)) {
         let mut builder = Builder::new();

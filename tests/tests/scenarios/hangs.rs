@@ -320,6 +320,43 @@ fn a_hang_restarts_a_group_with_a_supervisor_in_it_in_order_and_once() {
 }
 
 #[test]
+fn a_start_that_keeps_its_thread_is_a_hang_as_soon_as_it_has_had_its_time() {
+    for hook in ["on_initialize", "factory"] {
+        blastema::run(async {
+            let strings = Strings::default();
+            // Longer than the test: neither its stop nor the hang detector may be waited for.
+            let for_ever = Duration::MAX;
+            let arm = strings.spec("arm").max_block(for_ever).shutdown_within(for_ever);
+            let arm = arm.ready_within(Duration::from_secs(1));
+            let builder = Node::builder("module1").work_threads(1).child(strings.spec("leg"));
+            let mut node = start(builder.child(arm).grace(Duration::from_millis(50))).await;
+            strings.pull("arm", hook, Pull::Block);
+
+            let restarted = tokio::task::spawn_local({
+                let node = Node::clone(&node);
+                async move { node.restart_child("arm").await }
+            });
+            let arm = node.await_fault(FaultKind::Hang, "arm").await;
+            let leg = node.await_fault(FaultKind::Hang, "leg").await;
+
+            let named = if hook == "factory" { "its factory" } else { hook };
+            assert!(arm.detail.contains(named), "{arm:?}");
+            assert_eq!((arm.symptom_of, leg.symptom_of), (None, Some(arm.id)), "{leg:?}");
+            assert!(restarted.await.unwrap().is_err(), "this one does not come to work");
+            assert_eq!((patiently(&node, "arm").await, patiently(&node, "leg").await), (3, 2));
+            let kinds = node.faults().await.entries.into_iter().map(|entry| entry.fault.kind);
+            assert!(
+                kinds.clone().all(|kind| kind == FaultKind::Hang),
+                "{:?}",
+                Vec::from_iter(kinds)
+            );
+            strings.release();
+            node.shutdown().await;
+        });
+    }
+}
+
+#[test]
 fn a_stop_that_keeps_its_thread_is_a_hang_and_what_stands_behind_it_its_symptom() {
     for (what, named) in [
         ("on_deactivated", "on_deactivated"),

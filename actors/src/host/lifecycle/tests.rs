@@ -95,7 +95,7 @@ fn a_failed_initialisation_is_fatal() {
     assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
     let reported = reports(&mut lifecycle);
     assert_eq!(states(&reported), [Created, Fatal, Finalized]);
-    assert_eq!(answers(reported), [], "the next one may not begin before this one has ended");
+    assert_eq!(answers(reported), [ChildEvent::FailsToStart], "the next one may not begin yet");
     assert_eq!(lifecycle.take_start_failure().as_deref(), Some("no device"));
 }
 
@@ -133,7 +133,7 @@ fn a_failed_activation_at_the_start_is_reported_at_the_end() {
         let last = [Hook::Aborting, Hook::Error, Hook::Shutdown, Hook::Finalize];
         assert_eq!(run(&mut lifecycle), last);
         assert_eq!(lifecycle.next(), LifecycleStep::End(EndReason::Fatal));
-        assert_eq!(answers(reports(&mut lifecycle)), []);
+        assert_eq!(answers(reports(&mut lifecycle)), [ChildEvent::FailsToStart]);
         assert_eq!(lifecycle.take_start_failure().as_deref(), Some("jammed"));
     }
 }

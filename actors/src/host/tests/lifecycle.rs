@@ -156,7 +156,7 @@ fn a_failed_initialisation_is_fatal_and_finalised() {
         let (mut child, _) = stage.add(spec);
         diary.plan("on_initialize", Outcome::Fail);
 
-        let event = stage.begin(&mut *child, 1).await;
+        let event = stage.fail_to_begin(&mut *child, 1).await;
 
         let reason = "on_initialize failed".to_owned();
         assert_eq!(event, ChildEvent::StartFailed { reason: reason.clone() });
@@ -263,7 +263,7 @@ fn a_failed_reset_and_a_fatal_failure_end_the_incarnation() {
         assert!(matches!(event, ChildEvent::ResetFailed { .. }));
 
         diary.plan("on_activated", Outcome::FailFatally);
-        let event = stage.begin(&mut *child, 2).await;
+        let event = stage.fail_to_begin(&mut *child, 2).await;
         assert!(matches!(event, ChildEvent::StartFailed { .. }), "{event:?}");
         settle().await;
         assert_eq!(diary.ran().last(), Some(&"on_finalize"));
@@ -278,7 +278,7 @@ fn an_incarnation_that_is_not_ready_in_time_has_failed_to_start() {
         let (mut child, _) = stage.add(spec.ready_within(Duration::from_secs(2)));
         diary.plan("on_startup", Outcome::Hang);
 
-        let event = stage.begin(&mut *child, 1).await;
+        let event = stage.fail_to_begin(&mut *child, 1).await;
 
         let ChildEvent::StartFailed { reason } = event else { panic!("{event:?}") };
         assert_eq!(reason, "it was not ready within 2s");
@@ -345,7 +345,8 @@ fn the_last_hook_of_a_failed_start_has_no_longer_than_that_of_a_stop() {
         child.start(Incarnation(1), stage.reports.recipient().into());
         advance(Duration::from_millis(1900)).await;
         assert!(stage.exits.drain().is_empty());
-        assert!(stage.reports.drain().is_empty(), "the next one may not begin yet");
+        let events: Vec<_> = stage.reports.drain().into_iter().map(|r| r.event).collect();
+        assert_eq!(events, [ChildEvent::FailsToStart], "the next one may not begin yet");
         advance(Duration::from_millis(200)).await;
 
         let event = stage.reports.drain().pop().expect("it has ended").event;

@@ -83,6 +83,10 @@ pub(super) enum ChildPhase {
     Starting {
         due: Instant,
     },
+    /// Its start has failed, and its last hooks run.
+    Failing {
+        due: Instant,
+    },
     Running,
     /// It waits for something that is not there yet, for as long as that takes.
     Unavailable,
@@ -148,6 +152,7 @@ impl SupervisedChild {
     pub(super) fn due(&self) -> Option<Instant> {
         match self.state {
             ChildPhase::Starting { due }
+            | ChildPhase::Failing { due }
             | ChildPhase::Resetting { due, .. }
             | ChildPhase::Stopping { due } => Some(due),
             ChildPhase::Down | ChildPhase::Running | ChildPhase::Unavailable => None,
@@ -165,7 +170,7 @@ impl SupervisedChild {
 
     pub(super) fn status(&self) -> ChildStatus {
         let state = match self.state {
-            ChildPhase::Starting { .. } => ChildState::Starting,
+            ChildPhase::Starting { .. } | ChildPhase::Failing { .. } => ChildState::Starting,
             ChildPhase::Running => ChildState::Running,
             ChildPhase::Unavailable => ChildState::Unavailable,
             ChildPhase::Resetting { .. } => ChildState::Resetting,

@@ -407,7 +407,7 @@ impl Supervisor {
         let child = self.kept(key);
         let name = child.name.clone();
         match child.state {
-            ChildPhase::Down | ChildPhase::Stopping { .. } => return,
+            ChildPhase::Down | ChildPhase::Failing { .. } | ChildPhase::Stopping { .. } => return,
             ChildPhase::Resetting { call, .. } => {
                 // It has taken its recovery into its own hands.
                 self.set_state(key, ChildPhase::Running);
@@ -429,6 +429,22 @@ impl Supervisor {
     /// if its guard had begun that one on the spot meanwhile.
     pub fn handle_begun(&mut self, name: &ObjectName, incarnation: Incarnation) {
         self.present(name, incarnation);
+    }
+
+    /// The child's new incarnation is not going to be at work: its last hooks run, within the time
+    /// of a stop.
+    pub fn handle_fails_to_start(
+        &mut self,
+        name: &ObjectName,
+        incarnation: Incarnation,
+        now: Instant,
+    ) {
+        let Some(key) = self.present(name, incarnation) else { return };
+        let child = self.kept(key);
+        if matches!(child.state, ChildPhase::Starting { .. } | ChildPhase::Unavailable) {
+            let due = now + child.rules.shutdown_within;
+            self.set_state(key, ChildPhase::Failing { due });
+        }
     }
 
     /// The child's new incarnation did not come to be.
@@ -535,6 +551,7 @@ impl Supervisor {
                 ChildPhase::Resetting { .. } => self.set_state(key, ChildPhase::Running),
                 ChildPhase::Unavailable if !foretold => {}
                 ChildPhase::Starting { .. }
+                | ChildPhase::Failing { .. }
                 | ChildPhase::Stopping { .. }
                 | ChildPhase::Down
                 | ChildPhase::Running

@@ -53,7 +53,10 @@ impl Supervisor {
     fn is_up(&self) -> bool {
         let up = |child: &SupervisedChild| match child.state {
             ChildPhase::Running | ChildPhase::Resetting { .. } | ChildPhase::Unavailable => true,
-            ChildPhase::Down | ChildPhase::Starting { .. } | ChildPhase::Stopping { .. } => false,
+            ChildPhase::Down
+            | ChildPhase::Starting { .. }
+            | ChildPhase::Failing { .. }
+            | ChildPhase::Stopping { .. } => false,
         };
         self.children.values().all(|child| child.goal != ChildTarget::Run || up(child))
     }
@@ -265,18 +268,13 @@ impl Supervisor {
 
     /// Ends an incarnation that need not, or cannot, be asked.
     pub(super) fn end_now(&mut self, key: ChildKey, cause: ReplacementCause) {
+        if !self.kept(key).is_alive() {
+            return;
+        }
         match cause {
-            ReplacementCause::Died if self.kept(key).is_alive() => {
-                self.set_state(key, ChildPhase::Down)
-            }
-            ReplacementCause::Stuck | ReplacementCause::Behind if self.kept(key).is_alive() => {
-                self.abandon(key)
-            }
-            ReplacementCause::Died
-            | ReplacementCause::Stuck
-            | ReplacementCause::Behind
-            | ReplacementCause::Faulty
-            | ReplacementCause::Asked => {}
+            ReplacementCause::Died => self.set_state(key, ChildPhase::Down),
+            ReplacementCause::Stuck | ReplacementCause::Behind => self.abandon(key),
+            ReplacementCause::Faulty | ReplacementCause::Asked => {}
         }
     }
 
@@ -343,16 +341,17 @@ impl Supervisor {
         match child.state {
             ChildPhase::Starting { .. } => {
                 let limit = rules.ready_within;
-                self.outputs.push_back(SupervisorOutput::Abandon { child: name.clone() });
+                let overdue = SupervisorOutput::Overdue { child: name, incarnation, limit };
+                self.outputs.push_back(overdue);
                 self.incarnation_ended(key, false, format!("not at work within {limit:?}"), now);
-                self.outputs.push_back(SupervisorOutput::Overdue {
-                    child: name,
-                    incarnation,
-                    limit,
-                });
+            }
+            ChildPhase::Failing { .. } => {
+                self.outputs.push_back(SupervisorOutput::CutOff { child: name });
+                self.incarnation_ended(key, false, "its last hooks took too long".into(), now);
             }
             ChildPhase::Stopping { .. } => {
-                self.abandon(key);
+                self.outputs.push_back(SupervisorOutput::CutOff { child: name.clone() });
+                self.set_state(key, ChildPhase::Down);
                 let is_awaited = self.pending.iter().any(|pending| pending.key == key);
                 if self.kept(key).goal == ChildTarget::Finished && !is_awaited {
                     // An incarnation that is given up cannot give back what waits for it.
@@ -383,10 +382,8 @@ impl Supervisor {
         self.outputs.push_back(SupervisorOutput::Start { child: name, incarnation });
     }
 
-    /// One that fails says so when its last hooks have run, which is bounded as a stop is.
     fn await_start(&mut self, key: ChildKey, now: Instant) {
-        let rules = self.kept(key).rules;
-        let due = now + rules.ready_within.saturating_add(rules.shutdown_within);
+        let due = now + self.kept(key).rules.ready_within;
         self.set_state(key, ChildPhase::Starting { due });
     }
 

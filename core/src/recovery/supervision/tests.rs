@@ -102,6 +102,7 @@ impl Rig {
                     format!("refused {child} {incarnation}: {reason}")
                 }
                 SupervisorOutput::Unavailable { reason } => format!("waits: {reason}"),
+                SupervisorOutput::CutOff { child } => format!("cut off {child}"),
                 SupervisorOutput::Overdue { child, .. } => format!("overdue {child}"),
                 SupervisorOutput::Retire { child } => format!("retire {child}"),
                 SupervisorOutput::Left { child } => format!("left {child}"),
@@ -194,10 +195,23 @@ impl Rig {
         self.outputs()
     }
 
+    fn fails_to_start(&mut self, child: &str, incarnation: u64) -> Vec<String> {
+        self.machine.handle_fails_to_start(&name(child), Incarnation(incarnation), self.now);
+        self.outputs()
+    }
+
     fn start_failed(&mut self, child: &str, incarnation: u64) -> Vec<String> {
         let reason = "no device".into();
         self.machine.handle_start_failed(&name(child), Incarnation(incarnation), reason, self.now);
         self.outputs()
+    }
+
+    /// Comes to work, or ends where its start is failing.
+    fn finish_start(&mut self, child: &str, incarnation: u64) {
+        self.started(child, incarnation);
+        if self.state(child) == ChildState::Starting {
+            self.start_failed(child, incarnation);
+        }
     }
 
     fn stopped(&mut self, child: &str, incarnation: u64) -> Vec<String> {

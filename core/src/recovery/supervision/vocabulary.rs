@@ -99,6 +99,12 @@ pub enum SupervisorOutput {
         /// The child.
         child: ObjectName,
     },
+    /// The child has had its time to end: give its incarnation up, and report where it keeps its
+    /// thread.
+    CutOff {
+        /// The child.
+        child: ObjectName,
+    },
     /// Ask a child in error to recover by itself.
     Reset {
         /// The child.
@@ -162,7 +168,8 @@ pub enum SupervisorOutput {
         /// What it waits for, as the component said it.
         reason: String,
     },
-    /// A start took too long, which only the supervisor can see.
+    /// A start took too long, and its guard does not say so: give the incarnation up, and report
+    /// it.
     Overdue {
         /// The child.
         child: ObjectName,

@@ -176,7 +176,7 @@ fn a_temporary_member_ends_with_its_group_and_does_not_return() {
         assert_eq!(rig.restart("a", ReplacementCause::Died, 1), ["stop c"]);
         assert_eq!(rig.stopped("c", 1), ["stop guest"]);
         // What waits for one that does not even stop is given back.
-        assert_eq!(rig.pass(5), ["abandon guest", "retire guest", "start a #2"]);
+        assert_eq!(rig.pass(5), ["cut off guest", "retire guest", "start a #2"]);
         assert_eq!(rig.started("a", 2), ["start c #2"]);
         assert_eq!(rig.started("c", 2), ["1 recovered a #2"]);
         assert_eq!(rig.state("guest"), ChildState::Finished);
