@@ -151,16 +151,24 @@ pub(crate) fn run(rounds: usize) {
 
 fn over(medium: &str, rounds: usize) {
     let keys = BenchKeys::new(&["guarded", "vault"]);
-    let [echo, near, left, right, far, single_near, single_far, sealed_near, sealed_far] =
+    let [open_near, open_far, sealed_near, sealed_far] =
+        addresses().map(|address| address.to_string());
+    let [echo, near, left, right, far, single_near, single_far] =
         addresses().map(|address| address.to_string());
     let start = |arguments: &[&str]| Peer::start("remote", &texts(arguments));
     let _echo = start(&["bare", medium, &echo]);
     let _middle = start(&["node", medium, "middle", &left, "near", &near, &right, "far", &far]);
     let _far = start(&["node", medium, "far", &far, "middle", &right]);
     let _single = start(&["single", medium, "single", &single_far, "alone", &single_near]);
+    // The same nodes without keys: those above have a third neighbour, or one thread.
+    let _open = start(&["node", medium, "vault", &open_far, "guarded", &open_near]);
     let vault = keys.of("vault");
     let _vault = start(&["sealed", &vault, medium, "vault", &sealed_far, "guarded", &sealed_near]);
     blastema::run(async {
+        let link = network(medium, 0, &[open_near, "vault".into(), open_far]);
+        let open = Node::builder("guarded").network(link).start().await;
+        let open = open.expect("the node starts");
+        let without_seals = reached(&open, "vault:mirror").await;
         let link = network(medium, 0, &[sealed_near, "vault".into(), sealed_far]);
         let guarded = Node::builder("guarded").keys(keys.of("guarded")).network(link).start().await;
         let guarded = guarded.expect("the node starts");
@@ -180,14 +188,17 @@ fn over(medium: &str, rounds: usize) {
             table.add("bare tokio ping-pong", bare(medium, echo).await);
             table.add("Sender::ask, nodes on one thread each", asked(&on_one_thread).await);
             table.add("Sender::ask, one hop", asked(&one).await);
-            table.add("Sender::ask, one hop, sealed", asked(&behind_seals).await);
+            table.add("Sender::ask, two nodes without keys", asked(&without_seals).await);
+            table.add("Sender::ask, two nodes with keys", asked(&behind_seals).await);
             table.add("Sender::ask, two hops", asked(&two).await);
         }
         table.print();
         let (one, two) = ("Sender::ask, one hop", "Sender::ask, two hops");
         println!("two hops take {:.2} times one", table.ratio(two) / table.ratio(one));
-        let sealed = table.ratio("Sender::ask, one hop, sealed") / table.ratio(one);
-        println!("a sealed hop takes {sealed:.2} times one without keys");
+        let [open_ratio, sealed] = ["without", "with"]
+            .map(|keys| table.ratio(&format!("Sender::ask, two nodes {keys} keys")));
+        println!("with keys it takes {:.2} times as long", sealed / open_ratio);
+        open.shutdown().await;
         guarded.shutdown().await;
         node.shutdown().await;
         alone.shutdown().await;
