@@ -7,6 +7,7 @@
 
 mod failover;
 mod fanout;
+mod keys;
 mod measure;
 mod memory;
 mod messages;

@@ -3,10 +3,11 @@
 //!
 //! This process is pinned to the first core and every other to the second, bare or not.
 
+use crate::keys::BenchKeys;
 use crate::measure::{Table, median};
 use crate::process::{Peer, addresses, pin, serve_until_told, texts};
 use blastema::prelude::*;
-use blastema::{Link, Network};
+use blastema::{Link, Network, NodeBuilder};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -33,7 +34,7 @@ impl Handle<Echo> for Mirror {
 }
 
 /// Another process: `bare MEDIUM ADDRESS`, or `node MEDIUM NAME (OWN NEIGHBOUR ADDRESS)...`, or the
-/// same with `single` for a node on one thread.
+/// same with `single` for a node on one thread, or with `sealed KEY` for a node with that key.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     match arguments {
@@ -45,23 +46,30 @@ pub(crate) fn child(arguments: &[String]) {
             });
             serve_until_told();
         }
-        [kind, medium, name, links @ ..] if kind == "node" || kind == "single" => {
-            blastema::run(async {
-                let mut builder = Node::builder(name).child(ChildSpec::new("mirror", || Mirror));
-                if kind == "single" {
-                    builder = builder.on_this_thread();
-                }
-                for (number, link) in links.chunks(3).enumerate() {
-                    builder = builder.network(network(medium, number, link));
-                }
-                let node = builder.start().await.expect("the node starts");
-                let told = tokio::task::spawn_blocking(serve_until_told);
-                let _ = told.await;
-                node.shutdown().await;
-            })
+        [kind, key, medium, name, links @ ..] if kind == "sealed" => {
+            serve(Node::builder(name).keys(key), medium, links);
+        }
+        [kind, medium, name, links @ ..] if kind == "single" => {
+            serve(Node::builder(name).on_this_thread(), medium, links);
+        }
+        [kind, medium, name, links @ ..] if kind == "node" => {
+            serve(Node::builder(name), medium, links);
         }
         _ => println!("the parent names a kind"),
     }
+}
+
+fn serve(builder: NodeBuilder, medium: &str, links: &[String]) {
+    blastema::run(async {
+        let mut builder = builder.child(ChildSpec::new("mirror", || Mirror));
+        for (number, link) in links.chunks(3).enumerate() {
+            builder = builder.network(network(medium, number, link));
+        }
+        let node = builder.start().await.expect("the node starts");
+        let told = tokio::task::spawn_blocking(serve_until_told);
+        let _ = told.await;
+        node.shutdown().await;
+    });
 }
 
 fn network(medium: &str, number: usize, link: &[String]) -> Network {
@@ -142,6 +150,9 @@ pub(crate) fn run(rounds: usize) {
 }
 
 fn over(medium: &str, rounds: usize) {
+    let keys = BenchKeys::new(&["guarded", "vault"]);
+    let [open_near, open_far, sealed_near, sealed_far] =
+        addresses().map(|address| address.to_string());
     let [echo, near, left, right, far, single_near, single_far] =
         addresses().map(|address| address.to_string());
     let start = |arguments: &[&str]| Peer::start("remote", &texts(arguments));
@@ -149,7 +160,19 @@ fn over(medium: &str, rounds: usize) {
     let _middle = start(&["node", medium, "middle", &left, "near", &near, &right, "far", &far]);
     let _far = start(&["node", medium, "far", &far, "middle", &right]);
     let _single = start(&["single", medium, "single", &single_far, "alone", &single_near]);
+    // The same nodes without keys: those above have a third neighbour, or one thread.
+    let _open = start(&["node", medium, "vault", &open_far, "guarded", &open_near]);
+    let vault = keys.of("vault");
+    let _vault = start(&["sealed", &vault, medium, "vault", &sealed_far, "guarded", &sealed_near]);
     blastema::run(async {
+        let link = network(medium, 0, &[open_near, "vault".into(), open_far]);
+        let open = Node::builder("guarded").network(link).start().await;
+        let open = open.expect("the node starts");
+        let without_seals = reached(&open, "vault:mirror").await;
+        let link = network(medium, 0, &[sealed_near, "vault".into(), sealed_far]);
+        let guarded = Node::builder("guarded").keys(keys.of("guarded")).network(link).start().await;
+        let guarded = guarded.expect("the node starts");
+        let behind_seals = reached(&guarded, "vault:mirror").await;
         let link = network(medium, 0, &[single_near, "single".into(), single_far]);
         let alone = Node::builder("alone").on_this_thread().network(link).start().await;
         let alone = alone.expect("the node starts");
@@ -165,11 +188,18 @@ fn over(medium: &str, rounds: usize) {
             table.add("bare tokio ping-pong", bare(medium, echo).await);
             table.add("Sender::ask, nodes on one thread each", asked(&on_one_thread).await);
             table.add("Sender::ask, one hop", asked(&one).await);
+            table.add("Sender::ask, two nodes without keys", asked(&without_seals).await);
+            table.add("Sender::ask, two nodes with keys", asked(&behind_seals).await);
             table.add("Sender::ask, two hops", asked(&two).await);
         }
         table.print();
         let (one, two) = ("Sender::ask, one hop", "Sender::ask, two hops");
         println!("two hops take {:.2} times one", table.ratio(two) / table.ratio(one));
+        let [open_ratio, sealed] = ["without", "with"]
+            .map(|keys| table.ratio(&format!("Sender::ask, two nodes {keys} keys")));
+        println!("with keys it takes {:.2} times as long", sealed / open_ratio);
+        open.shutdown().await;
+        guarded.shutdown().await;
         node.shutdown().await;
         alone.shutdown().await;
     });

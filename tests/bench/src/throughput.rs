@@ -4,6 +4,7 @@
 //! This process is pinned to the first core and every other to the second, bare or not.
 //! `SIZES=small` or `large` and `MEDIA=udp` or `tcp` narrow it down, for a profile.
 
+use crate::keys::BenchKeys;
 use crate::measure::Table;
 use crate::process::{Peer, addresses, pin, serve_until_told, texts};
 use blastema::prelude::*;
@@ -80,7 +81,7 @@ fn network(medium: &str, own: SocketAddr, far: &str, remote: SocketAddr) -> Netw
     }
 }
 
-/// Another process: `bare ADDRESS`, or `MEDIUM OWN REMOTE`.
+/// Another process: `bare ADDRESS`, or `MEDIUM OWN REMOTE`, and with keys `KEY`.
 pub(crate) fn child(arguments: &[String]) {
     pin(1);
     let address = |text: &String| text.parse::<SocketAddr>().expect("the parent writes addresses");
@@ -90,10 +91,13 @@ pub(crate) fn child(arguments: &[String]) {
             std::thread::spawn(move || blastema::run(bare_sink(own)));
             serve_until_told();
         }
-        [medium, own, remote] => blastema::run(async {
+        [medium, own, remote, key @ ..] => blastema::run(async {
             let network = network(medium, address(own), "source", address(remote));
             let sink = |name: &str| ChildSpec::new(name, Sink::default).queue(4096, WhenFull::Wait);
-            let builder = Node::builder("sink").network(network);
+            let mut builder = Node::builder("sink").network(network);
+            if let [key] = key {
+                builder = builder.keys(key);
+            }
             let builder = builder.child(sink("small")).child(sink("large"));
             let node = builder.start().await.expect("the node starts");
             let _ = tokio::task::spawn_blocking(serve_until_told).await;
@@ -174,16 +178,24 @@ fn is_wanted(variable: &str, word: &str) -> bool {
 
 pub(crate) fn run(rounds: usize) {
     pin(0);
+    let keys = BenchKeys::new(&["source", "sink"]);
     let [bare_at, udp, udp_sink, tcp, tcp_sink] = addresses();
     let _bare = Peer::start("throughput", &texts(&["bare", &bare_at.to_string()]));
     let media = [("udp", udp, udp_sink), ("tcp", tcp, tcp_sink)];
     for (medium, own, far) in media.into_iter().filter(|(medium, ..)| is_wanted("MEDIA", medium)) {
+        let [sealed_own, sealed_far] = addresses();
+        let arguments =
+            [medium, &sealed_far.to_string(), &sealed_own.to_string(), &keys.of("sink")];
+        let _sealed_sink = Peer::start("throughput", &texts(&arguments));
         let arguments = texts(&[medium, &far.to_string(), &own.to_string()]);
         let _sink = Peer::start("throughput", &arguments);
         blastema::run(async {
             let network = network(medium, own, "sink", far);
             let node = Node::builder("source").network(network).start().await;
             let node = node.expect("the node starts");
+            let network = self::network(medium, sealed_own, "sink", sealed_far);
+            let sealed = Node::builder("source").keys(keys.of("source")).network(network);
+            let sealed = sealed.start().await.expect("the node starts");
             let title = format!("messages of a mebibyte, {medium}");
             let mut large = Table::new(title, "per second: higher is better");
             let title = format!("small reliable messages, {medium}, a core each");
@@ -198,17 +210,25 @@ pub(crate) fn run(rounds: usize) {
                     large.add("deliver, Vec<u8>", sent(&node, "sink:large", count, copied).await);
                     let shared = |_| SharedImage(blob.clone());
                     large.add("deliver, Blob", sent(&node, "sink:large", count, shared).await);
+                    let figure = sent(&sealed, "sink:large", count, shared).await;
+                    large.add("deliver, Blob, sealed", figure);
                 }
                 if is_wanted("SIZES", "small") {
                     let tick = |number| Tick { number, values: [0.5; 3] };
-                    small.add(
-                        "Sender::deliver",
-                        sent(&node, "sink:small", (SMALL, 1024), tick).await,
-                    );
+                    let count = (SMALL, 1024);
+                    small.add("Sender::deliver", sent(&node, "sink:small", count, tick).await);
+                    let figure = sent(&sealed, "sink:small", count, tick).await;
+                    small.add("Sender::deliver, sealed", figure);
                 }
             }
             large.print();
             small.print();
+            if is_wanted("SIZES", "large") {
+                let [sealed, plain] =
+                    ["deliver, Blob, sealed", "deliver, Blob"].map(|row| large.ratio(row));
+                println!("sealed mebibytes: {:.2} of those without keys", sealed / plain);
+            }
+            sealed.shutdown().await;
             node.shutdown().await;
         });
     }
