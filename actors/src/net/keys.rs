@@ -85,6 +85,7 @@ impl NodeKeys {
         let roster = NodeRoster::parse_signed(&read_public(&self.path)?, &self.own.signer)
             .map_err(|error| format!("{path}: {error}"))?;
         let serial = roster.serial;
+        let own = roster.node(&self.own.node).map(|listed| listed.keys);
         match self.roster.order_of(&roster) {
             RosterOrder::Same => Ok(None),
             RosterOrder::Older => Err(format!(
@@ -94,8 +95,13 @@ impl NodeKeys {
                 "{path} differs from the roster that this node has, under the same serial {serial}: two \
                  copies of the robot's file were changed; use one of them"
             )),
-            RosterOrder::Newer if roster.node(&self.own.node).is_none() => Err(format!(
+            RosterOrder::Newer if own.is_none() => Err(format!(
                 "{} is not in roster {serial} ({path}): it was revoked, and the other nodes refuse it",
+                self.own.node
+            )),
+            RosterOrder::Newer if own != Some(self.own.seed.public_keys()) => Err(format!(
+                "roster {serial} ({path}) lists another key for {0}, and the other nodes refuse the one \
+                 that it has: copy the newest {0}.key here, and start the node again",
                 self.own.node
             )),
             RosterOrder::Newer => Ok(Some(NodeKeys { roster, ..self.clone() })),
@@ -149,4 +155,61 @@ impl NodeKeys {
 
 fn roster_path(key: &Path, robot: &NodeName) -> PathBuf {
     folder_of(key).join(format!("{robot}.roster"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use blastema_core::net::trust::crypto::Seed;
+    use blastema_core::net::trust::policy::Role;
+    use blastema_core::net::trust::roster::RosterNode;
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::PermissionsExt;
+
+    fn name(text: &str) -> NodeName {
+        NodeName::new(text).expect("a name")
+    }
+
+    /// The signed text of a roster of these nodes with these secrets.
+    fn roster(nodes: &[(&str, u8)], serial: u64) -> String {
+        let listed = nodes.iter().map(|(node, seed)| RosterNode {
+            name: name(node),
+            keys: Seed::new([*seed; 32]).public_keys(),
+            role: Role::Node,
+        });
+        let mut roster = NodeRoster::new(name("ranger"), listed).expect("different nodes");
+        roster.serial = serial;
+        roster.sign(&Seed::new([9; 32]))
+    }
+
+    #[test]
+    fn of_the_rosters_that_are_put_beside_a_key_only_a_newer_one_with_this_node_is_taken() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (key, list) = (folder.path().join("base.key"), folder.path().join("ranger.roster"));
+        let signer = Seed::new([9; 32]).signer();
+        let own =
+            KeyFile { robot: name("ranger"), node: name("base"), seed: Seed::new([1; 32]), signer };
+        fs::write(&key, own.to_text().as_bytes()).expect("a folder");
+        fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("it is ours");
+        fs::write(&list, roster(&[("base", 1), ("arm", 2)], 5)).expect("a folder");
+        let keys = NodeKeys::read(&key, &name("base")).expect("they fit");
+        let reread = |text: &str| {
+            fs::write(&list, text).expect("a folder");
+            keys.reread().map(|keys| keys.map(|keys| keys.serial()))
+        };
+
+        assert_eq!(reread(&roster(&[("base", 1), ("arm", 2)], 5)), Ok(None));
+        assert_eq!(reread(&roster(&[("base", 1), ("arm", 3)], 6)), Ok(Some(6)));
+        let refused = |text: &str, why: &str| {
+            let error = reread(text).expect_err(why);
+            assert!(error.contains(why), "{error}");
+        };
+        refused(&roster(&[("base", 1), ("arm", 2)], 4), "has seen 5");
+        refused(&roster(&[("base", 1)], 5), "two copies");
+        refused(&roster(&[("arm", 2)], 6), "it was revoked");
+        refused(&roster(&[("base", 7)], 6), "another key for base");
+        refused("blastema roster 1\n", "ranger.roster");
+        let whole = roster(&[("base", 1)], 6);
+        refused(&whole[..whole.len() / 2], "ranger.roster");
+    }
 }

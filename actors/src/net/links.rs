@@ -29,7 +29,7 @@ use blastema_contract::transport::{
 };
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::refusal_alarms::RefusalAlarms;
-use blastema_core::net::routing::{LinkHealth, LinkStatus};
+use blastema_core::net::routing::{LinkHealth, LinkStatus, MTU_MIN};
 use blastema_core::net::seal::{ChannelStatus, CipherSuite, FrameLane, NoiseCrypto, SealProfile};
 use blastema_core::net::{
     AddLinkError, Link, LinkConfig, LinkId, LinkLayer, LinkLayerOutput, LinkOutput, LinkState,
@@ -394,7 +394,16 @@ impl Handler<TransportReport> for LinksActor {
             TransportReport::Opened { local, mtu } => {
                 info!(network = %self.wiring.network, %local, mtu, "open");
                 // What the seal takes is not left for the router.
-                self.mtu = Some(mtu.saturating_sub(self.bundle.overhead()));
+                let left = mtu.saturating_sub(self.bundle.overhead());
+                if left < MTU_MIN {
+                    let least = MTU_MIN + self.bundle.overhead();
+                    error!(
+                        network = %self.wiring.network,
+                        "frames of {mtu} bytes are too small for sealed packets: set its mtu to {least} \
+                         at least"
+                    );
+                }
+                self.mtu = Some(left);
                 self.tell_port(&local);
                 self.bundle.handle_mtu(mtu);
                 self.tell_router_all();

@@ -10,7 +10,6 @@ use crate::platform::key_files::FileStamp;
 use actix::prelude::*;
 use std::sync::Arc;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
-use std::thread::JoinHandle;
 use std::time::Duration;
 use tracing::{error, info};
 
@@ -22,11 +21,10 @@ const POLL_INTERVAL: Duration = Duration::from_secs(2);
 #[rtype(result = "()")]
 pub(crate) struct RosterChanged(pub(crate) Arc<NodeKeys>);
 
-/// Ends the watch when it is dropped.
+/// Ends the watch when it is dropped. Nothing waits for the thread: a file system may keep it.
 pub(crate) struct RosterWatch {
     /// Nothing is sent; the thread ends when it is gone.
-    stop: Option<Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    _stop: Sender<()>,
 }
 
 impl RosterWatch {
@@ -42,18 +40,10 @@ impl RosterWatch {
             }
         };
         // Without the thread, a new roster counts when the node starts again.
-        let thread = platform::start_thread("roster", watch).ok();
-        RosterWatch { stop: Some(stop), thread }
-    }
-}
-
-impl Drop for RosterWatch {
-    fn drop(&mut self) {
-        self.stop = None;
-        if let Some(thread) = self.thread.take() {
-            // It wakes up when the other end of its channel is gone.
-            let _ = thread.join();
+        if let Err(error) = platform::start_thread("roster", watch) {
+            error!("a newer roster will count at the next start only: {error}");
         }
+        RosterWatch { _stop: stop }
     }
 }
 

@@ -366,13 +366,15 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
             frame if is_urgent(frame) => FrameLane::Urgent,
             _ => FrameLane::Usual,
         };
-        let frame = match (&mut self.sealer, end.peer) {
-            (Some(sealer), Some(peer)) => {
-                // Before the handshake no neighbour hears it.
-                let Some(sealed) = sealer.seal(peer, lane, &frame.pieces(), now) else { return };
+        let frame = match &mut self.sealer {
+            None => frame,
+            Some(sealer) => {
+                // Before the handshake no neighbour opens it; nothing goes out unsealed.
+                let sealed =
+                    end.peer.and_then(|peer| sealer.seal(peer, lane, &frame.pieces(), now));
+                let Some(sealed) = sealed else { return };
                 sealed.into()
             }
-            _ => frame,
         };
         let to = end.address.clone();
         self.outputs.push_back(LinkLayerOutput::Transmit { to, frame, lane });
