@@ -340,10 +340,7 @@ impl MachineActor for LinksActor {
             LinkLayerOutput::Of(link, output) => self.carry_out_of(link, output),
             LinkLayerOutput::Transmit { to, frame, lane } => self.transmit(to, frame, lane),
             LinkLayerOutput::Adopt { connection, peer } => {
-                // Elsewhere an address proves nothing, and frames go where the user has said.
-                if let MediumAddress::Connection { .. } = connection {
-                    self.wiring.transport.adopt.do_send(Adopt { connection, peer });
-                }
+                self.wiring.transport.adopt.do_send(Adopt { connection, peer });
             }
             LinkLayerOutput::Stranger(from) => {
                 warn!(network = %self.wiring.network, %from, "a stranger speaks; no link leads there");
@@ -462,9 +459,18 @@ impl Handler<RosterChanged> for LinksActor {
         *known = keys.clone();
         let now = platform::now();
         self.bundle.set_roster(keys.serial_told());
-        for (number, spec) in &self.specs {
+        let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
+        for (number, spec) in specs {
             let key = spec.neighbour.as_ref().and_then(|node| keys.key_of(node));
-            if let Err(error) = self.bundle.set_key(*number, key.map(|key| key.public), now) {
+            let set = match (self.bundle.get(number), key) {
+                // The links were built while the neighbour was not listed.
+                (None, Some(_)) => self.insert(number, &spec, now),
+                (_, key) => {
+                    let set = self.bundle.set_key(number, key.map(|key| key.public), now);
+                    set.map_err(AddLinkError::from)
+                }
+            };
+            if let Err(error) = set {
                 error!(network = %self.wiring.network, link = %spec.name, "no link: {error}");
             }
         }

@@ -32,7 +32,8 @@ impl RosterWatch {
     pub(crate) fn start(keys: Arc<NodeKeys>, told: Vec<Recipient<RosterChanged>>) -> RosterWatch {
         let (stop, stopped) = channel();
         let watch = move || {
-            let mut file = RosterFile { stamp: FileStamp::of(keys.roster_path()), keys };
+            // It may have been replaced since the node has read it.
+            let mut file = RosterFile { stamp: None, keys, refused: None };
             while stopped.recv_timeout(POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
                 if let Some(keys) = file.look() {
                     told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
@@ -49,7 +50,10 @@ impl RosterWatch {
 
 struct RosterFile {
     keys: Arc<NodeKeys>,
+    /// Of the file that was read last; `None` if it is to be read.
     stamp: Option<FileStamp>,
+    /// Why it was refused, as it was logged.
+    refused: Option<String>,
 }
 
 impl RosterFile {
@@ -63,11 +67,17 @@ impl RosterFile {
             Ok(Some(keys)) => {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
                 self.keys = Arc::new(keys);
+                self.refused = None;
                 Some(self.keys.clone())
             }
             Ok(None) => None,
             Err(refused) => {
-                error!("the roster is refused: {refused}");
+                // It is tried again: what keeps it from being read may pass.
+                self.stamp = None;
+                if self.refused.as_ref() != Some(&refused) {
+                    error!("the roster is refused: {refused}");
+                    self.refused = Some(refused);
+                }
                 None
             }
         }

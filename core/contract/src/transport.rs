@@ -51,6 +51,13 @@ impl MediumAddress {
     }
 }
 
+#[cfg(feature = "network")]
+impl blastema_core::net::LinkAddress for MediumAddress {
+    fn is_connection(&self) -> bool {
+        matches!(self, MediumAddress::Connection { .. })
+    }
+}
+
 impl From<SocketAddr> for MediumAddress {
     fn from(address: SocketAddr) -> Self {
         MediumAddress::Ip(address)

@@ -37,6 +37,12 @@ use std::collections::VecDeque;
 use std::hash::Hash;
 use std::time::Duration;
 
+/// An address of a medium.
+pub trait LinkAddress: Clone + Ord + Hash {
+    /// Whether it is that of a connection whose other end has made it, and has not proved who it is.
+    fn is_connection(&self) -> bool;
+}
+
 /// A neighbour's key, by which its frames are opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NeighbourKey {
@@ -76,7 +82,7 @@ pub enum LinkLayerOutput<A> {
     },
     /// This connection is the neighbour's at this address: it has sealed a frame there.
     Adopt {
-        /// The address of the connection.
+        /// The connection's own address.
         connection: A,
         /// The address of the neighbour.
         peer: A,
@@ -123,7 +129,7 @@ pub struct LinkLayer<C: SealCrypto, A> {
     outputs: VecDeque<LinkLayerOutput<A>>,
 }
 
-impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
+impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
     /// No links yet. With a sealer, all frames are sealed.
     pub fn new(sealer: Option<Sealer<C, A>>) -> Self {
         let overhead = sealer.as_ref().map_or(0, Sealer::overhead);
@@ -411,24 +417,27 @@ impl<C: SealCrypto, A: Clone + Ord + Hash> LinkLayer<C, A> {
         }
     }
 
-    /// The neighbour has proved itself at this address. Where that is not its own, it is that of a
-    /// connection, which is the neighbour's from here on. Both ends use the same one: the initiator
-    /// receives the responder's first frame on the connection that the responder has adopted.
-    fn adopt(&mut self, link: LinkId, peer: NodeId, connection: A) {
+    /// The neighbour has proved itself at this address. Where that is a connection's, the connection
+    /// is the neighbour's from here on. Both ends use the same one: the initiator receives the
+    /// responder's first frame on the connection that the responder has adopted. Any other address
+    /// proves nothing: it may be forged, and frames go where the user has said.
+    fn adopt(&mut self, link: LinkId, peer: NodeId, from: A) {
         let Some(end) = self.ends.get_mut(&link) else { return };
-        if end.address == connection || end.adopted.as_ref() == Some(&connection) {
+        if end.adopted.as_ref() == Some(&from) {
             return;
         }
-        end.adopted = Some(connection.clone());
         let address = end.address.clone();
         if let Some(sealer) = &mut self.sealer {
             sealer.set_address(peer, address.clone());
         }
-        self.outputs.push_back(LinkLayerOutput::Adopt { connection, peer: address });
+        end.adopted = from.is_connection().then_some(from);
+        if let Some(connection) = end.adopted.clone() {
+            self.outputs.push_back(LinkLayerOutput::Adopt { connection, peer: address });
+        }
     }
 }
 
-impl<C: SealCrypto, A: Clone + Ord + Hash> Machine for LinkLayer<C, A> {
+impl<C: SealCrypto, A: LinkAddress> Machine for LinkLayer<C, A> {
     type Output = LinkLayerOutput<A>;
 
     fn poll_output(&mut self) -> Option<LinkLayerOutput<A>> {

@@ -54,7 +54,7 @@ pub use link::{
     HELLO_INTERVAL, HELLO_INTERVAL_RANGE, Link, LinkConfig, LinkOutput, LinkState, Neighbour,
     PEER_TIMEOUT, Quality,
 };
-pub use link_layer::{AddLinkError, LinkLayer, LinkLayerOutput, NeighbourKey};
+pub use link_layer::{AddLinkError, LinkAddress, LinkLayer, LinkLayerOutput, NeighbourKey};
 pub use peer_protocol::receive_backlog::ReceiveBacklog;
 pub use peer_protocol::{PeerProtocol, PeerProtocolOutput};
 pub use routing::topology::Route;

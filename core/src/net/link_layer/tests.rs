@@ -15,6 +15,12 @@ use std::collections::BTreeSet;
 type Address = u32;
 type End = LinkLayer<NoiseCrypto, Address>;
 
+impl LinkAddress for Address {
+    fn is_connection(&self) -> bool {
+        *self >= 10
+    }
+}
+
 const LINK: LinkId = LinkId(7);
 
 fn at(millis: u64) -> Instant {
@@ -297,6 +303,31 @@ fn a_connection_is_the_neighbours_once_it_has_sealed_a_frame_there_and_not_befor
     world.sent.clear();
     world.run(500);
     assert!(world.sent.iter().all(|(_, to, _)| *to < 10));
+}
+
+#[test]
+fn an_address_that_is_no_connections_proves_nothing_and_frames_go_where_the_user_has_said() {
+    let mut world = World::new();
+    // Another address of the medium, as a forger would write it, or that of a third node.
+    world.from = [0, 5];
+
+    world.run(500);
+
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    let adopts = |(_, _, output): &(u64, usize, LinkLayerOutput<Address>)| {
+        matches!(output, LinkLayerOutput::Adopt { .. })
+    };
+    assert!(!world.outputs.iter().any(adopts));
+    world.sent.clear();
+    // New keys are asked for, and all frames are sent to the neighbour's own address.
+    let now = at(world.now);
+    world.ends[0].set_key(LINK, Some(key(1).public), now).expect("it is a key");
+    world.ends[1] = end(1, 2, world.now);
+    world.run(2_000);
+    assert_eq!(world.states(), [LinkState::Up; 2]);
+    assert!(world.sent.iter().all(|(node, to, _)| *node == 1 || [1, 5].contains(to)));
+    let last = world.sent.iter().rposition(|(node, to, _)| *node == 0 && *to == 5).unwrap_or(0);
+    assert!(world.sent.len() - last > 50, "what is answered there ends with the handshake");
 }
 
 #[test]
