@@ -85,6 +85,12 @@ impl Session {
                     self.say_open();
                 }
             }
+            // The sender knows our tag, so the one that was noted for it had a changed bit.
+            State::Open { peer } if peer != theirs && open.echo == self.tag => {
+                self.state = State::Open { peer: theirs };
+                self.record_receipt();
+                self.acknowledge();
+            }
             State::Open { peer } | State::Closing { peer, .. } if peer != theirs => {
                 // One session of the peer's has one tag.
                 self.refusals.unexpected += 1;
