@@ -16,8 +16,8 @@ pub trait FrameMedium: Send + 'static {
     /// How people call it, such as `serial /dev/ttyUSB0`; it stands at the beginning of errors.
     fn name(&self) -> String;
 
-    /// How far its frames travel. A node without keys refuses to start with a medium that leaves the
-    /// computer, which is the default, unless its network is declared insecure.
+    /// How far its frames travel. A node without keys refuses to start with a medium that leaves
+    /// the computer, which is the default, unless its network is declared insecure.
     fn reach(&self) -> Reach {
         Reach::Network
     }

@@ -87,11 +87,10 @@ pub(crate) enum Subcommand {
     /// recovers
     ///
     /// Three processes, module1 to module3, run a service robot with a hundred small objects. Two
-    /// networks on loopback addresses and free ports connect them, sealed with keys that are made for
-    /// this run. Ten faults are injected one
-    /// after the other while numbered messages are sent. A terminal shows a live view, any other
-    /// output gets one line for each step; tables follow at the end. It takes less than 30 seconds.
-    /// Ctrl-C ends all processes.
+    /// networks on loopback addresses and free ports connect them, sealed with keys that are made
+    /// for this run. Ten faults are injected one after the other while numbered messages are sent.
+    /// A terminal shows a live view, any other output gets one line for each step; tables follow at
+    /// the end. It takes less than 30 seconds. Ctrl-C ends all processes.
     #[command(after_help = EXIT_STATUS)]
     Demo(DemoOptions),
     /// Show the state of a running node

@@ -129,8 +129,8 @@ impl NodeKeys {
         Some(NeighbourKey { node: NodeId::of(node), public: *listed.keys.x25519.bytes() })
     }
 
-    /// A sealer for one network. Its counters begin at zero and its keys are new: one is made for each
-    /// life of the links.
+    /// A sealer for one network. Its counters begin at zero and its keys are new: one is made for
+    /// each life of the links.
     ///
     /// # Panics
     /// When the system gives no random numbers, which it did when the node started.

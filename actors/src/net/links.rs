@@ -96,12 +96,13 @@ pub(super) struct LinksActor {
     bus: Option<MediumAddress>,
     /// What the router was reported last: it must be taken back when the actor restarts.
     reported: SortedMap<LinkId, LinkStatus>,
-    /// Those that were never hello_received while the medium could not be opened.
+    /// Those whose neighbour was never heard while the medium could not be opened.
     unheard: SortedSet<LinkId>,
     complaints: RefusalAlarms<Option<LinkId>>,
     /// Links at whose other end is a node of our name, until another one is.
     namesakes: SortedSet<LinkId>,
-    /// Links whose neighbour's key is in use twice, or was for a moment.
+    /// Links whose neighbour's key is in use twice, or was for a moment. What is declared outlives
+    /// the actor's incarnation, and ends when the other has been silent.
     keys_in_use: SortedMap<LinkId, KeyInUse>,
 }
 
@@ -131,7 +132,6 @@ impl LinksActor {
         let sealer = sealer.map(|(keys, terms)| keys.sealer(self.wiring.incarnation, *terms));
         self.bundle = LinkLayer::new(sealer);
         self.unheard.clear();
-        self.keys_in_use.clear();
         self.wake = WakeTimer::default();
         let specs: Vec<_> = self.specs.iter().map(|(n, spec)| (*n, spec.clone())).collect();
         for (number, spec) in specs {

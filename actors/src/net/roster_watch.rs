@@ -1,8 +1,8 @@
 //! Whether the file of the roster was replaced, looked at from a thread of its own.
 //!
 //! A roster with a higher serial number is taken at once: a node that is not in it any more loses
-//! its links, one that is new gets keys. A file that is refused is logged, and the node goes on with
-//! the roster that it has.
+//! its links, one that is new gets keys. A file that is refused is logged, and the node goes on
+//! with the roster that it has.
 
 use super::keys::NodeKeys;
 use crate::platform;

@@ -38,8 +38,8 @@ pub use isolation::IsolateError;
 /// is sent reliably. Nodes that are no neighbours reach each other through those that are.
 ///
 /// A node with [keys](crate::NodeBuilder::keys) seals each network that leaves the process. Without
-/// them, one that leaves this computer must be declared [`insecure`](Network::insecure), or the node
-/// does not start.
+/// them, one that leaves this computer must be declared [`insecure`](Network::insecure), or the
+/// node does not start.
 ///
 /// Needs the feature `network`; a network over UDP, for example, needs `ip`, which implies it.
 ///
@@ -167,10 +167,10 @@ impl Network {
     /// Accepts that every station on this network can read its traffic and command this robot: the
     /// node has no [keys](crate::NodeBuilder::keys), so nothing is authenticated or encrypted.
     /// Without keys, and without this word or `insecure` in the endpoint's text, a network that
-    /// leaves this computer is [`StartError::Insecure`](crate::StartError::Insecure). Such a network
-    /// has the fault [`Insecure`](crate::FaultKind::Insecure) for as long as the node runs. The word
-    /// changes nothing about a network that stays within this computer. A node that has keys refuses
-    /// it. See the [manual](crate::manual::security).
+    /// leaves this computer is [`StartError::Insecure`](crate::StartError::Insecure). Such a
+    /// network has the fault [`Insecure`](crate::FaultKind::Insecure) for as long as the node runs.
+    /// The word changes nothing about a network that stays within this computer. A node that has
+    /// keys refuses it. See the [manual](crate::manual::security).
     pub fn insecure(mut self) -> Self {
         self.insecure = true;
         self

@@ -15,8 +15,8 @@ const STICKY: u32 = 0o1000;
 /// Reads a file that holds a secret, if no other user can read or replace it.
 ///
 /// # Errors
-/// What is wrong with the file or its folder, and the command that mends it. No error repeats a word
-/// of the file.
+/// What is wrong with the file or its folder, and the command that mends it. No error repeats a
+/// word of the file.
 pub fn read_secret(path: &Path) -> Result<Zeroizing<String>, String> {
     let (mut file, metadata) = open(path)?;
     check_secret(path, &metadata)?;

@@ -233,8 +233,8 @@ pub enum ConnectionTrust {
     /// that peer. For networks without keys.
     #[default]
     Claimed,
-    /// The connection is no peer's until the receiver says whose it is, by [`Adopt`]. Until then its
-    /// frames come from [`MediumAddress::Connection`], few and small, and not for long.
+    /// The connection is no peer's until the receiver says whose it is, by [`Adopt`]. Until then
+    /// its frames come from [`MediumAddress::Connection`], few and small, and not for long.
     Proven,
 }
 

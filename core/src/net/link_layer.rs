@@ -9,8 +9,8 @@
 //! **Without keys** a frame belongs to the link that leads to the address which it came from.
 //!
 //! **With keys** every frame is sealed for the neighbour, hellos included, and a frame belongs to
-//! the link whose neighbour has sealed it: an address proves nothing. What no node of this robot has
-//! sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
+//! the link whose neighbour has sealed it: an address proves nothing. What no node of this robot
+//! has sealed is counted in [`SealRefusals`] and reaches no link. A neighbour that shakes hands in
 //! another incarnation has restarted; its link goes down at once. A bus carries sealed hellos from
 //! each node to each other instead of one greeting to all.
 //!
@@ -39,7 +39,8 @@ use std::time::Duration;
 
 /// An address of a medium.
 pub trait LinkAddress: Clone + Ord + Hash {
-    /// Whether it is that of a connection whose other end has made it, and has not proved who it is.
+    /// Whether it is that of a connection whose other end has made it, and has not proved who it
+    /// is.
     fn is_connection(&self) -> bool;
 }
 
@@ -417,10 +418,10 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         }
     }
 
-    /// The neighbour has proved itself at this address. Where that is a connection's, the connection
-    /// is the neighbour's from here on. Both ends use the same one: the initiator receives the
-    /// responder's first frame on the connection that the responder has adopted. Any other address
-    /// proves nothing: it may be forged, and frames go where the user has said.
+    /// The neighbour has proved itself at this address. Where that is a connection's, the
+    /// connection is the neighbour's from here on. Both ends use the same one: the initiator
+    /// receives the responder's first frame on the connection that the responder has adopted. Any
+    /// other address proves nothing: it may be forged, and frames go where the user has said.
     fn adopt(&mut self, link: LinkId, peer: NodeId, from: A) {
         let Some(end) = self.ends.get_mut(&link) else { return };
         if end.adopted.as_ref() == Some(&from) {

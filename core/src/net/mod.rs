@@ -30,8 +30,9 @@
 //! `core/tests/net_header.rs` holds these numbers. Small messages that wait together share a part,
 //! and all of it but the length and their own fields.
 //!
-//! Where nodes have keys, [`link_layer`] seals all of it for the neighbour ([`seal`]): 24 bytes more
-//! on the wire, 12 on CAN. A node that passes a packet on opens it, and seals it for the next one.
+//! Where nodes have keys, [`link_layer`] seals all of it for the neighbour ([`seal`]): 24 bytes
+//! more on the wire, 12 on CAN. A node that passes a packet on opens it, and seals it for the next
+//! one.
 //!
 //! What this module does not do: multicast, congestion control towards strangers.
 

@@ -1,5 +1,5 @@
-//! Whatever frames arrive at whatever times, a node's seals neither panic nor pile anything up, open
-//! nothing, and send to no address more than came from there.
+//! Whatever frames arrive at whatever times, a node's seals neither panic nor pile anything up,
+//! open nothing, and send to no address more than came from there.
 
 #![no_main]
 

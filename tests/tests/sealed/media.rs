@@ -7,14 +7,14 @@ use blastema_tests::{RobotKeys, free_addresses};
 use std::path::Path;
 
 /// Two nodes on these networks find each other, and ask each other.
-async fn carries(folder: &Path, networks: [Network; 2], cipher: &str) -> [Node; 2] {
+async fn carries(folder: &Path, networks: [Network; 2], cipher: &str, requests: u32) -> [Node; 2] {
     let keys = RobotKeys::new(folder, &["left", "right"], 1);
     let [left, right] = networks;
     let left = node(&keys, "left", left).start().await.expect("it starts");
     let right = node(&keys, "right", right).start().await.expect("it starts");
     assert!(left.connected("right", PATIENCE).await, "{:?}", left.links().await);
     assert!(right.connected("left", PATIENCE).await, "{:?}", right.links().await);
-    for number in 1..=20 {
+    for number in 1..=requests {
         assert_eq!(ask(&left, "right").await, number);
         assert_eq!(ask(&right, "left").await, number);
     }
@@ -48,7 +48,7 @@ fn udp_tcp_and_unix_sockets_carry_sealed_links() {
                 let endpoint = format!("{scheme}://{}", at[own]);
                 Network::new("lan", &endpoint).peer(peer, &at[1 - own].to_string())
             };
-            end(carries(folder.path(), [network(0, "right"), network(1, "left")], "GCM").await)
+            end(carries(folder.path(), [network(0, "right"), network(1, "left")], "GCM", 20).await)
                 .await;
         }
         let folder = tempfile::tempdir().expect("a folder");
@@ -57,7 +57,7 @@ fn udp_tcp_and_unix_sockets_carry_sealed_links() {
             Network::new("local", &format!("unix://{}", socket(own))).peer(peer, &socket(peer))
         };
         let networks = [network("left", "right"), network("right", "left")];
-        end(carries(folder.path(), networks, "GCM").await).await;
+        end(carries(folder.path(), networks, "GCM", 20).await).await;
     });
 }
 
@@ -71,7 +71,7 @@ fn a_serial_line_carries_sealed_links_and_a_can_bus_authenticated_ones() {
             Network::new("line", &endpoint).peer(peer, "")
         };
         let networks = [network(&cable.left(), "right"), network(&cable.right(), "left")];
-        end(carries(folder.path(), networks, "GCM").await).await;
+        end(carries(folder.path(), networks, "GCM", 20).await).await;
 
         let folder = tempfile::tempdir().expect("a folder");
         let adapters = Adapters::new();
@@ -81,7 +81,8 @@ fn a_serial_line_carries_sealed_links_and_a_can_bus_authenticated_ones() {
             let endpoint = format!("slcan://{}?bitrate=1000000&address={own}", port.display());
             Network::new("bus", &endpoint).peer(peer, &(3 - own).to_string())
         };
-        end(carries(folder.path(), [network(1, "right"), network(2, "left")], "SHA").await).await;
+        end(carries(folder.path(), [network(1, "right"), network(2, "left")], "SHA", 20).await)
+            .await;
     });
 }
 
@@ -111,5 +112,19 @@ fn nodes_that_discover_each_other_get_sealed_links() {
         for node in [left, right, middle] {
             node.shutdown().await;
         }
+    });
+}
+
+#[test]
+fn the_slowest_serial_line_carries_sealed_links_with_the_frames_that_it_chooses() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cable = Cable::slow(960);
+        let network = |port: &Path, peer: &str| {
+            let endpoint = format!("serial://{}?baud=9600", port.display());
+            Network::new("line", &endpoint).peer(peer, "")
+        };
+        let networks = [network(&cable.left(), "right"), network(&cable.right(), "left")];
+        end(carries(folder.path(), networks, "GCM", 3).await).await;
     });
 }

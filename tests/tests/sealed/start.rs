@@ -64,6 +64,8 @@ fn keys_that_cannot_be_used_are_refused_with_what_to_do() {
         check(udp().insecure(), &["network lan is insecure and the node has keys"]).await;
         let unknown = Network::new("lan", "udp://127.0.0.1:0").peer("gripper", "127.0.0.1:9");
         check(unknown, &["gripper", "is not in roster 1 of ranger", "keys add gripper"]).await;
+        let small = Network::new("line", "serial:///dev/ttyS99?mtu=96").peer("right", "");
+        check(small, &["network line", "96 bytes", "mtu=120"]).await;
         let twice = udp().link(blastema::Link::to("right", "127.0.0.1:10").named("second"));
         check(twice, &["two links of network lan lead to right"]).await;
 

@@ -278,8 +278,8 @@ impl<C: SealCrypto, F: Fn(u32) -> C> World<C, F> {
         }
     }
 
-    /// The adversary is gone. Links that are down ask for new channels; within a second all are open
-    /// and everything that is sealed arrives.
+    /// The adversary is gone. Links that are down ask for new channels; within a second all are
+    /// open and everything that is sealed arrives.
     pub(crate) fn heal(&mut self) {
         self.in_flight.clear();
         // Nodes that were restarted within a fifth of a second are refused as long as that.

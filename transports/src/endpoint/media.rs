@@ -3,8 +3,8 @@
 use super::EndpointProblem;
 use blastema_core::suggestion::nearest;
 
-/// A medium, the feature of the package `blastema` that it needs, and whether this program was built
-/// with it.
+/// A medium, the feature of the package `blastema` that it needs, and whether this program was
+/// built with it.
 pub(super) type KnownMedium = (&'static str, &'static str, bool);
 
 pub(super) const MEDIA: [KnownMedium; 7] = [

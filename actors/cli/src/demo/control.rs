@@ -1,8 +1,9 @@
 //! The channel between the director and its modules: a Unix socket in a private folder.
 //!
 //! The folder, which holds the modules' keys too, exists only until all modules are ready, so that
-//! nothing is left behind even if the director is killed while the robot runs. Both sides check that
-//! the other one belongs to the same user, the director also that it is the process that it started.
+//! nothing is left behind even if the director is killed while the robot runs. Both sides check
+//! that the other one belongs to the same user, the director also that it is the process that it
+//! started.
 
 use super::protocol::{LINE_LIMIT, decode, encode};
 use super::robot::Module;

@@ -113,7 +113,7 @@ impl Handler<RemoveDiscoveredLink> for LinksActor {
         self.tell_monitor(number, LinkCondition::Forgotten);
         self.bundle.remove(number);
         self.forget_namesake(number);
-        self.keys_in_use.remove(&number);
+        self.forget_key_in_use(number);
         self.specs.remove(&number);
         self.drive(context);
     }

@@ -19,6 +19,8 @@ pub(super) struct KeyInUse {
     refused: Incarnation,
     first: Instant,
     last: Instant,
+    /// That is a fault, which stands.
+    declared: bool,
 }
 
 /// A process that was restarted within tenths of a second shakes hands while its former
@@ -75,7 +77,7 @@ impl LinksActor {
     /// The neighbour never came. Reports the link as down; that it is up is reported when it comes.
     pub(super) fn missing(&mut self, number: LinkId, hello_received: bool) {
         if self.mtu.is_none() {
-            // Why nothing is hello_received was reported, and is found here.
+            // Why no hello was received was reported, and is found here.
             self.unheard.insert(number);
             return;
         }
@@ -98,18 +100,20 @@ impl LinksActor {
     /// heard. It was restarted just now, or two computers have one key.
     pub(super) fn key_in_use(&mut self, number: LinkId, open: Incarnation, refused: Incarnation) {
         let now = platform::now();
-        let seen = KeyInUse { refused, first: now, last: now };
+        let seen = KeyInUse { refused, first: now, last: now, declared: false };
         let before = self.keys_in_use.get(&number).filter(|before| before.refused == refused);
         let seen = before.map_or(seen, |before| KeyInUse { last: now, ..*before });
-        self.keys_in_use.insert(number, seen);
-        if now - seen.first < RESTART_SPAN || !self.namesakes.insert(number) {
+        let declares = !seen.declared && now - seen.first >= RESTART_SPAN;
+        let declared = seen.declared || declares;
+        self.keys_in_use.insert(number, KeyInUse { declared, ..seen });
+        if !declares {
             return;
         }
         let Some(spec) = self.specs.get(&number) else { return };
         let neighbour = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let detail = format!(
             "the key of {neighbour} is in use twice, as incarnation {open} and as {refused}: two \
-             computers have one key file; give one of them a key of its own"
+             processes, perhaps of two computers, have one key file; give one of them a key of its own"
         );
         error!(network = %self.wiring.network, link = %spec.name, "{detail}");
         self.wiring.faults.declare(FaultKind::NameTaken, detail);
@@ -122,14 +126,27 @@ impl LinksActor {
         let free: Vec<_> =
             self.keys_in_use.iter().filter(|(_, seen)| free(seen)).map(|(n, _)| *n).collect();
         for number in free {
-            self.keys_in_use.remove(&number);
-            self.forget_namesake(number);
+            self.forget_key_in_use(number);
+        }
+    }
+
+    /// The neighbour's key is in use once, or the link is no more.
+    pub(super) fn forget_key_in_use(&mut self, number: LinkId) {
+        if self.keys_in_use.remove(&number).is_some_and(|seen| seen.declared) {
+            self.clear_names();
         }
     }
 
     /// The link has another neighbour, or is no more.
     pub(super) fn forget_namesake(&mut self, number: LinkId) {
-        if self.namesakes.remove(&number) && self.namesakes.is_empty() {
+        if self.namesakes.remove(&number) {
+            self.clear_names();
+        }
+    }
+
+    /// The fault is over when no name and no key is taken twice.
+    fn clear_names(&self) {
+        if self.namesakes.is_empty() && !self.keys_in_use.values().any(|seen| seen.declared) {
             self.wiring.faults.clear(FaultKind::NameTaken);
         }
     }

@@ -14,9 +14,9 @@ impl NodeBuilder {
         self
     }
 
-    /// Gives the node its key, which `blastema keys new` has made, and the roster beside it: all its
-    /// networks are [sealed](crate::manual::security). Without this line the environment variable
-    /// `BLASTEMA_KEYS` names the file, if it is set.
+    /// Gives the node its key, which `blastema keys new` has made, and the roster beside it: all
+    /// its networks are [sealed](crate::manual::security). Without this line the environment
+    /// variable `BLASTEMA_KEYS` names the file, if it is set and not empty.
     ///
     /// A file that is missing, another node's, or open to other users is
     /// [`StartError::Keys`](crate::StartError::Keys) when the node starts.

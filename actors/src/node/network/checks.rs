@@ -8,6 +8,7 @@ use crate::settings::SettingError;
 use crate::settings::network::{EXPECTED_WITHIN, HELLO_INTERVAL};
 use blastema_contract::transport::MediumAddress;
 use blastema_core::NodeName;
+use blastema_core::net::routing::MTU_MIN;
 use blastema_core::net::wire::advertisement::NEIGHBOURS_MAX;
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_transports::endpoint::is_interface;
@@ -101,8 +102,17 @@ impl Network {
         self.check_exposure(keys.is_some())
     }
 
-    /// On a sealed network each neighbour has a key, and one link.
+    /// On a sealed network frames have room for the seal, and each neighbour has a key, and one link.
     fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
+        let seal = self.seal_terms().map_or(0, |terms| terms.profile.overhead());
+        if let Some(mtu) = self.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
+            return Err(StartError::Network(format!(
+                "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: set \
+                 mtu={} at least",
+                self.name,
+                MTU_MIN + seal
+            )));
+        }
         let mut neighbours = SortedSet::new();
         for Link { neighbour, .. } in &self.links {
             let known = NodeName::new(neighbour).is_ok_and(|node| keys.key_of(&node).is_some());

@@ -49,7 +49,8 @@ impl Network {
         self.reach() != Reach::Process
     }
 
-    /// How its frames are sealed by a node that has keys. Within a process no other program can send.
+    /// How its frames are sealed by a node that has keys. Within a process no other program can
+    /// send.
     pub(in crate::node) fn seal_terms(&self) -> Option<SealTerms> {
         let (profile, forgeable_addresses) = match &self.medium {
             // Frames of a bus are small, and its cable is within the robot.
@@ -61,6 +62,19 @@ impl Network {
             _ => (SealProfile::Full, true),
         };
         self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
+    }
+
+    /// The largest frame that the user has set; `None` where the medium chooses it.
+    pub(super) fn set_mtu(&self) -> Option<usize> {
+        match &self.medium {
+            Medium::At(Endpoint::Udp(config)) => config.mtu,
+            Medium::At(Endpoint::Serial(config)) => config.mtu,
+            Medium::At(Endpoint::Tcp(config)) => Some(config.mtu),
+            Medium::At(Endpoint::Unix(config)) => Some(config.mtu),
+            Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),
+            Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
+            _ => None,
+        }
     }
 
     /// The network, for display.

@@ -1,6 +1,7 @@
 //! How a network that was described comes to be.
 
 use super::{Admitted, Cable, Link, Medium, Network, Remote};
+use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
 use crate::platform;
@@ -69,6 +70,15 @@ impl Medium {
         | Medium::At(Endpoint::Slcan(SlcanConfig { node, .. })) = self
         {
             node.name = own.to_string();
+        }
+    }
+
+    /// Lets the frames of a serial line hold a seal beside what they hold without one.
+    fn make_room_for(&mut self, seal: SealTerms) {
+        if let Medium::At(Endpoint::Serial(config)) = self
+            && config.mtu.is_none()
+        {
+            config.mtu = Some(config.mtu() + seal.profile.overhead());
         }
     }
 
@@ -155,6 +165,9 @@ impl Network {
         let link_names: Vec<String> = self.link_names().collect();
         let Network { name, mut medium, links, faults, interface, admission, beacons, .. } = self;
         medium.name_node(own);
+        if let Some(seal) = seal {
+            medium.make_room_for(seal);
+        }
         let of = format!("the name of network {name:?}");
         let object =
             ObjectName::new(&format!("transport/{name}")).map_err(StartError::name_of(of))?;

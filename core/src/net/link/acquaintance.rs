@@ -1,7 +1,7 @@
 //! Which node sends on a link, and in which incarnation.
 //!
-//! Where frames are sealed, the neighbour's key has proved both, and no frame comes twice. Elsewhere
-//! a hello that continues the neighbour's series is accepted at once. Any other (another
+//! Where frames are sealed, the neighbour's key has proved both, and no frame comes twice.
+//! Elsewhere a hello that continues the neighbour's series is accepted at once. Any other (another
 //! incarnation, another interval, a number far ahead) is accepted when the sender's next hello says
 //! the same, and the neighbour is silent although a hello was due, or has never been shown to
 //! receive ours. So a hello with a changed bit, one of an earlier incarnation that was late, and a

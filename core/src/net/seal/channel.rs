@@ -1,10 +1,10 @@
 //! A channel: two keys, and the counters under them; and the channels of one peer.
 //!
-//! A peer has up to three. Frames are sealed under the *present* one. The *offered* one is that of a
-//! handshake which this node has answered: it replaces the present one when a frame was opened under
-//! it, and not before, since the init may be a replay (key confirmation). The *former* one is that
-//! which was replaced last: for two seconds it opens frames that are still in flight, and seals
-//! none, so that new keys lose nothing.
+//! A peer has up to three. Frames are sealed under the *present* one. The *offered* one is that of
+//! a handshake which this node has answered: it replaces the present one when a frame was opened
+//! under it, and not before, since the init may be a replay (key confirmation). The *former* one is
+//! that which was replaced last: for two seconds it opens frames that are still in flight, and
+//! seals none, so that new keys lose nothing.
 //!
 //! Keys are in memory only, with the counters that go with them, and are dropped together: a nonce
 //! that is used twice tells an attacker the key of GCM's authentication.

@@ -135,7 +135,8 @@ impl<C: SealCrypto, A: Clone + Eq + Hash> Sealer<C, A> {
         }
     }
 
-    /// The peer has sent such a frame from there. The initiator sends them until it has received one.
+    /// The peer has sent such a frame from there. The initiator sends them until it has received
+    /// one.
     pub(super) fn handle_confirmation(&mut self, node: NodeId, from: &A) {
         if !self.is_initiator(node) {
             self.confirm(node, from.clone());

@@ -10,9 +10,9 @@
 //! payload within Noise: incarnation 8 │ serial of the roster 4
 //! ```
 //!
-//! `mac1` is the first 8 bytes of HMAC-SHA-256 under the pair's filter key over all bytes before it;
-//! `mac2` those under a cookie. The names are WireGuard's (Donenfeld, NDSS 2017). Every answer is at
-//! most as long as what it answers, so no address receives more than was sent from there.
+//! `mac1` is the first 8 bytes of HMAC-SHA-256 under the pair's filter key over all bytes before
+//! it; `mac2` those under a cookie. The names are WireGuard's (Donenfeld, NDSS 2017). Every answer
+//! is at most as long as what it answers, so no address receives more than was sent from there.
 
 use super::cipher::{CipherSuite, NOISE_MESSAGE, PAYLOAD};
 use crate::Incarnation;

@@ -14,8 +14,8 @@
 //! ```
 //!
 //! The receiver of a channel's frames chooses the channel's number. The counter is the low part of
-//! a number of 62 bits. The nonce is the lane, in the two highest of 64 bits, and that number. There
-//! is no associated data: the channel's number chooses the keys, the format is a fact of the
+//! a number of 62 bits. The nonce is the lane, in the two highest of 64 bits, and that number.
+//! There is no associated data: the channel's number chooses the keys, the format is a fact of the
 //! channel, and lane and counter are the nonce.
 
 use super::cipher::CipherSuite;
@@ -69,8 +69,8 @@ impl SealProfile {
     }
 }
 
-/// Frames of one lane stay in order. Each lane has counters of its own, since frames of one overtake
-/// those of another on their way to the medium.
+/// Frames of one lane stay in order. Each lane has counters of its own, since frames of one
+/// overtake those of another on their way to the medium.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FrameLane {
     /// Hellos, which overtake everything.

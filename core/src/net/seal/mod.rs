@@ -11,8 +11,8 @@
 //! ```
 //!
 //! A [`Sealer`] has the channels of all peers on one network, or of all peers that are reached over
-//! relays. Its caller gives it the peers' static public keys, says where they are, and gives it what
-//! the medium received. It seals and opens frames at once. What it does by itself, it says as
+//! relays. Its caller gives it the peers' static public keys, says where they are, and gives it
+//! what the medium received. It seals and opens frames at once. What it does by itself, it says as
 //! [`SealerOutput`]s.
 //!
 //! | file | concept |
@@ -27,18 +27,18 @@
 //! | `sealed_peer`, `handshake` | what is known of a peer; the course of a handshake on both sides |
 //!
 //! **Handshakes.** The smaller node number is the initiator, so handshakes never cross; the other
-//! end knocks. An init is repeated after 50 ms, 100 ms and so on up to a second, with a new ephemeral
-//! key after half a second. One handshake's message costs some 0.2 ms of arithmetic: such work waits
-//! until the caller gives it a turn ([`Sealer::handle_turn`]), one message each.
+//! end knocks. An init is repeated after 50 ms, 100 ms and so on up to a second, with a new
+//! ephemeral key after half a second. One handshake's message costs some 0.2 ms of arithmetic: such
+//! work waits until the caller gives it a turn ([`Sealer::handle_turn`]), one message each.
 //!
 //! **Before authentication.** A frame of a handshake passes, in this order: its form; `mac1`, which
 //! needs a key of the pair; the memory of repeats; a budget of fifty a second; beyond that, where
-//! addresses can be forged, a cookie. All of it takes less than 64 KiB, and no address receives more
-//! bytes than came from there.
+//! addresses can be forged, a cookie. All of it takes less than 64 KiB, and no address receives
+//! more bytes than came from there.
 //!
-//! **Attribution.** What was not opened is counted in [`SealRefusals`] and is no peer's fault: every
-//! node on the medium can send it. [`Sealer::refused_of`] counts what only a holder of the pair's key
-//! can have sent.
+//! **Attribution.** What was not opened is counted in [`SealRefusals`] and is no peer's fault:
+//! every node on the medium can send it. [`Sealer::refused_of`] counts what only a holder of the
+//! pair's key can have sent.
 //!
 //! What this module does not do: it does not know names, rosters or policies, or who may open a
 //! channel beyond the keys that it is given.

@@ -95,8 +95,8 @@ impl<C: SealCrypto, A> SealedPeer<C, A> {
     /// Both ends use the present channel. Returns whether these are new keys for a peer that was
     /// open in the same incarnation.
     ///
-    /// The address that a frame came from may be forged. It does not replace one that the caller has
-    /// given, or that has answered an init.
+    /// The address that a frame came from may be forged. It does not replace one that the caller
+    /// has given, or that has answered an init.
     pub(super) fn handle_open(&mut self, incarnation: Incarnation, from: A) -> bool {
         self.stop();
         self.address.get_or_insert(from);

@@ -26,7 +26,8 @@ pub struct SessionConfig {
     /// Sessions of this machine are numbered above this. A machine that is rebuilt within one
     /// incarnation of its node must be given a greater number than the one before ever used.
     pub number: u32,
-    /// Of the system's random source. No other node can compute the tags of this machine's sessions.
+    /// Of the system's random source. No other node can compute the tags of this machine's
+    /// sessions.
     pub seed: u64,
     /// How long the peer may owe an answer, or be without a path, before the session ends. Longer
     /// rides out longer outages; shorter gives messages back sooner. While there is a path whose

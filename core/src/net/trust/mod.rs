@@ -16,8 +16,8 @@
 //! | `policy` | roles, verbs, patterns, and the decision whether a peer may do something |
 //!
 //! A node reads its key and the roster when it starts, and seals its networks with them. Roles and
-//! the policy are parsed and shown; nothing enforces them yet. What this module does not do: it reads
-//! no file and no clock, and takes randomness as an argument.
+//! the policy are parsed and shown; nothing enforces them yet. What this module does not do: it
+//! reads no file and no clock, and takes randomness as an argument.
 
 pub mod crypto;
 pub mod key_file;

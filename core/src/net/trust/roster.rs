@@ -95,8 +95,8 @@ impl NodeRoster {
     /// Lists one more node.
     ///
     /// # Errors
-    /// Its name, its number or a key of it is another node's, its name is a word of policy lines, or
-    /// the list is full.
+    /// Its name, its number or a key of it is another node's, its name is a word of policy lines,
+    /// or the list is full.
     pub fn add(&mut self, node: RosterNode) -> Result<(), TrustProblem> {
         if node.name.as_str() == PEERS_END {
             return Err(TrustProblem::ReservedName);
@@ -121,8 +121,8 @@ impl NodeRoster {
         Ok(())
     }
 
-    /// Removes a node, also from the lines of the policy, and returns it. A line that names no other
-    /// is kept back: the number of the first such line, from 1 on, is returned instead.
+    /// Removes a node, also from the lines of the policy, and returns it. A line that names no
+    /// other is kept back: the number of the first such line, from 1 on, is returned instead.
     ///
     /// # Errors
     /// This line of the policy names the node alone; without it, what it closes would be open.

@@ -98,7 +98,8 @@ impl TrustProblem {
         TrustProblem::Expected { expected: what.to_string() }
     }
 
-    /// `found` is none of these. It is not repeated: it may be a secret that stands in a wrong place.
+    /// `found` is none of these. It is not repeated: it may be a secret that stands in a wrong
+    /// place.
     pub(super) fn unknown<'a>(found: &str, known: impl Iterator<Item = &'a str> + Clone) -> Self {
         TrustProblem::UnknownWord(match nearest(found, known.clone()) {
             Some(word) => format!("did you mean `{word}`?"),
