@@ -44,17 +44,14 @@ fn genuine() -> Vec<Bytes> {
         loss_permille: 3,
         echo: Some(Echo { incarnation: Incarnation(1), sequence: 1, held_us: 5 }),
     };
-    let advertisement_id = AdvertisementId {
-        origin: NodeId::of(&name("peer")),
-        incarnation: Incarnation(1),
-        sequence: 2,
-    };
+    let advertisement_id = AdvertisementId { origin: NodeId::of(&name("peer")), sequence: 2 };
     let edges = vec![Edge { to: NodeId::of(&name("own")), incarnation: 1, cost: 1, mtu: 1400 }];
     let announce = RoutingMessage::Announce(vec![Advertisement {
         id: advertisement_id,
+        incarnation: Incarnation(1),
         node: name("peer"),
         edges,
-        withdrawn: false,
+        signature: Some([9; 64]),
     }]);
     let range = Some((NodeId(0), NodeId(u32::MAX)));
     let have = RoutingMessage::Have { range, ids: vec![advertisement_id] };
@@ -265,15 +262,15 @@ fn a_flood_of_invented_nodes_is_refused_beyond_the_limit() {
     let mut router = router();
     for n in 0..1000 {
         let node = name(&format!("n{n}"));
-        let advertisement_id =
-            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(1), sequence: 1 };
+        let advertisement_id = AdvertisementId { origin: NodeId::of(&node), sequence: 1 };
         let edges =
             vec![Edge { to: NodeId::of(&name("peer")), incarnation: 1, cost: 1, mtu: 1400 }];
         let announce = RoutingMessage::Announce(vec![Advertisement {
             id: advertisement_id,
+            incarnation: Incarnation(1),
             node,
             edges,
-            withdrawn: false,
+            signature: None,
         }]);
         router.handle_routing(LinkId(0), announce.encode(), Instant::ORIGIN);
         router.handle_timeout(Instant::ORIGIN);

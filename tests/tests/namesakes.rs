@@ -63,7 +63,7 @@ async fn taken(mut faults: FaultEvents) -> Fault {
 }
 
 #[test]
-fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unharmed() {
+fn a_second_node_of_a_name_is_kept_out_and_told_so_and_the_first_ones_traffic_is_unharmed() {
     blastema::run(async {
         let [arm, base, head, other] = free::<4>();
         let middle = node("base", base, &[("arm", arm), ("head", head)]);
@@ -82,12 +82,12 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
         };
         add().await;
 
-        let of_first = first.fault_events();
+        let of_far = far.fault_events();
         let second = start_arm(other, ("head", head), 1_000).await;
         let of_second = second.fault_events();
-        let both = async { tokio::join!(taken(of_first), taken(of_second)) };
+        let both = async { tokio::join!(taken(of_far), taken(of_second)) };
         let mut both = std::pin::pin!(both);
-        let (of_first, of_second) = loop {
+        let (of_far, of_second) = loop {
             add().await;
             if let Ok(both) = tokio::time::timeout(Duration::from_millis(1), &mut both).await {
                 break both;
@@ -97,9 +97,9 @@ fn a_second_node_of_a_name_is_a_fault_of_both_and_the_first_ones_traffic_is_unha
             add().await;
         }
 
-        let locations = [&of_first, &of_second].map(|fault| fault.location.to_string());
-        assert_eq!(locations, ["arm:net/router", "arm:net/router"]);
-        assert!(of_first.detail.contains("kept out; end it"), "{}", of_first.detail);
+        let locations = [&of_far, &of_second].map(|fault| fault.location.to_string());
+        assert_eq!(locations, ["head:net/router", "arm:net/router"]);
+        assert!(of_far.detail.contains("kept out; end it"), "{}", of_far.detail);
         assert!(of_second.detail.contains("give it another name"), "{}", of_second.detail);
         assert!(second.sessions().await.iter().all(|session| session.status.incarnation.is_none()));
 

@@ -3,12 +3,14 @@
 use crate::platform;
 use crate::platform::key_files::{folder_of, read_public, read_secret};
 use blastema_contract::transport::MediumAddress;
+use blastema_core::net::routing::RouterKeys;
 use blastema_core::net::seal::{NoiseCrypto, SealProfile, Sealer, SealerConfig};
 use blastema_core::net::trust::key_file::KeyFile;
 use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::{Incarnation, NodeName};
 use std::path::{Path, PathBuf};
+use zeroize::Zeroizing;
 
 /// The keys with which a node seals what it sends.
 #[derive(Clone)]
@@ -139,6 +141,31 @@ impl NodeKeys {
         incarnation: Incarnation,
         terms: SealTerms,
     ) -> Sealer<NoiseCrypto, MediumAddress> {
+        let (config, random) = self.sealer_config(incarnation, terms);
+        Sealer::new(config, self.own.seed.handshakes(), *random, platform::now())
+    }
+
+    /// Signatures and seals for a router, for each life of it.
+    ///
+    /// # Panics
+    /// As [`sealer`](NodeKeys::sealer).
+    pub(super) fn router_keys(&self, incarnation: Incarnation) -> RouterKeys {
+        // A relay can put any source on a packet.
+        let terms = SealTerms { profile: SealProfile::Full, forgeable_addresses: true };
+        let (config, random) = self.sealer_config(incarnation, terms);
+        RouterKeys::new(&self.own.seed, &self.roster, config, *random, platform::now())
+    }
+
+    /// The roster.
+    pub(super) fn roster(&self) -> &NodeRoster {
+        &self.roster
+    }
+
+    fn sealer_config(
+        &self,
+        incarnation: Incarnation,
+        terms: SealTerms,
+    ) -> (SealerConfig, Zeroizing<[u8; 32]>) {
         let SealTerms { profile, forgeable_addresses } = terms;
         let node = NodeId::of(&self.own.node);
         let config = SealerConfig {
@@ -148,8 +175,8 @@ impl NodeKeys {
             forgeable_addresses,
             ..SealerConfig::new(node, incarnation, self.robot().as_str())
         };
-        let seed = platform::random_bytes().expect("the system gave random numbers at the start");
-        Sealer::new(config, self.own.seed.handshakes(), *seed, platform::now())
+        let random = platform::random_bytes().expect("the system gave random numbers at the start");
+        (config, random)
     }
 }
 

@@ -236,7 +236,8 @@ pub(crate) fn start(
     let faults = environment.own_faults("router");
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
     let recipients = (environment.nodes.clone(), own_isolation.clone());
-    let make = router::RouterActor::maker(identity.clone(), recipients, faults);
+    let keys = environment.keys.clone();
+    let make = router::RouterActor::maker(identity.clone(), recipients, faults, keys.clone());
     let router = guardian.start(named("router"), on_arbiter, make);
 
     let recipients = (environment.own_faults("sessions"), environment.nodes.clone());
@@ -274,7 +275,6 @@ pub(crate) fn start(
     environment.registry.connect(remote);
     remote_watch::serve(&environment.registry);
 
-    let keys = environment.keys.clone();
     let (mut watched, mut domains) = (Vec::new(), Vec::new());
     let networks = networks.into_iter().zip(numbers).map(|(spec, numbers)| {
         let name = named(&format!("links/{}", spec.name));
@@ -314,7 +314,8 @@ pub(crate) fn start(
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
     let roster = keys.map(|keys| {
-        let told = networks.iter().map(|(_, links)| links.clone().recipient()).collect();
+        let links = networks.iter().map(|(_, links)| links.clone().recipient());
+        let told = links.chain([router.clone().recipient()]).collect();
         Arc::new(roster_watch::RosterWatch::start(keys, told))
     });
     if let Some(discovery) = &discovery {

@@ -1,7 +1,9 @@
 //! The router's body.
 
 use super::fault_reporter::FaultReporter;
+use super::keys::NodeKeys;
 use super::own_isolation::OwnIsolation;
+use super::roster_watch::RosterChanged;
 use crate::platform;
 use crate::runtime::driver::{MachineActor, WakeTimer};
 use crate::runtime::guardian::answers_the_monitor;
@@ -22,8 +24,9 @@ use blastema_core::net::{self, LinkId, NodeId, RouterConfig, RouterOutput};
 use blastema_core::recovery::{RecoveryDone, RecoveryFailed};
 use blastema_core::sorted::{SortedMap, SortedSet};
 use blastema_core::{FaultKind, FaultLocation, Incarnation, NodeName};
+use std::sync::Arc;
 use tokio::sync::oneshot;
-use tracing::{debug, error, info};
+use tracing::{debug, error, info, warn};
 
 /// Forwards for this node.
 pub(super) struct RouterActor {
@@ -44,6 +47,8 @@ pub(super) struct RouterActor {
     isolated: SortedSet<NodeName>,
     /// Whether this node itself is, for want of a name of its own.
     own_isolation: OwnIsolation,
+    /// Each life of the machine agrees on keys of its own.
+    keys: Option<Arc<NodeKeys>>,
 }
 
 impl RouterActor {
@@ -51,11 +56,14 @@ impl RouterActor {
         (node, incarnation): (NodeName, Incarnation),
         (monitor, own_isolation): (Option<Recipient<NodeReported>>, OwnIsolation),
         faults: FaultReporter,
+        keys: Option<Arc<NodeKeys>>,
     ) -> impl FnOnce(&mut Context<Self>) -> Self + Send + 'static {
         move |_| {
             let config = RouterConfig::new(node, incarnation);
+            let machine = net::Router::new(config.clone(), platform::now());
             RouterActor {
-                machine: net::Router::new(config.clone(), platform::now()),
+                machine: with_keys(machine, keys.as_deref(), incarnation),
+                keys,
                 config,
                 wake: WakeTimer::default(),
                 links: SortedMap::new(),
@@ -79,7 +87,6 @@ impl RouterActor {
 
     fn clear(&self, trouble: RouterAlarm) {
         let kind = match trouble {
-            RouterAlarm::Forged => FaultKind::CheckFailed,
             RouterAlarm::NameTaken => FaultKind::NameTaken,
         };
         info!(fault = %kind, "nothing more of it was heard for a minute");
@@ -139,6 +146,17 @@ impl RouterActor {
     }
 }
 
+fn with_keys(
+    machine: net::Router,
+    keys: Option<&NodeKeys>,
+    incarnation: Incarnation,
+) -> net::Router {
+    match keys {
+        Some(keys) => machine.with_keys(keys.router_keys(incarnation)),
+        None => machine,
+    }
+}
+
 answers_the_monitor!(RouterActor);
 
 impl Actor for RouterActor {
@@ -150,7 +168,8 @@ impl Supervised for RouterActor {
         // What persists is reported again.
         self.machine.troubles().for_each(|trouble| self.clear(trouble));
         let reached = self.reached.clone();
-        self.machine = net::Router::restarted(self.config.clone(), reached, platform::now());
+        let machine = net::Router::restarted(self.config.clone(), reached, platform::now());
+        self.machine = with_keys(machine, self.keys.as_deref(), self.config.incarnation);
         for node in &self.isolated {
             self.machine.handle_isolation(node, true, platform::now());
         }
@@ -181,9 +200,9 @@ impl MachineActor for RouterActor {
                     links.do_send(RemoteLinkDown { link });
                 }
             }
-            RouterOutput::Segment { source, segment, direct } => {
+            RouterOutput::Segment { source, segment, authentic } => {
                 if let Some(sessions) = &self.sessions {
-                    sessions.segments.do_send(SegmentArrived { source, segment, direct });
+                    sessions.segments.do_send(SegmentArrived { source, segment, authentic });
                 }
             }
             RouterOutput::Undelivered { destination, reason } => {
@@ -197,12 +216,6 @@ impl MachineActor for RouterActor {
                 self.report_path(PathReported::Changed { node, mtu });
             }
             RouterOutput::Lost { node, incarnation } => self.lost(node, incarnation),
-            RouterOutput::Forged { neighbour, times } => {
-                let what = "links are announced in this node's name that it has not";
-                let detail =
-                    format!("{what}: {times} times within ten seconds, by way of {neighbour}");
-                self.declare(FaultKind::CheckFailed, detail);
-            }
             RouterOutput::Over(trouble) => {
                 if trouble == RouterAlarm::NameTaken {
                     self.own_isolation.let_in();
@@ -213,6 +226,24 @@ impl MachineActor for RouterActor {
                 self.declare(FaultKind::NameTaken, format!(
                     "the names {node} and {refused} give one node number: {refused} is kept out; \
                      rename it"
+                ));
+            }
+            RouterOutput::KeysDiffer { neighbour } => match &self.keys {
+                Some(_) => warn!(
+                    %neighbour,
+                    "the neighbour has no keys, and this node has: nodes behind it are not reached; \
+                     give it a key file of this robot"
+                ),
+                None => warn!(
+                    %neighbour,
+                    "the neighbour has keys, and this node has none: nodes behind it are not reached; \
+                     give this node a key file of that robot"
+                ),
+            },
+            RouterOutput::KeptOut { node, incarnation, by } => {
+                self.declare(FaultKind::NameTaken, format!(
+                    "a node called {node} has come up as {incarnation}, and {node} is reached as {by} \
+                     by another way: the new one is kept out; end it, or give it another name"
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: true } => {
@@ -291,6 +322,17 @@ impl Handler<SendSegment> for RouterActor {
             false => self.machine.handle_segment(peer, class, segment),
         }
         self.drive_soon(context);
+    }
+}
+
+impl Handler<RosterChanged> for RouterActor {
+    type Result = ();
+
+    fn handle(&mut self, message: RosterChanged, context: &mut Context<Self>) {
+        let RosterChanged(keys) = message;
+        self.machine.handle_roster(keys.roster(), platform::now());
+        self.keys = Some(keys);
+        self.drive(context);
     }
 }
 

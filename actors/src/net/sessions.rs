@@ -321,7 +321,7 @@ impl Handler<SegmentArrived> for SessionsActor {
     type Result = ();
 
     fn handle(&mut self, message: SegmentArrived, context: &mut Context<Self>) {
-        let SegmentArrived { source, segment, direct } = message;
+        let SegmentArrived { source, segment, authentic } = message;
         // A peer that the router has not told of yet repeats itself.
         let Some(session) = self.machines.get_mut(source) else {
             self.strangers.unexpected += 1;
@@ -329,7 +329,7 @@ impl Handler<SegmentArrived> for SessionsActor {
         };
         session.handle_segment(segment, platform::now());
         self.drive_soon(context);
-        if !direct && let Some(peer) = self.peers.get_mut(&source) {
+        if !authentic && let Some(peer) = self.peers.get_mut(&source) {
             peer.relayed = true;
         }
     }

@@ -32,8 +32,9 @@ pub struct SegmentArrived {
     pub source: NodeId,
     /// What.
     pub segment: Bytes,
-    /// It came over a link with that node itself.
-    pub direct: bool,
+    /// No other node can have made it: it came over a link with that node itself, or that node has
+    /// sealed it.
+    pub authentic: bool,
 }
 
 /// A node is isolated: nothing is passed on from it, to it, or over it. Or it is let in again.

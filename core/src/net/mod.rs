@@ -32,7 +32,8 @@
 //!
 //! Where nodes have keys, [`link_layer`] seals all of it for the neighbour ([`seal`]): 24 bytes
 //! more on the wire, 12 on CAN. A node that passes a packet on opens it, and seals it for the next
-//! one.
+//! one. What is in a packet that goes over a relay, [`routing`] has sealed for its destination
+//! before: 24 bytes more.
 //!
 //! What this module does not do: multicast, congestion control towards strangers.
 

@@ -3,7 +3,11 @@
 
 use blastema_core::net::OrderingKey;
 use blastema_core::net::link::{LinkConfig, LinkOutput, LinkState};
-use blastema_core::net::routing::{LinkHealth, LinkStatus};
+use blastema_core::net::routing::{LinkHealth, LinkStatus, RouterKeys};
+use blastema_core::net::seal::SealerConfig;
+use blastema_core::net::trust::crypto::Seed;
+use blastema_core::net::trust::policy::Role;
+use blastema_core::net::trust::roster::{NodeRoster, RosterNode};
 use blastema_core::net::wire::segment::Stream;
 use blastema_core::net::{
     Link, LinkId, NodeId, Router, RouterConfig, RouterOutput, Session, SessionConfig, SessionOutput,
@@ -69,14 +73,14 @@ pub(crate) struct World {
     /// When each node wants to be woken.
     pub(crate) due: Vec<Option<Instant>>,
     pub(crate) incarnations: Vec<u64>,
+    /// The nodes' keys: advertisements are signed, and what goes over a relay is sealed.
+    roster: Option<NodeRoster>,
     pub(crate) frames: Frames,
     pub(crate) count: u64,
     /// How often some traffic went another way.
     pub(crate) path_changes: u64,
     /// How often a link became suspect for what its neighbour said by another way.
     pub(crate) given_up: u64,
-    /// In whose name lies were told, and by way of whom.
-    pub(crate) liars: BTreeSet<(NodeName, NodeName)>,
     pub(crate) trace: DefaultHasher,
     pub(crate) sent: BTreeMap<(usize, u64, usize), u64>,
     /// What arrived, and in which incarnation of the receiver.
@@ -92,8 +96,37 @@ pub(crate) fn name(index: usize) -> NodeName {
     NodeName::new(&format!("module{index}")).unwrap()
 }
 
+fn secret(index: usize) -> Seed {
+    Seed::new([index as u8 + 1; 32])
+}
+
+/// A roster of so many nodes.
+fn roster(nodes: usize) -> NodeRoster {
+    let listed = (0..nodes).map(|index| RosterNode {
+        name: name(index),
+        keys: secret(index).public_keys(),
+        role: Role::Node,
+    });
+    NodeRoster::new(NodeName::new("ranger").unwrap(), listed).unwrap()
+}
+
 impl World {
+    /// Every other seed's nodes have keys.
     pub(crate) fn new(seed: u64, nodes: usize, wires: &[(usize, usize)], weather: Weather) -> Self {
+        let keys = (seed % 2 == 1).then(|| roster(nodes));
+        World::with_roster((seed, nodes), keys, wires, weather)
+    }
+
+    pub(crate) fn with_keys(seed: u64, nodes: usize, wires: &[(usize, usize)]) -> Self {
+        World::with_roster((seed, nodes), Some(roster(nodes)), wires, CALM)
+    }
+
+    fn with_roster(
+        (seed, nodes): (u64, usize),
+        roster: Option<NodeRoster>,
+        wires: &[(usize, usize)],
+        weather: Weather,
+    ) -> Self {
         let mut links = vec![0; nodes];
         let wire = |&(a, b): &(usize, usize)| {
             let ends = [(a, links[a]), (b, links[b])];
@@ -111,11 +144,11 @@ impl World {
             nodes: (0..nodes).map(|_| None).collect(),
             due: vec![None; nodes],
             incarnations: vec![0; nodes],
+            roster,
             frames: BTreeMap::new(),
             count: 0,
             path_changes: 0,
             given_up: 0,
-            liars: BTreeSet::new(),
             trace: DefaultHasher::new(),
             sent: BTreeMap::new(),
             delivered: BTreeMap::new(),
@@ -142,7 +175,14 @@ impl World {
                 }
             }
         }
-        let router = Router::new(RouterConfig::new(name(index), incarnation), now);
+        let mut router = Router::new(RouterConfig::new(name(index), incarnation), now);
+        if let Some(roster) = &self.roster {
+            let config = SealerConfig::new(NodeId::of(&name(index)), incarnation, "ranger");
+            let mut random = [index as u8; 32];
+            random[..8].copy_from_slice(&incarnation.0.to_be_bytes());
+            let keys = RouterKeys::new(&secret(index), roster, config, random, now);
+            router = router.with_keys(keys);
+        }
         let sessions = (0..self.incarnations.len()).filter(|peer| *peer != index).map(|peer| {
             let config = SessionConfig::new(name(index), incarnation, name(peer));
             (NodeId::of(&name(peer)), Session::new(config, now))
@@ -346,10 +386,7 @@ impl World {
                         session.handle_undelivered(reason, now);
                     }
                 }
-                RouterOutput::Forged { neighbour, .. } => {
-                    self.liars.insert((node.name.clone(), neighbour));
-                }
-                RouterOutput::NameTaken { .. } => {}
+                RouterOutput::NameTaken { .. } | RouterOutput::KeptOut { .. } => {}
                 other => panic!("{other:?}"),
             }
         }
@@ -447,7 +484,7 @@ pub(crate) fn read(message: &Bytes) -> Key {
 }
 
 /// Runs a scenario for many seeds; the seed of a failure is printed.
-pub(crate) fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
+pub(crate) fn for_seeds(seeds: impl IntoIterator<Item = u64>, scenario: impl Fn(u64)) {
     struct Tell(u64);
     impl Drop for Tell {
         #[expect(clippy::print_stderr, reason = "a failing test is repeated by its seed")]
@@ -459,7 +496,7 @@ pub(crate) fn for_seeds(seeds: std::ops::Range<u64>, scenario: impl Fn(u64)) {
     }
     // `BLASTEMA_SEED=n` adds one seed to those that every run has.
     let chosen = std::env::var("BLASTEMA_SEED").ok().map(|text| text.parse().expect("a number"));
-    for seed in seeds.chain(chosen) {
+    for seed in seeds.into_iter().chain(chosen) {
         let tell = Tell(seed);
         scenario(seed);
         drop(tell);

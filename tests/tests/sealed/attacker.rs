@@ -136,7 +136,7 @@ fn hello(of: &str, incarnation: u64, sequence: u32) -> Vec<u8> {
 }
 
 /// No fault of the node names another node, now or before.
-async fn accuses_no_node(node: &Node) {
+pub(super) async fn accuses_no_node(node: &Node) {
     for entry in node.faults().await.entries {
         let kind = &entry.fault.kind;
         use FaultKind::{LinkDown, NameTaken, NodeFaulty, NodeLost};

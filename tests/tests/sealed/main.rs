@@ -4,6 +4,7 @@
 mod attacker;
 mod media;
 mod processes;
+mod relay;
 mod start;
 
 use blastema::prelude::*;

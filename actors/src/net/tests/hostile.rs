@@ -21,7 +21,7 @@ async fn three() -> (Robot, [Module; 3]) {
 /// answers. Returns the declared faults.
 async fn under_fire(
     (victim, friend): (&Module, &Module),
-    (source, direct): (&str, bool),
+    (source, authentic): (&str, bool),
     words: &[Segment],
 ) -> Vec<FaultDeclared> {
     let source = NodeId::of(&NodeName::new(source).unwrap());
@@ -31,7 +31,7 @@ async fn under_fire(
     for n in 1..=50 {
         for segment in words.iter().cycle().take(20) {
             let segment = segment.clone();
-            victim.net.sessions.do_send(SegmentArrived { source, segment, direct });
+            victim.net.sessions.do_send(SegmentArrived { source, segment, authentic });
         }
         assert_eq!(sender.ask_within(Add(1), 100 * MS).await.unwrap(), before + n);
         advance(100 * MS).await;
@@ -205,7 +205,7 @@ fn what_is_refused_in_passing_is_no_fault() {
         let source = NodeId::of(&NodeName::new("right").unwrap());
         for _ in 0..200 {
             let segment = Segment::Reset { tag: 99 }.encode();
-            left.net.sessions.do_send(SegmentArrived { source, segment, direct: false });
+            left.net.sessions.do_send(SegmentArrived { source, segment, authentic: false });
         }
         advance(10_000 * MS).await;
 

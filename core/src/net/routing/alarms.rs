@@ -1,8 +1,7 @@
 //! Alarms that were reported as faults, until they clear.
 //!
 //! A condition that lasts is reported again and again: announcements are repeated every ten
-//! seconds, and the holder of a name is asked as often. A condition that is not reported for a
-//! minute has ended.
+//! seconds. A condition that is not reported for a minute has ended.
 
 use super::{Router, RouterAlarm, RouterOutput};
 use crate::net::active_alarms::QUIET;
@@ -21,10 +20,9 @@ impl Router {
 
     pub(super) fn end_troubles(&mut self) {
         for trouble in self.troubles.take_over(self.now) {
-            if trouble == RouterAlarm::NameTaken {
-                // When it begins again, it is told of again.
-                (self.reported_conflict, self.usurper) = (None, None);
-            }
+            // When it begins again, it is told of again.
+            self.reported_conflict = None;
+            self.forget_namesakes();
             self.outputs.push_back(RouterOutput::Over(trouble));
         }
     }

@@ -19,6 +19,8 @@ impl Router {
         };
         if self.isolated_links.contains_key(&link) || self.isolated.contains(&packet.source) {
             self.refusals.isolated += 1;
+        } else if self.unused.contains_key(&link) {
+            self.refusals.unexpected += 1;
         } else if packet.source == self.id {
             // It went in a circle, as packets may while nodes hear of a change one after the other,
             // and is repeated. Or another node uses our name; then the session asks no more often
@@ -31,20 +33,15 @@ impl Router {
                 Payload::Segment(_) | Payload::Return { .. } => self.forward(packet, link),
             }
         } else {
-            self.outputs.push_back(match packet.payload {
-                Payload::Copy { relays, .. } if !relays.is_empty() => {
-                    self.refusals.malformed += 1;
-                    return;
-                }
+            match packet.payload {
+                Payload::Copy { relays, .. } if !relays.is_empty() => self.refusals.malformed += 1,
                 Payload::Segment(segment) | Payload::Copy { segment, .. } => {
-                    let source = packet.source;
-                    let direct = self.links.get(&link).is_some_and(|link| link.id == source);
-                    RouterOutput::Segment { source, segment: segment.into_bytes(), direct }
+                    self.take_segment(link, packet.source, segment.into_bytes());
                 }
                 Payload::Return { destination, reason } => {
-                    RouterOutput::Undelivered { destination, reason }
+                    self.outputs.push_back(RouterOutput::Undelivered { destination, reason });
                 }
-            });
+            }
         }
     }
 
@@ -55,13 +52,15 @@ impl Router {
         class: PacketPriority,
         segment: GatherBuffer,
     ) {
+        let Some(link) = self.choose(destination, &[]) else {
+            let reason = UndeliveredReason::NoRoute;
+            return self.outputs.push_back(RouterOutput::Undelivered { destination, reason });
+        };
+        // Before there are keys it waits with the session, which repeats it.
+        let Some(segment) = self.protect((destination, link), class, segment) else { return };
         let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let payload = Payload::Segment(segment);
-        let packet = Packet { class, hops, destination, source, passed: Vec::new(), payload };
-        match self.choose(destination, &[]) {
-            Some(link) => self.pass(link, &packet),
-            None => self.give_back(&packet, UndeliveredReason::NoRoute),
-        }
+        let (payload, passed) = (Payload::Segment(segment), Vec::new());
+        self.pass(link, &Packet { class, hops, destination, source, passed, payload });
     }
 
     /// The same over ways that have as little in common as can be, each written into its copy: the
@@ -76,28 +75,38 @@ impl Router {
             let ways = self.topology().ways(destination);
             self.ways.insert(destination, ways);
         }
-        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
-        let ways = self.ways.get(&destination).map_or(&[][..], Vec::as_slice);
-        let copy = |(copy, way): (u8, &DisjointPath)| {
-            let adjacent = self.links.get(&way.link)?;
-            let segment = segment.clone();
-            let payload = match way.relays.split_first() {
-                None => Payload::Segment(segment),
-                Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
-            };
-            let packet =
-                Packet { class, hops, destination, source, passed: Vec::new(), payload }.parcel();
-            let fits = packet.len() + FRAME_HEADER <= adjacent.mtu.min(way.mtu).into();
-            let near = way.relays.len() <= hops.into();
-            (fits && near).then_some(RouterOutput::Packet { link: way.link, packet })
-        };
-        let copies: Vec<_> = (0..).zip(ways).filter_map(copy).collect();
+        let ways = self.ways.get(&destination).cloned().unwrap_or_default();
+        let copies: Vec<_> = (0..)
+            .zip(ways)
+            .filter_map(|(copy, way)| self.copy_over(way, (destination, copy), class, segment))
+            .collect();
         if copies.len() < 2 {
             // One way alone is followed by routes, each node knowing an alternate; or it is said
             // why none is.
             return self.handle_segment(destination, class, segment.clone());
         }
         self.outputs.extend(copies);
+    }
+
+    fn copy_over(
+        &mut self,
+        way: DisjointPath,
+        (destination, copy): (NodeId, u8),
+        class: PacketPriority,
+        segment: &GatherBuffer,
+    ) -> Option<RouterOutput> {
+        let mtu = self.links.get(&way.link)?.mtu.min(way.mtu);
+        let (hops, source) = (self.config.hops.min(HOPS_MAX), self.id);
+        let is_near = way.relays.len() <= hops.into();
+        let segment = self.protect((destination, way.link), class, segment.clone())?;
+        let payload = match way.relays.split_first() {
+            None => Payload::Segment(segment),
+            Some((_, relays)) => Payload::Copy { copy, relays: relays.to_vec(), segment },
+        };
+        let packet =
+            Packet { class, hops, destination, source, passed: Vec::new(), payload }.parcel();
+        let fits = packet.len() + FRAME_HEADER <= mtu.into();
+        (fits && is_near).then_some(RouterOutput::Packet { link: way.link, packet })
     }
 
     /// Passes a copy on by the way that is written in it, and by no other: on one of its own it

@@ -10,18 +10,20 @@
 //! [`advertisement`]: super::wire::advertisement
 
 mod alarms;
-mod contest;
 mod flooding;
 mod forwarding;
+mod keys;
+mod names;
 mod remote_down;
 mod timers;
 mod types;
 
 pub mod topology;
 
+pub use self::keys::RouterKeys;
 pub use self::types::{LinkHealth, LinkStatus, RouterAlarm, RouterConfig, RouterOutput};
 
-use self::contest::Dispute;
+use self::names::{Namesakes, UnusedLink};
 use super::active_alarms::ActiveAlarms;
 use super::wire::Refusals;
 use super::wire::advertisement::{Advertisement, AdvertisementId, RoutingMessage};
@@ -57,20 +59,11 @@ pub struct Router {
     refresh_at: Instant,
     /// The last reported pair, so that a collision is reported once and not with every flood.
     reported_conflict: Option<(NodeName, NodeName)>,
-    /// Withdrawals in our name, in their order.
-    withdrew: VecDeque<AdvertisementId>,
-    /// How often another node sent in our name within the last seconds, and since when.
-    forged: (Instant, u32),
-    /// The other node of our name that was reported last, and when we last defended it.
-    usurper: Option<Incarnation>,
-    defended_at: Instant,
-    /// A greater incarnation of our name that other nodes know, its last advertisement, and since
-    /// when it is known: perhaps an earlier one of ours, before the clock was set back.
-    unconfirmed_incarnation: Option<(AdvertisementId, Instant)>,
-    /// Names of which a later incarnation is isolated; at most as many as nodes are remembered.
-    disputes: SortedMap<NodeId, Dispute>,
-    /// Links to those incarnations, which are not used.
-    contested: SortedMap<LinkId, LinkStatus>,
+    namesakes: Namesakes,
+    /// Links to another node of a name, which are not used.
+    unused: SortedMap<LinkId, UnusedLink>,
+    /// Signatures and seals, where nodes have keys.
+    keys: Option<RouterKeys>,
     /// Alarms that were reported and are not over.
     troubles: ActiveAlarms<RouterAlarm>,
     /// Nodes that the router before this one could reach, and until when they may take to be found
@@ -88,21 +81,6 @@ pub struct Router {
 struct DatabaseEntry {
     advertisement: Advertisement,
     expires: Instant,
-    /// A path has led to this incarnation since; and it leads there no more.
-    reached: bool,
-    ended: bool,
-    /// The advertisement that counts until then, after a withdrawal.
-    believed: Option<(Advertisement, Instant)>,
-    /// The origin's withdrawals, the last first.
-    withdrawn: VecDeque<AdvertisementId>,
-}
-
-impl DatabaseEntry {
-    /// The advertisement from which paths are computed.
-    fn effective(&self) -> Option<&Advertisement> {
-        let newest = Some(&self.advertisement).filter(|newest| !newest.withdrawn);
-        self.believed.as_ref().map(|(believed, _)| believed).or(newest)
-    }
 }
 
 /// A link's smallest MTU in bytes: the hello of a node with the longest name fits, and half of a
@@ -114,10 +92,14 @@ impl Router {
     /// A router without links.
     pub fn new(config: RouterConfig, now: Instant) -> Self {
         let id = NodeId::of(&config.node);
-        let advertisement_id =
-            AdvertisementId { origin: id, incarnation: config.incarnation, sequence: 1 };
-        let (node, edges) = (config.node.clone(), Vec::new());
-        let own = Advertisement { id: advertisement_id, node, edges, withdrawn: false };
+        let sequence = AdvertisementId::first_sequence(config.incarnation) + 1;
+        let own = Advertisement {
+            id: AdvertisementId { origin: id, sequence },
+            incarnation: config.incarnation,
+            node: config.node.clone(),
+            edges: Vec::new(),
+            signature: None,
+        };
         let refresh_at = now + config.refresh;
         Router {
             config,
@@ -133,13 +115,9 @@ impl Router {
             computed_at: Instant::ORIGIN,
             refresh_at,
             reported_conflict: None,
-            withdrew: VecDeque::new(),
-            forged: (now, 0),
-            usurper: None,
-            defended_at: Instant::ORIGIN,
-            unconfirmed_incarnation: None,
-            disputes: SortedMap::new(),
-            contested: SortedMap::new(),
+            namesakes: Namesakes::default(),
+            unused: SortedMap::new(),
+            keys: None,
             troubles: ActiveAlarms::default(),
             remembered: None,
             wake_at: refresh_at,
@@ -210,10 +188,8 @@ impl Router {
         let LinkStatus { neighbour, health, cost, mtu } = status;
         let id = NodeId::of(&neighbour.node);
         let known = self.known.get(&id).map(|known| &known.advertisement.node);
-        if known.is_some_and(|known| *known != neighbour.node) {
-            let known = known.cloned();
-            self.tell_collision(known, neighbour.node);
-            return;
+        if let Some(known) = known.filter(|known| **known != neighbour.node).cloned() {
+            return self.tell_collision(known, neighbour.node);
         }
         self.isolated_links.remove(&link);
         if self.isolated.contains(&id) {
@@ -225,11 +201,10 @@ impl Router {
             }
             return;
         }
-        self.contested.remove(&link);
-        if health != LinkHealth::Down && self.is_contested(&neighbour.node, neighbour.incarnation) {
-            self.contest(link, LinkStatus { neighbour, health, cost, mtu });
-            return;
+        if health != LinkHealth::Down && self.is_kept_out(&neighbour) {
+            return self.set_aside(link, LinkStatus { neighbour, health, cost, mtu });
         }
+        self.unused.remove(&link);
         if health == LinkHealth::Down || mtu < MTU_MIN {
             if let Some(lost) = self.links.remove(&link) {
                 self.choose_anew();
@@ -261,6 +236,9 @@ impl Router {
                         number_there: None,
                         pending,
                         compare_at: now,
+                        differs_since: None,
+                        keys_differ: false,
+                        checks: Default::default(),
                     },
                 );
                 self.announce_links();
@@ -313,20 +291,14 @@ impl Router {
         }
         if !self.links.contains_key(&link) {
             self.refusals.unexpected += 1;
-            self.tell_contender(link);
-            return;
+            return self.handle_kept_out(link);
         }
         match RoutingMessage::decode(bytes) {
             Ok(RoutingMessage::Announce(advertisements)) => {
                 self.handle_announce(link, advertisements)
             }
             Ok(RoutingMessage::Have { range, ids }) => self.handle_have(link, range, &ids),
-            Ok(RoutingMessage::Dispute { contender, node }) => {
-                self.handle_dispute(link, contender, node)
-            }
-            Ok(RoutingMessage::Defend { against, advertisement }) => {
-                self.handle_defence(link, against, advertisement);
-            }
+            Ok(RoutingMessage::Taken { by }) => self.handle_taken(by),
             Ok(RoutingMessage::Numbered(number)) => self.handle_numbered(link, number),
             Ok(RoutingMessage::GaveUp(lost)) => self.handle_given_up(link, lost),
             Err(error) => self.refusals.count(&error),
@@ -340,20 +312,32 @@ impl Router {
         self.wake_at = self.wake_at.min(due);
     }
 
+    fn incarnation(&self) -> Incarnation {
+        self.own.incarnation
+    }
+
     /// The part of the network that is used.
     fn topology(&self) -> Topology<'_> {
+        self.topology_over(&self.links)
+    }
+
+    /// The same, with these links of this node.
+    fn topology_over<'a>(&'a self, links: &'a SortedMap<LinkId, Adjacency>) -> Topology<'a> {
         let known = self.known.iter().filter(|(id, _)| !self.isolated.contains(id));
-        let known = known.filter_map(|(id, known)| Some((*id, known.effective()?)));
-        Topology::new(self.id, &self.links, known)
+        let known = known.map(|(id, known)| (*id, &known.advertisement));
+        let overhead = self.keys.as_ref().map_or(0, RouterKeys::overhead);
+        Topology::new((self.id, overhead), links, known)
     }
 
     /// Computes the paths again and reports what has changed.
     fn compute(&mut self) {
         self.compute_at = None;
         self.computed_at = self.now;
+        self.look_for_namesakes();
         let routes = self.topology().routes();
         self.ways.clear();
         let mut before = std::mem::replace(&mut self.routes, routes);
+        let mut found = Vec::new();
         for (id, route) in &self.routes {
             let (mtu, incarnation) = (route.segment_limit(), route.incarnation);
             let output = match before.remove(id) {
@@ -363,14 +347,20 @@ impl Router {
                     }
                     RouterOutput::PathChanged { node: *id, mtu }
                 }
-                _ => RouterOutput::Reachable { node: route.node.clone(), incarnation, mtu },
+                _ => {
+                    found.push(*id);
+                    RouterOutput::Reachable { node: route.node.clone(), incarnation, mtu }
+                }
             };
             self.outputs.push_back(output);
         }
-        for Route { node, incarnation, .. } in before.into_values() {
+        for (id, Route { node, incarnation, .. }) in before {
+            self.stop_asking_for_keys(id);
             self.outputs.push_back(RouterOutput::Lost { node, incarnation });
         }
-        self.settle_disputes();
+        found.into_iter().for_each(|id| self.ask_for_keys(id));
+        self.collect_seals();
+        self.use_links_again();
     }
 
     fn report_not_found_again(&mut self) {

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! What is missing in the neighbour's newest announcement, and was in the one before, has been
-//! withdrawn; what was in neither is not announced yet, and says nothing. That others can lie in
-//! its name is no danger: the link becomes suspect, and dear, which diverts traffic where there is
+//! withdrawn; what was in neither is not announced yet, and says nothing. Where others can lie in
+//! its name, without keys, the link becomes suspect, and dear, which diverts traffic where there is
 //! another way; it goes on as soon as the neighbour's hellos say the contrary, and then such words
 //! do not count for a while.
 
@@ -48,21 +48,19 @@ impl Router {
 
     /// A node's newest announcement follows another: has it withdrawn its links with us?
     pub(super) fn hear_given_up(&mut self, before: Option<&Advertisement>, newest: &Advertisement) {
-        let (id, advertisement_id) = (self.id, newest.id);
-        let incarnation = Edge::incarnation_tag(self.own.id.incarnation);
+        let id = self.id;
+        let incarnation = Edge::incarnation_tag(self.incarnation());
         let with_us = |advertisement: &Advertisement| {
             advertisement.edges.iter().any(|edge| edge.to == id && edge.incarnation == incarnation)
         };
-        let before = before
-            .filter(|advertisement| advertisement.id.incarnation == advertisement_id.incarnation);
+        let before = before.filter(|before| before.incarnation == newest.incarnation);
         // One that is full may lack what there was no room for.
-        let complete = !newest.withdrawn && newest.edges.len() < NEIGHBOURS_MAX;
+        let complete = newest.edges.len() < NEIGHBOURS_MAX;
         if !complete || with_us(newest) || !before.is_some_and(with_us) {
             return;
         }
         let lost = self.links.iter().filter(|(_, adjacent)| {
-            adjacent.id == advertisement_id.origin
-                && adjacent.neighbour.incarnation == advertisement_id.incarnation
+            adjacent.id == newest.id.origin && adjacent.neighbour.incarnation == newest.incarnation
         });
         self.outputs.extend(lost.map(|(&link, _)| RouterOutput::GivenUp { link }));
     }

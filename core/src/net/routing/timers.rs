@@ -1,6 +1,7 @@
 //! When a router acts by itself.
 
 use super::Router;
+use super::keys::RouterKeys;
 use crate::Instant;
 use crate::timer::Timers;
 
@@ -11,8 +12,6 @@ pub(crate) enum RouterTimer {
     RefreshOwn,
     /// Forgets an origin whose advertisement was not refreshed for 35 s (OSPF: MaxAge).
     AdvertisementExpiry,
-    /// Applies a withdrawal, 50 ms after it was received (hold-down).
-    WithdrawalHold,
     /// Sends again what a neighbour has not confirmed for 40 ms, 400 ms on a narrow link (OSPF:
     /// RxmtInterval).
     Retransmit,
@@ -22,14 +21,17 @@ pub(crate) enum RouterTimer {
     /// Computes the paths after a change of the topology: at once, but 5 ms after the last time at
     /// the earliest (SPF delay, RFC 8405).
     ComputeRoutes,
-    /// Takes the holder of a disputed name for ended that has not defended it for a second (RFC
-    /// 5227: probe wait).
-    ConflictDefence,
+    /// Uses no link whose node has been announced in another incarnation for 1 s.
+    SetAside,
+    /// Uses the links again, 10 s after another node was found that had this one's name before.
+    YieldEnd,
     /// Reports the nodes that a restarted router has not found again after a second (OSPF: grace
     /// period, RFC 3623).
     RestartGrace,
     /// Clears an alarm that was not raised again for 60 s.
     AlarmClear,
+    /// Goes on with handshakes, as the sealer of paths wants it.
+    Handshake,
 }
 
 impl Timers for Router {
@@ -40,13 +42,14 @@ impl Timers for Router {
         &[
             RefreshOwn,
             AdvertisementExpiry,
-            WithdrawalHold,
             Retransmit,
             CompareDatabase,
             ComputeRoutes,
-            ConflictDefence,
+            SetAside,
+            YieldEnd,
             RestartGrace,
             AlarmClear,
+            Handshake,
         ]
     };
 
@@ -55,27 +58,28 @@ impl Timers for Router {
         match timer {
             RouterTimer::RefreshOwn => Some(self.refresh_at),
             RouterTimer::AdvertisementExpiry => known.map(|known| known.expires).min(),
-            RouterTimer::WithdrawalHold => {
-                known.filter_map(|known| Some(known.believed.as_ref()?.1)).min()
-            }
             RouterTimer::Retransmit => links.flat_map(|link| link.pending.values()).min().copied(),
             RouterTimer::CompareDatabase => links.map(|link| link.compare_at).min(),
             RouterTimer::ComputeRoutes => self.compute_at,
-            RouterTimer::ConflictDefence => self.dispute_ends(),
+            RouterTimer::SetAside => self.set_aside_due(),
+            RouterTimer::YieldEnd => self.namesakes.yields_until,
             RouterTimer::RestartGrace => self.remembered.as_ref().map(|(until, _)| *until),
             RouterTimer::AlarmClear => self.troubles.due(),
+            RouterTimer::Handshake => self.keys.as_ref().and_then(RouterKeys::due),
         }
     }
 
     fn fire(&mut self, timer: RouterTimer, now: Instant) {
         match timer {
             RouterTimer::RefreshOwn => self.renew(),
-            RouterTimer::AdvertisementExpiry | RouterTimer::WithdrawalHold => self.forget_the_old(),
+            RouterTimer::AdvertisementExpiry => self.forget_the_old(),
             RouterTimer::Retransmit | RouterTimer::CompareDatabase => self.synchronise(now),
             RouterTimer::ComputeRoutes => self.compute(),
-            RouterTimer::ConflictDefence => self.settle_disputes(),
+            RouterTimer::SetAside => self.set_namesakes_aside(),
+            RouterTimer::YieldEnd => self.end_yield(),
             RouterTimer::RestartGrace => self.report_not_found_again(),
             RouterTimer::AlarmClear => self.end_troubles(),
+            RouterTimer::Handshake => self.handle_handshakes(),
         }
     }
 }

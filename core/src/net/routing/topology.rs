@@ -4,9 +4,11 @@ mod disjoint;
 
 pub(crate) use self::disjoint::DisjointPath;
 
+use super::keys::CheckBudget;
 use super::{LinkHealth, MTU_MIN};
 use crate::net::is_narrow;
 use crate::net::link::Neighbour;
+use crate::net::seal::INIT_LENGTH;
 use crate::net::wire::advertisement::{Advertisement, Edge};
 use crate::net::wire::frame::FRAME_HEADER;
 use crate::net::wire::link_id::LinkId;
@@ -37,10 +39,13 @@ pub struct Route {
     pub mtu: u16,
     /// How many nodes pass a packet on along the longer of both.
     pub relays: u8,
+    /// The bytes of a seal for the destination. They are kept free also where the next node is the
+    /// destination, so that a detour changes no size.
+    pub overhead: u8,
 }
 
 /// A link that carries, and what its neighbour still has to be told.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Adjacency {
     pub(crate) neighbour: Neighbour,
     pub(crate) id: NodeId,
@@ -52,6 +57,12 @@ pub(crate) struct Adjacency {
     /// Origins whose advertisement the neighbour has not confirmed, and when to repeat it.
     pub(crate) pending: SortedMap<NodeId, Instant>,
     pub(crate) compare_at: Instant,
+    /// Since when its node is announced in another incarnation.
+    pub(crate) differs_since: Option<Instant>,
+    /// One end has keys, and the other has not, which was told.
+    pub(crate) keys_differ: bool,
+    /// The signatures that were checked for it.
+    pub(crate) checks: CheckBudget,
 }
 
 impl Adjacency {
@@ -70,15 +81,20 @@ pub(crate) fn segment_limit(mtu: u16) -> usize {
     usize::from(mtu).saturating_sub(FRAME_HEADER + PACKET_HEADER)
 }
 
+/// The same, where so many nodes pass it on.
+fn relayed_limit(mtu: u16, relays: u8) -> usize {
+    const MORE: usize = 2;
+    let relays = usize::from(relays.min(HOPS_MAX));
+    let list = passed_length(if relays == 0 { 0 } else { relays + MORE });
+    segment_limit(mtu).saturating_sub(list)
+}
+
 impl Route {
     /// The largest segment that both paths carry, with the list of those who pass it on. A way that
     /// becomes longer while it is under way adds two of them at most, or it comes back as too
     /// large.
     pub(crate) fn segment_limit(&self) -> usize {
-        const MORE: usize = 2;
-        let relays = usize::from(self.relays.min(HOPS_MAX));
-        let list = passed_length(if relays == 0 { 0 } else { relays + MORE });
-        segment_limit(self.mtu).saturating_sub(list)
+        relayed_limit(self.mtu, self.relays).saturating_sub(self.overhead.into())
     }
 
     /// Whether what is under way here is to be repeated over its successor: it goes another way, in
@@ -110,6 +126,8 @@ impl Route {
 /// The network as one node knows it.
 pub(crate) struct Topology<'a> {
     here: NodeId,
+    /// The bytes of a seal for a destination; 0 without keys.
+    overhead: usize,
     links: &'a SortedMap<LinkId, Adjacency>,
     known: SortedMap<NodeId, &'a Advertisement>,
 }
@@ -125,11 +143,11 @@ struct Distance {
 
 impl<'a> Topology<'a> {
     pub(crate) fn new(
-        here: NodeId,
+        (here, overhead): (NodeId, usize),
         links: &'a SortedMap<LinkId, Adjacency>,
         known: impl Iterator<Item = (NodeId, &'a Advertisement)>,
     ) -> Self {
-        Topology { here, links, known: known.collect() }
+        Topology { here, overhead, links, known: known.collect() }
     }
 
     pub(crate) fn routes(&self) -> SortedMap<NodeId, Route> {
@@ -159,11 +177,16 @@ impl<'a> Topology<'a> {
             .filter_map(|(number, link)| {
                 let from_neighbour = &from_neighbours[&link.id];
                 let rest = from_neighbour.get(&to)?;
+                let mtu = link.mtu.min(rest.mtu);
+                let is_relayed = rest.links > 0 && self.overhead > 0;
+                if is_relayed && relayed_limit(mtu, rest.links) < INIT_LENGTH {
+                    return None;
+                }
                 let cost = rest.cost.saturating_add(link.cost.into());
                 // It would not come back here (RFC 5286, inequality 1).
                 let back = from_neighbour.get(&self.here).map_or(0, |back| back.cost);
                 let free = rest.cost < back.saturating_add(from_here.cost);
-                Some((cost, *number, link, link.mtu.min(rest.mtu), (rest.links, free)))
+                Some((cost, *number, link, mtu, (rest.links, free)))
             })
             .collect();
         ways.sort_by_key(|(cost, number, ..)| (*cost, *number));
@@ -175,8 +198,9 @@ impl<'a> Topology<'a> {
             .map_or((mtu, relays), |(.., other, (more, _))| (mtu.min(*other), relays.max(*more)));
         let alternate = alternate.map(|(_, number, ..)| *number);
         let (node, incarnation) = self.identity(to)?;
+        let overhead = self.overhead.try_into().unwrap_or(u8::MAX);
         let mut route =
-            Route { node, incarnation, cost, next, alternate, chosen: None, mtu, relays };
+            Route { node, incarnation, cost, next, alternate, chosen: None, mtu, relays, overhead };
         if route.segment_limit() < SEGMENT_MIN {
             return None;
         }
@@ -184,15 +208,15 @@ impl<'a> Topology<'a> {
         Some(route)
     }
 
-    /// A node's name and newest known incarnation: its own words, or what a link to it has heard.
+    /// A node's name and incarnation: what a link to it has heard, or its own words.
     fn identity(&self, id: NodeId) -> Option<(NodeName, Incarnation)> {
-        let announced = self.known.get(&id).map(|a| (a.node.clone(), a.id.incarnation));
+        let announced = self.known.get(&id).map(|a| (a.node.clone(), a.incarnation));
         let observed = self
             .links
             .values()
             .filter(|link| link.id == id)
             .map(|link| (link.neighbour.node.clone(), link.neighbour.incarnation));
-        observed.chain(announced).max_by_key(|(_, incarnation)| *incarnation)
+        observed.max_by_key(|(_, incarnation)| *incarnation).or(announced)
     }
 
     /// Dijkstra's algorithm; ties are broken by the nodes' numbers.
@@ -238,7 +262,7 @@ impl<'a> Topology<'a> {
     fn announced(&self, id: NodeId) -> impl Iterator<Item = &Edge> {
         let known = self.known.get(&id).map_or(&[][..], |known| &known.edges);
         known.iter().filter(|edge| {
-            let announced = self.known.get(&edge.to).map(|known| known.id.incarnation);
+            let announced = self.known.get(&edge.to).map(|known| known.incarnation);
             usize::from(edge.mtu) >= MTU_MIN
                 && announced.is_none_or(|incarnation| {
                     Edge::incarnation_tag(incarnation) == edge.incarnation

@@ -78,8 +78,6 @@ pub enum LinkHealth {
 /// A condition that a router reports, and that lasts until a user acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RouterAlarm {
-    /// Another node announces links in this node's name.
-    Forged,
     /// Two nodes have one name, or one number.
     NameTaken,
 }
@@ -107,8 +105,9 @@ pub enum RouterOutput {
         source: NodeId,
         /// The segment.
         segment: Bytes,
-        /// It came over a link with the source itself: no other node can have forged it.
-        direct: bool,
+        /// No other node can have made it: it came over a link with the source itself, or the
+        /// source has sealed it.
+        authentic: bool,
     },
     /// A packet of ours could not be delivered.
     Undelivered {
@@ -145,13 +144,6 @@ pub enum RouterOutput {
         /// In which incarnation.
         incarnation: Incarnation,
     },
-    /// Another node announces links in this node's name again and again. It is outdone each time.
-    Forged {
-        /// Who passed it on, and may have done so in good faith.
-        neighbour: NodeName,
-        /// How often within ten seconds.
-        times: u32,
-    },
     /// Of this nothing was heard for a minute.
     Over(RouterAlarm),
     /// Two names give one node number. The second is ignored; give it another name.
@@ -161,12 +153,26 @@ pub enum RouterOutput {
         /// Who is ignored.
         refused: NodeName,
     },
-    /// Another node of our name is in the network. The older incarnation is taken for it, and the
-    /// other is kept out by all.
+    /// Another node of our name is in the network.
     NameTaken {
         /// The other's incarnation.
         incarnation: Incarnation,
-        /// Ours is the older incarnation.
+        /// Ours is the older incarnation, and keeps the name. The other is kept out by all.
         first: bool,
+    },
+    /// The neighbour signs what it advertises, and this node has no keys, or the other way round:
+    /// what it says is not taken.
+    KeysDiffer {
+        /// Which.
+        neighbour: NodeName,
+    },
+    /// A link to this node is not used: another incarnation of it is reached by other ways.
+    KeptOut {
+        /// Its name.
+        node: NodeName,
+        /// The incarnation that is kept out.
+        incarnation: Incarnation,
+        /// The incarnation that is reached.
+        by: Incarnation,
     },
 }

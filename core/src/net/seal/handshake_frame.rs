@@ -27,7 +27,8 @@ const COOKIE: u8 = 11;
 const PREFER: u8 = 12;
 const KNOCK: u8 = 13;
 
-pub(super) const INIT_LENGTH: usize = 89;
+/// The longest frame of a handshake, in bytes.
+pub(crate) const INIT_LENGTH: usize = 89;
 const ANSWER_LENGTH: usize = 76;
 const COOKIE_LENGTH: usize = 49;
 const PREFER_LENGTH: usize = 14;
@@ -35,6 +36,11 @@ const PREFER_LENGTH: usize = 14;
 pub(super) const INIT_MAC1: usize = 73;
 const INIT_MAC2: usize = 81;
 const KNOCK_MAC1: usize = 18;
+
+/// Whether this is a frame of a handshake, by its first byte.
+pub(crate) fn is_handshake(frame: &[u8]) -> bool {
+    frame.first() == Some(&FIRST)
+}
 
 /// What the ends tell each other within a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

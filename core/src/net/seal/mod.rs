@@ -59,6 +59,7 @@ pub mod window;
 pub use channel::{KeyLimits, OpenError};
 pub use cipher::{CipherSuite, SealCrypto};
 pub use handshake_frame::HandshakePayload;
+pub(crate) use handshake_frame::{INIT_LENGTH, is_handshake};
 pub use header::{FrameLane, SealProfile};
 pub use noise::NoiseCrypto;
 
@@ -78,6 +79,12 @@ use bytes::{Bytes, BytesMut};
 use std::collections::VecDeque;
 use std::hash::Hash;
 use std::time::Duration;
+
+/// Whether this is a frame of a sealer's, sealed or of a handshake, by its first byte. What is sent
+/// without a seal beside it begins with other bytes (RFC 7983 tells protocols apart so).
+pub(crate) fn is_seal_frame(frame: &[u8]) -> bool {
+    frame.first().is_some_and(|first| SealHeader::begins_with(*first)) || is_handshake(frame)
+}
 
 /// What channels are for. Keys of one use are never those of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,18 +3,21 @@
 //! ```text
 //! announce:  0 │ advertisement … to the frame's end
 //! have:      1 │ range 0 or 1 │ first 4 │ last 4 │ id … to the frame's end
-//! dispute:   2 │ id 16 │ n 1 │ name n
-//! defend:    3 │ incarnation 8 │ advertisement
+//! taken:     2 │ incarnation 8
 //! numbered:  4 │ link 2
 //! gave up:   5 │ link 2
 //!
-//! advertisement: id 16 │ n 1 │ name n │ count 1 │ count × (neighbour 4, incarnation 1, cost 2, mtu 2)
-//! id:            origin 4 │ incarnation 8 │ sequence 4
+//! advertisement: id 12 │ incarnation 8 │ n 1 │ name n │ s 1 bit, count 7 bits
+//!                │ count × (neighbour 4, incarnation 1, cost 2, mtu 2) │ s: signature 64
+//! id:            origin 4 │ sequence 8
 //! ```
 //!
-//! A count of 128 withdraws the advertisement with that id. Only so can an origin remove an
-//! advertisement that another node has sent in its name under the highest sequence, or with an
-//! incarnation that it never had (RFC 2328, 12.1.6 and 14.1, where an age does the same).
+//! Where nodes have keys, the origin signs its advertisement by Ed25519, so that no other node can
+//! make one: it covers all bytes before it. What is no advertisement counts for the neighbour
+//! alone.
+//!
+//! A node outdoes what an earlier incarnation of its own has said by a greater sequence (RFC 2328,
+//! 13.4), whatever the clock is that numbers incarnations.
 //!
 //! Flooding is reliable hop by hop, as in IS-IS: an advertisement is repeated until the neighbour
 //! confirms it (or a newer one). A `have` with a range lists everything between two nodes' numbers,
@@ -30,15 +33,16 @@ use bytes::{BufMut, Bytes, BytesMut};
 /// frame of most media, and seven of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
 /// The bytes of one id.
-pub(crate) const ID_LENGTH: usize = 16;
+pub(crate) const ID_LENGTH: usize = 12;
+/// The bytes of a signature.
+pub const SIGNATURE_LENGTH: usize = 64;
 /// The bytes of a `have` without its ids.
 pub(crate) const HAVE_HEADER: usize = 10;
 
 const ANNOUNCE: u8 = 0;
 const HAVE: u8 = 1;
-const WITHDRAWN: u8 = 128;
-const DISPUTE: u8 = 2;
-const DEFEND: u8 = 3;
+const SIGNED: u8 = 128;
+const TAKEN: u8 = 2;
 const NUMBERED: u8 = 4;
 const GAVE_UP: u8 = 5;
 
@@ -47,10 +51,8 @@ const GAVE_UP: u8 = 5;
 pub struct AdvertisementId {
     /// Whose.
     pub origin: NodeId,
-    /// In which incarnation.
-    pub incarnation: Incarnation,
-    /// The n-th of that incarnation.
-    pub sequence: u32,
+    /// Rises with each. An incarnation begins at [`first_sequence`](AdvertisementId::first_sequence).
+    pub sequence: u64,
 }
 
 /// One node's links, as it sees them.
@@ -58,12 +60,14 @@ pub struct AdvertisementId {
 pub struct Advertisement {
     /// Which.
     pub id: AdvertisementId,
+    /// The origin's incarnation.
+    pub incarnation: Incarnation,
     /// The origin's name.
     pub node: NodeName,
     /// Whom it has links to, at most [`NEIGHBOURS_MAX`].
     pub edges: Vec<Edge>,
-    /// The advertisement with this id is void; it has no edges.
-    pub withdrawn: bool,
+    /// The origin's, by Ed25519, where nodes have keys.
+    pub signature: Option<[u8; SIGNATURE_LENGTH]>,
 }
 
 /// One link, in one direction.
@@ -93,20 +97,11 @@ pub enum RoutingMessage {
         /// Which. A sequence of 0 asks for the origin's advertisement.
         ids: Vec<AdvertisementId>,
     },
-    /// A later incarnation of a node has come up, while routes lead to an older one: is that still
-    /// there?
-    Dispute {
-        /// The later incarnation; its sequence says nothing.
-        contender: AdvertisementId,
-        /// The name of both.
-        node: NodeName,
-    },
-    /// The older incarnation is there.
-    Defend {
-        /// The later incarnation, which is another node.
-        against: Incarnation,
-        /// The older one's newest.
-        advertisement: Advertisement,
+    /// Another node with the receiver's name is reached by other ways: the sender does not use
+    /// this link while it is.
+    Taken {
+        /// The other node's incarnation.
+        by: Incarnation,
     },
     /// I call this link so.
     Numbered(LinkId),
@@ -123,40 +118,53 @@ impl Edge {
 }
 
 impl AdvertisementId {
+    /// The sequence with which an incarnation begins: above all of those of an earlier one, unless
+    /// the clock was set back, and far below the highest.
+    pub fn first_sequence(incarnation: Incarnation) -> u64 {
+        // Milliseconds, each with room for a million advertisements.
+        (incarnation.0 & ((1 << 43) - 1)) << 20
+    }
+
     fn put(&self, bytes: &mut BytesMut) {
         bytes.put_u32(self.origin.0);
-        bytes.put_u64(self.incarnation.0);
-        bytes.put_u32(self.sequence);
+        bytes.put_u64(self.sequence);
     }
 
     fn read(reader: &mut Reader) -> Result<AdvertisementId, WireError> {
-        Ok(AdvertisementId {
-            origin: NodeId(reader.u32()?),
-            incarnation: Incarnation(reader.u64()?),
-            sequence: reader.u32()?,
-        })
+        Ok(AdvertisementId { origin: NodeId(reader.u32()?), sequence: reader.u64()? })
     }
 }
 
 impl Advertisement {
     /// How many bytes it takes.
     pub(crate) fn length(&self) -> usize {
-        ID_LENGTH + 2 + self.node.as_str().len() + 9 * self.edges.len()
+        let signature = self.signature.map_or(0, |signature| signature.len());
+        ID_LENGTH + 8 + 2 + self.node.as_str().len() + 9 * self.edges.len() + signature
     }
 
-    /// What takes this one back.
-    pub(crate) fn withdrawal(&self) -> Advertisement {
-        let node = self.node.clone();
-        Advertisement { id: self.id, node, edges: Vec::new(), withdrawn: true }
+    /// Of two of one origin, everybody takes the greater, also of two that differ and have one id
+    /// (RFC 2328, 13.1).
+    pub(crate) fn rank(&self) -> (AdvertisementId, Incarnation, &[Edge]) {
+        (self.id, self.incarnation, &self.edges)
+    }
+
+    /// The bytes that a signature covers.
+    pub(crate) fn signed_part(&self) -> Bytes {
+        let mut bytes = BytesMut::with_capacity(self.length());
+        self.put_unsigned(&mut bytes, SIGNED);
+        bytes.freeze()
     }
 
     fn put(&self, bytes: &mut BytesMut) {
+        self.put_unsigned(bytes, if self.signature.is_some() { SIGNED } else { 0 });
+        bytes.extend_from_slice(self.signature.as_ref().map_or(&[][..], |signature| signature));
+    }
+
+    fn put_unsigned(&self, bytes: &mut BytesMut, signed: u8) {
         self.id.put(bytes);
+        bytes.put_u64(self.incarnation.0);
         bytes.sized(self.node.as_str().as_bytes());
-        if self.withdrawn {
-            return bytes.put_u8(WITHDRAWN);
-        }
-        bytes.put_u8(self.edges.len().min(NEIGHBOURS_MAX) as u8);
+        bytes.put_u8(signed | self.edges.len().min(NEIGHBOURS_MAX) as u8);
         for edge in self.edges.iter().take(NEIGHBOURS_MAX) {
             bytes.put_u32(edge.to.0);
             bytes.put_u8(edge.incarnation);
@@ -166,21 +174,14 @@ impl Advertisement {
     }
 
     fn read(reader: &mut Reader) -> Result<Advertisement, WireError> {
-        let advertisement_id = AdvertisementId::read(reader)?;
+        let id = AdvertisementId::read(reader)?;
+        let incarnation = Incarnation(reader.u64()?);
         let node: NodeName = reader.parsed("a node's name")?;
-        if NodeId::of(&node) != advertisement_id.origin || advertisement_id.sequence == 0 {
+        if NodeId::of(&node) != id.origin || id.sequence == 0 {
             return Err(WireError::Malformed { what: "an advertisement's origin" });
         }
         let count = reader.u8()?;
-        if count == WITHDRAWN {
-            return Ok(Advertisement {
-                id: advertisement_id,
-                node,
-                edges: Vec::new(),
-                withdrawn: true,
-            });
-        }
-        let count = usize::from(count);
+        let (is_signed, count) = (count & SIGNED != 0, usize::from(count & !SIGNED));
         if count > NEIGHBOURS_MAX {
             return Err(WireError::TooLarge { what: "an advertisement" });
         }
@@ -193,7 +194,8 @@ impl Advertisement {
             }
             edges.push(edge);
         }
-        Ok(Advertisement { id: advertisement_id, node, edges, withdrawn: false })
+        let signature = if is_signed { Some(reader.array()?) } else { None };
+        Ok(Advertisement { id, incarnation, node, edges, signature })
     }
 }
 
@@ -218,15 +220,9 @@ impl RoutingMessage {
                     advertisement_id.put(&mut bytes);
                 }
             }
-            RoutingMessage::Dispute { contender, node } => {
-                bytes.put_u8(DISPUTE);
-                contender.put(&mut bytes);
-                bytes.sized(node.as_str().as_bytes());
-            }
-            RoutingMessage::Defend { against, advertisement } => {
-                bytes.put_u8(DEFEND);
-                bytes.put_u64(against.0);
-                advertisement.put(&mut bytes);
+            RoutingMessage::Taken { by } => {
+                bytes.put_u8(TAKEN);
+                bytes.put_u64(by.0);
             }
             RoutingMessage::Numbered(link) | RoutingMessage::GaveUp(link) => {
                 let gave_up = matches!(self, RoutingMessage::GaveUp(_));
@@ -264,18 +260,10 @@ impl RoutingMessage {
                 }
                 Ok(RoutingMessage::Have { range: ranged.then_some(range), ids })
             }
-            DISPUTE => {
-                let contender = AdvertisementId::read(&mut reader)?;
-                let node: NodeName = reader.parsed("a node's name")?;
-                if NodeId::of(&node) != contender.origin {
-                    return Err(WireError::Malformed { what: "a dispute's origin" });
-                }
-                Ok(RoutingMessage::Dispute { contender, node })
-            }
-            DEFEND => {
-                let against = Incarnation(reader.u64()?);
-                let advertisement = Advertisement::read(&mut reader)?;
-                Ok(RoutingMessage::Defend { against, advertisement })
+            TAKEN => {
+                let by = Incarnation(reader.u64()?);
+                reader.end("a name that is taken")?;
+                Ok(RoutingMessage::Taken { by })
             }
             kind @ (NUMBERED | GAVE_UP) => {
                 let link = LinkId(reader.u16()?);
@@ -297,19 +285,24 @@ mod tests {
 
     fn advertisement() -> Advertisement {
         let node = NodeName::new("m1").unwrap();
-        let advertisement_id =
-            AdvertisementId { origin: NodeId::of(&node), incarnation: Incarnation(2), sequence: 3 };
+        let advertisement_id = AdvertisementId { origin: NodeId::of(&node), sequence: 3 };
         let edges = vec![Edge { to: NodeId(9), incarnation: 7, cost: 10, mtu: 1400 }];
-        Advertisement { id: advertisement_id, node, edges, withdrawn: false }
+        let incarnation = Incarnation(2);
+        Advertisement { id: advertisement_id, incarnation, node, edges, signature: None }
     }
 
     #[test]
     fn the_bytes_of_routing_messages_are_these_for_ever() {
         let origin = NodeId::of(&NodeName::new("m1").unwrap()).0.to_be_bytes();
-        let advertisement_id = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3]].concat();
-        let announce =
-            [&[0], &advertisement_id[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
+        let advertisement_id = [&origin[..], &[0, 0, 0, 0, 0, 0, 0, 3]].concat();
+        let head = [&[0], &advertisement_id[..], &[0, 0, 0, 0, 0, 0, 0, 2]].concat();
+        let announce = [&head[..], b"\x02m1\x01\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
         assert_eq!(&RoutingMessage::Announce(vec![advertisement()]).encode()[..], announce);
+        let signed = Advertisement { signature: Some([5; SIGNATURE_LENGTH]), ..advertisement() };
+        let part = [&head[1..], b"\x02m1\x81\0\0\0\x09\x07\0\x0a\x05\x78"].concat();
+        assert_eq!(&signed.signed_part()[..], part);
+        let announce = [&[0], &part[..], &[5; SIGNATURE_LENGTH]].concat();
+        assert_eq!(&RoutingMessage::Announce(vec![signed]).encode()[..], announce);
         let range = Some((NodeId(1), NodeId(2)));
         let have = RoutingMessage::Have { range, ids: vec![advertisement().id] };
         assert_eq!(
@@ -320,19 +313,16 @@ mod tests {
 
     #[test]
     fn routing_messages_come_back_as_they_were_and_cut_ones_do_not() {
-        let withdrawal = advertisement().withdrawal();
-        let announce = RoutingMessage::Announce(vec![advertisement(), withdrawal, advertisement()]);
+        let signed = Advertisement { signature: Some([5; SIGNATURE_LENGTH]), ..advertisement() };
+        let announce =
+            RoutingMessage::Announce(vec![advertisement(), signed.clone(), advertisement()]);
         assert_eq!(RoutingMessage::decode(announce.encode()), Ok(announce));
         for range in [None, Some((NodeId(0), NodeId(u32::MAX)))] {
             let have = RoutingMessage::Have { range, ids: vec![advertisement().id; 3] };
             assert_eq!(RoutingMessage::decode(have.encode()), Ok(have));
         }
-        let contender = AdvertisementId { sequence: 0, ..advertisement().id };
-        let dispute = RoutingMessage::Dispute { contender, node: advertisement().node };
-        assert_eq!(RoutingMessage::decode(dispute.encode()), Ok(dispute));
-        let against = Incarnation(9);
-        let defend = RoutingMessage::Defend { against, advertisement: advertisement() };
-        assert_eq!(RoutingMessage::decode(defend.encode()), Ok(defend));
+        let taken = RoutingMessage::Taken { by: Incarnation(9) };
+        assert_eq!(RoutingMessage::decode(taken.encode()), Ok(taken));
         for (sent, bytes) in [
             (RoutingMessage::Numbered(LinkId(0x0102)), b"\x04\x01\x02"),
             (RoutingMessage::GaveUp(LinkId(0x0102)), b"\x05\x01\x02"),
@@ -341,10 +331,12 @@ mod tests {
             assert_eq!(RoutingMessage::decode(sent.encode()), Ok(sent));
             assert!(RoutingMessage::decode([&bytes[..], b"\0"].concat().into()).is_err());
         }
-        let one = RoutingMessage::Announce(vec![advertisement()]).encode();
-        assert_eq!(one.len(), 1 + advertisement().length());
-        for cut in 2..one.len() {
-            assert_eq!(RoutingMessage::decode(one.slice(..cut)), Err(WireError::Truncated));
+        for advertisement in [advertisement(), signed] {
+            let one = RoutingMessage::Announce(vec![advertisement.clone()]).encode();
+            assert_eq!(one.len(), 1 + advertisement.length());
+            for cut in 2..one.len() {
+                assert_eq!(RoutingMessage::decode(one.slice(..cut)), Err(WireError::Truncated));
+            }
         }
     }
 

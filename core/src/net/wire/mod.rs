@@ -69,7 +69,7 @@ pub struct Refusals {
     pub astray: u64,
     /// Understood, but from a node that is isolated, or by its way.
     pub isolated: u64,
-    /// Said in this node's own name, and not by it.
+    /// Not signed, or not sealed, by the node that it names as its origin.
     pub forged: u64,
 }
 
@@ -179,6 +179,13 @@ impl Reader {
     pub(crate) fn u64(&mut self) -> Result<u64, WireError> {
         self.need(8)?;
         Ok(self.0.get_u64())
+    }
+
+    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], WireError> {
+        self.need(N)?;
+        let mut array = [0; N];
+        self.0.copy_to_slice(&mut array);
+        Ok(array)
     }
 
     /// An unsigned number in groups of seven bits, the lowest first (LEB128): one byte up to 127.

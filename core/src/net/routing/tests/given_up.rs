@@ -46,12 +46,10 @@ fn what_is_not_announced_yet_was_not_given_up_and_neither_is_what_there_was_no_r
     // of.
     tell(&mut router, FIRST, advertisement("right", 1, &[("own", 1)]), 1030);
     tell(&mut router, FIRST, advertisement("left", 4, &[]), 1030);
-    let mut restarted = advertisement("left", 9, &[]);
-    restarted.id.incarnation = Incarnation(2);
-    tell(&mut router, SECOND, restarted, 1030);
     let many: Vec<_> = (0..64).map(|n| format!("n{n}")).collect();
     let many: Vec<_> = many.iter().map(|name| (name.as_str(), 1)).collect();
     tell(&mut router, SECOND, advertisement("left", 6, &many), 1030);
+    tell(&mut router, SECOND, of_incarnation(2, advertisement("left", 1, &[])), 1030);
 
     assert_eq!(given_up(&mut router, 1040), []);
 }

@@ -5,8 +5,7 @@ use super::*;
 #[test]
 fn a_restarted_node_is_told_with_its_new_incarnation() {
     let mut router = between_two();
-    let mut restarted = advertisement("far", 1, &[("left", 1), ("right", 1)]);
-    restarted.id.incarnation = Incarnation(2);
+    let restarted = of_incarnation(2, advertisement("far", 1, &[("left", 1), ("right", 1)]));
 
     // Its neighbours have heard the new incarnation instead of the old one, and have proved the
     // links again.
@@ -25,16 +24,12 @@ fn a_restarted_node_is_told_with_its_new_incarnation() {
 }
 
 #[test]
-fn a_new_incarnation_of_which_the_neighbours_say_nothing_waits_for_the_old_one_to_answer() {
+fn a_new_incarnation_is_reached_as_soon_as_a_neighbour_has_a_link_to_it() {
     let mut router = between_two();
-    let mut restarted = advertisement("far", 1, &[("left", 1), ("right", 1)]);
-    restarted.id.incarnation = Incarnation(2);
+    let restarted = of_incarnation(2, advertisement("far", 1, &[("left", 1), ("right", 1)]));
 
-    tell(&mut router, FIRST, restarted.clone(), 1020);
-    assert_eq!(without_routing(outputs(&mut router, 2010)), []);
-    outputs(&mut router, 2020);
-    tell(&mut router, FIRST, restarted, 2030);
-    let lost = without_routing(outputs(&mut router, 2040));
+    tell(&mut router, FIRST, restarted, 1020);
+    let lost = without_routing(outputs(&mut router, 1030));
     assert!(matches!(lost.last(), Some(RouterOutput::Lost { node, .. }) if *node == named("far")));
     let left = advertisement("left", 2, &[("own", 1), ("far", 1)]);
     tell(&mut router, FIRST, linked_to(2, "far", left), 2050);
@@ -55,27 +50,45 @@ fn a_router_built_anew_counts_on_and_tells_what_it_cannot_find_again() {
     tell(&mut router, FIRST, advertisement("own", 57, &[("left", 1)]), 1001);
 
     let reported = announced(&outputs(&mut router, 1010), FIRST);
-    assert_eq!(reported.last().unwrap().id.sequence, 58);
+    assert_eq!(reported.last().unwrap().id, advertisement("own", 58, &[]).id);
     let lost = without_routing(outputs(&mut router, 2100));
     let (node, incarnation) = (named("gone"), Incarnation(1));
     assert_eq!(lost, [RouterOutput::Lost { node, incarnation }]);
 }
 
 #[test]
-fn a_second_node_of_our_name_is_told_once_and_an_earlier_incarnation_of_ours_never() {
+fn what_an_earlier_incarnation_has_said_is_outdone_once_and_is_no_second_node() {
     let mut router = between_two();
-    let mut usurper = advertisement("own", 1, &[]);
-    usurper.id.incarnation = Incarnation(9);
+    // The clock was set back: the earlier one has the greater number.
+    let earlier = of_incarnation(9, advertisement("own", 1, &[("left", 1)]));
 
     for now in [1020, 1030, 1040, 3000] {
-        tell(&mut router, FIRST, usurper.clone(), now);
-        assert_eq!(without_routing(outputs(&mut router, now)), [], "it is only repeated");
+        tell(&mut router, FIRST, earlier.clone(), now);
+        let outputs = outputs(&mut router, now);
+        let own = announced(&outputs, FIRST).into_iter().find(|own| own.node == named("own"));
+        assert!(own.is_some_and(|own| own.id > earlier.id), "{outputs:?}");
+        assert_eq!(without_routing(outputs), []);
     }
-    for now in [3020, 3030, 3040] {
-        usurper.id.sequence += 1;
-        tell(&mut router, FIRST, usurper.clone(), now);
-    }
+}
 
-    let reported = without_routing(outputs(&mut router, 3050));
-    assert_eq!(reported, [RouterOutput::NameTaken { incarnation: Incarnation(9), first: true }]);
+#[test]
+fn who_outdoes_this_node_again_and_again_is_there_and_the_older_one_keeps_the_name() {
+    for (theirs, first) in [(9, true), (0, false)] {
+        let mut router = between_two();
+        let mut other = of_incarnation(theirs, advertisement("own", 1, &[("left", 1)]));
+        let mut reported = Vec::new();
+        for n in 1..=6 {
+            other.id.sequence = router.own.id.sequence + 1;
+            tell(&mut router, FIRST, other.clone(), 1000 + 200 * n);
+            reported.extend(without_routing(outputs(&mut router, 1000 + 200 * n)));
+        }
+        reported.retain(|output| matches!(output, RouterOutput::NameTaken { .. }));
+        let incarnation = Incarnation(theirs);
+        assert_eq!(reported, [RouterOutput::NameTaken { incarnation, first }]);
+        assert_eq!(router.route(id("far")).is_some(), first, "who yields uses no link");
+        if !first {
+            (12_900..13_000).for_each(|now| drop(outputs(&mut router, now)));
+            assert!(router.route(id("left")).is_some(), "for ten seconds");
+        }
+    }
 }

@@ -44,14 +44,16 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
                 number_there: None,
                 pending,
                 compare_at,
+                differs_since: None,
+                keys_differ: false,
+                checks: Default::default(),
             };
             (LinkId(number as u16), link)
         })
         .collect();
     let known: Vec<_> = (1..nodes)
         .map(|node| {
-            let advertisement_id =
-                AdvertisementId { origin: id(node), incarnation: Incarnation(1), sequence: 1 };
+            let (origin, incarnation) = (id(node), Incarnation(1));
             let edges = at_end(node).map(|(_, (far, cost))| Announced {
                 to: id(far),
                 incarnation: 1,
@@ -59,11 +61,13 @@ fn ways(nodes: usize, cables: &[Cable]) -> Vec<(u64, usize, Vec<usize>)> {
                 mtu: 1400,
             });
             let edges = edges.collect();
-            Advertisement { id: advertisement_id, node: name(node), edges, withdrawn: false }
+            let advertisement_id = AdvertisementId { origin, sequence: 1 };
+            let (node, signature) = (name(node), None);
+            Advertisement { id: advertisement_id, incarnation, node, edges, signature }
         })
         .collect();
     let known = known.iter().map(|known| (known.id.origin, known));
-    let ways = Topology::new(id(0), &links, known).ways(id(1));
+    let ways = Topology::new((id(0), 0), &links, known).ways(id(1));
     let index = |relay: &NodeId| (0..nodes).find(|node| id(*node) == *relay).unwrap();
     ways.iter()
         .map(|way| (way.cost, way.link.0.into(), way.relays.iter().map(index).collect()))
