@@ -7,6 +7,7 @@ pub(crate) mod file_lock;
 pub(crate) mod key_files;
 pub(crate) mod panics;
 pub(crate) mod processor_time;
+pub(crate) mod replace_file;
 pub(crate) mod signals;
 pub(crate) mod systemd;
 #[cfg(feature = "journal")]

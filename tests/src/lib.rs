@@ -112,6 +112,11 @@ impl RobotKeys {
         keys
     }
 
+    /// The keys that are in this folder.
+    pub fn there(folder: &Path) -> Self {
+        RobotKeys(folder.to_owned())
+    }
+
     /// The signed text of a roster of that robot.
     pub fn roster(nodes: &[&str], seed: u8, serial: u64) -> String {
         let listed = nodes.iter().map(|node| RosterNode {

@@ -10,6 +10,7 @@ use blastema_core::net::trust::roster::{NodeRoster, RosterOrder};
 use blastema_core::net::{NeighbourKey, NodeId};
 use blastema_core::{Incarnation, NodeName};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use zeroize::Zeroizing;
 
 /// The keys with which a node seals what it sends.
@@ -17,6 +18,8 @@ use zeroize::Zeroizing;
 pub(crate) struct NodeKeys {
     own: KeyFile,
     roster: NodeRoster,
+    /// The roster's signed text.
+    text: Arc<str>,
     path: PathBuf,
 }
 
@@ -69,7 +72,7 @@ impl NodeKeys {
                  copy the newest {node}.key and {robot}.roster here",
                 file.display()
             )),
-            Some(_) => Ok(NodeKeys { own, roster, path }),
+            Some(_) => Ok(NodeKeys { own, roster, text: text.as_str().into(), path }),
         }
     }
 
@@ -83,31 +86,44 @@ impl NodeKeys {
     /// # Errors
     /// It is refused, and why.
     pub(super) fn reread(&self) -> Result<Option<NodeKeys>, String> {
-        let (path, known) = (self.path.display(), self.serial());
-        let roster = NodeRoster::parse_signed(&read_public(&self.path)?, &self.own.signer)
-            .map_err(|error| format!("{path}: {error}"))?;
+        self.newer(&read_public(&self.path)?, &self.path.display().to_string())
+    }
+
+    /// The keys with this roster; `None` if it is the one that is known.
+    ///
+    /// # Errors
+    /// It is refused, and why. `place` says where it was found.
+    pub(super) fn newer(&self, text: &str, place: &str) -> Result<Option<NodeKeys>, String> {
+        let known = self.serial();
+        let roster = NodeRoster::parse_signed(text, &self.own.signer)
+            .map_err(|error| format!("{place}: {error}"))?;
         let serial = roster.serial;
         let own = roster.node(&self.own.node).map(|listed| listed.keys);
         match self.roster.order_of(&roster) {
             RosterOrder::Same => Ok(None),
             RosterOrder::Older => Err(format!(
-                "{path} has serial {serial}, and this node has seen {known}: copy the newest roster here"
+                "{place} has serial {serial}, and this node has seen {known}: copy the newest roster there"
             )),
             RosterOrder::Conflicting => Err(format!(
-                "{path} differs from the roster that this node has, under the same serial {serial}: two \
+                "{place} differs from the roster that this node has, under the same serial {serial}: two \
                  copies of the robot's file were changed; use one of them"
             )),
             RosterOrder::Newer if own.is_none() => Err(format!(
-                "{} is not in roster {serial} ({path}): it was revoked, and the other nodes refuse it",
+                "{} is not in roster {serial} ({place}): it was revoked, and the other nodes refuse it",
                 self.own.node
             )),
             RosterOrder::Newer if own != Some(self.own.seed.public_keys()) => Err(format!(
-                "roster {serial} ({path}) lists another key for {0}, and the other nodes refuse the one \
+                "roster {serial} ({place}) lists another key for {0}, and the other nodes refuse the one \
                  that it has: copy the newest {0}.key here, and start the node again",
                 self.own.node
             )),
-            RosterOrder::Newer => Ok(Some(NodeKeys { roster, ..self.clone() })),
+            RosterOrder::Newer => Ok(Some(NodeKeys { roster, text: text.into(), ..self.clone() })),
         }
+    }
+
+    /// The roster's signed text.
+    pub(super) fn roster_text(&self) -> &str {
+        &self.text
     }
 
     /// The robot's name.

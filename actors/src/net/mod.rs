@@ -29,6 +29,7 @@ pub(crate) mod keys;
 mod links;
 pub(crate) mod own_isolation;
 pub(crate) mod peer_messages;
+mod roster_exchange;
 mod roster_watch;
 mod router;
 pub(crate) mod safe_state;
@@ -68,6 +69,8 @@ use blastema_core::net::{LinkId, NodeId};
 use blastema_core::sorted::SortedSet;
 use blastema_core::{Incarnation, NodeName, ObjectName};
 use discovery::{AddNetworks, DiscoveryActor, DiscoveryNetwork, NetworkLinks};
+use roster_exchange::{AttachRosterWatch, RosterActor};
+use roster_watch::RosterWatch;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
@@ -198,8 +201,9 @@ pub(crate) struct NetHandle {
     stubs: Arc<stub::PeerStubs>,
     wardens: Arc<OnceLock<isolation::IsolationControl>>,
     carrier: Arc<carrier::CarrierMonitor>,
+    roster: Option<Addr<RosterActor>>,
     /// Ends with the last handle.
-    _roster: Option<Arc<roster_watch::RosterWatch>>,
+    _roster_watch: Option<Arc<RosterWatch>>,
 }
 
 /// Starts the network of a node, and connects the registry and the topics to it.
@@ -232,6 +236,16 @@ pub(crate) fn start(
         peer_messages::register_sink(named("discovery"), &environment.registry);
     }
     environment.observers.extend(discovery.clone().map(Addr::recipient));
+    let registry = environment.registry.clone();
+    let roster = environment.keys.clone().map(|keys| {
+        guardian.start(named("roster"), on_arbiter, move |context: &mut Context<_>| {
+            RosterActor::new(keys, &registry, context.address().recipient())
+        })
+    });
+    if roster.is_none() {
+        peer_messages::register_sink(named("roster"), &environment.registry);
+    }
+    environment.observers.extend(roster.clone().map(Addr::recipient));
 
     let faults = environment.own_faults("router");
     let own_isolation = own_isolation::OwnIsolation::new(node.clone());
@@ -313,10 +327,12 @@ pub(crate) fn start(
         (name, address)
     });
     let networks: Vec<(_, Addr<links::LinksActor>)> = networks.collect();
-    let roster = keys.map(|keys| {
+    let roster_watch = roster.as_ref().zip(keys).map(|(roster, keys)| {
         let links = networks.iter().map(|(_, links)| links.clone().recipient());
-        let told = links.chain([router.clone().recipient()]).collect();
-        Arc::new(roster_watch::RosterWatch::start(keys, told))
+        let told = links.chain([router.clone().recipient(), roster.clone().recipient()]).collect();
+        let watch = Arc::new(RosterWatch::start(keys, told));
+        roster.do_send(AttachRosterWatch(Arc::downgrade(&watch)));
+        watch
     });
     if let Some(discovery) = &discovery {
         discovery.do_send(AddNetworks(domains));
@@ -333,7 +349,8 @@ pub(crate) fn start(
         stubs,
         wardens,
         carrier,
-        _roster: roster,
+        roster,
+        _roster_watch: roster_watch,
     })
 }
 
@@ -472,6 +489,7 @@ impl NetHandle {
             vec![router.recipient(), sessions.recipient(), self.gateway.clone().recipient()];
         all.extend(self.networks.iter().map(|(_, links)| links.clone().recipient()));
         all.extend(self.discovery.clone().map(Addr::recipient));
+        all.extend(self.roster.clone().map(Addr::recipient));
         all
     }
 
@@ -487,6 +505,8 @@ impl NetHandle {
         }
         let discovery = self.discovery.clone().map(Addr::recipient);
         all.extend(discovery.map(|pings| (named("discovery"), pings)));
+        let roster = self.roster.clone().map(Addr::recipient);
+        all.extend(roster.map(|pings| (named("roster"), pings)));
         all
     }
 

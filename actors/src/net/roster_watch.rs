@@ -1,50 +1,70 @@
-//! Whether the file of the roster was replaced, looked at from a thread of its own.
+//! The newest roster: of the file, which may be replaced, and of what other nodes have. A thread of
+//! its own reads, checks and writes.
 //!
 //! A roster with a higher serial number is taken at once: a node that is not in it any more loses
-//! its links, one that is new gets keys. A file that is refused is logged, and the node goes on
-//! with the roster that it has.
+//! its links, one that is new gets keys. One that came from another node replaces the file. A file
+//! that is refused is logged, and the node goes on with the roster that it has.
 
 use super::keys::NodeKeys;
 use crate::platform;
 use crate::platform::key_files::FileStamp;
+use crate::platform::replace_file::replace_file;
 use actix::prelude::*;
+use blastema_core::NodeName;
 use std::sync::Arc;
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
-use tracing::{error, info};
+use tracing::{error, info, warn};
 
 /// How often the file is looked at.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
+/// So many rosters of other nodes wait to be checked; they are offered again.
+const OFFERS_MAX: usize = 4;
 
 /// There is a newer roster.
 #[derive(Clone, Message)]
 #[rtype(result = "()")]
 pub(crate) struct RosterChanged(pub(crate) Arc<NodeKeys>);
 
-/// Ends the watch when it is dropped. Nothing waits for the thread: a file system may keep it.
-pub(crate) struct RosterWatch {
-    /// Nothing is sent; the thread ends when it is gone.
-    _stop: Sender<()>,
+/// Another node has this roster.
+pub(super) struct RosterOffer {
+    pub(super) from: NodeName,
+    pub(super) text: String,
 }
+
+/// Ends the watch when it is dropped. Nothing waits for the thread: a file system may keep it.
+pub(crate) struct RosterWatch(SyncSender<RosterOffer>);
 
 impl RosterWatch {
     /// Tells these of each newer roster.
     pub(crate) fn start(keys: Arc<NodeKeys>, told: Vec<Recipient<RosterChanged>>) -> RosterWatch {
-        let (stop, stopped) = channel();
-        let watch = move || {
-            // It may have been replaced since the node has read it.
-            let mut file = RosterFile { stamp: None, keys, refused: None };
-            while stopped.recv_timeout(POLL_INTERVAL) == Err(RecvTimeoutError::Timeout) {
-                if let Some(keys) = file.look() {
-                    told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
-                }
-            }
-        };
+        let (offers, offered) = sync_channel(OFFERS_MAX);
+        // The file may have been replaced since the node has read it.
+        let file = RosterFile { stamp: None, keys, refused: None };
         // Without the thread, a new roster counts when the node starts again.
-        if let Err(error) = platform::start_thread("roster", watch) {
+        if let Err(error) = platform::start_thread("roster", move || watch(file, &offered, &told)) {
             error!("a newer roster will count at the next start only: {error}");
         }
-        RosterWatch { _stop: stop }
+        RosterWatch(offers)
+    }
+
+    /// Another node has a newer roster. It is dropped while others are checked.
+    pub(super) fn offer(&self, offer: RosterOffer) {
+        // The thread may not have started, which was told.
+        let _ = self.0.try_send(offer);
+    }
+}
+
+fn watch(mut file: RosterFile, offered: &Receiver<RosterOffer>, told: &[Recipient<RosterChanged>]) {
+    loop {
+        let newer = match offered.recv_timeout(POLL_INTERVAL) {
+            Ok(offer) => file.take(&offer),
+            Err(RecvTimeoutError::Timeout) => file.look(),
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
+        if let Some(keys) = newer {
+            told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
+        }
     }
 }
 
@@ -52,7 +72,7 @@ struct RosterFile {
     keys: Arc<NodeKeys>,
     /// Of the file that was read last; `None` if it is to be read.
     stamp: Option<FileStamp>,
-    /// Why it was refused, as it was logged.
+    /// Why a roster was refused, as it was logged.
     refused: Option<String>,
 }
 
@@ -63,7 +83,33 @@ impl RosterFile {
         if now.is_none() || std::mem::replace(&mut self.stamp, now) == now {
             return None;
         }
-        match self.keys.reread() {
+        let newer = self.keys.reread();
+        if newer.is_err() {
+            // It is tried again: what keeps it from being read may pass.
+            self.stamp = None;
+        }
+        self.adopt(newer)
+    }
+
+    /// The keys with the roster of another node, if that is newer.
+    fn take(&mut self, RosterOffer { from, text }: &RosterOffer) -> Option<Arc<NodeKeys>> {
+        let newer = self.keys.newer(text, &format!("the roster of node {from}"));
+        let keys = self.adopt(newer)?;
+        let path = keys.roster_path();
+        match replace_file(path, keys.roster_text().as_bytes()) {
+            Ok(()) => self.stamp = FileStamp::of(path),
+            Err(error) => warn!(
+                "roster {} of {from} is used, and cannot be kept in {}: {error}; at the next start it is \
+                 fetched again: let this user write to the folder, or copy it there",
+                keys.serial(),
+                path.display()
+            ),
+        }
+        Some(keys)
+    }
+
+    fn adopt(&mut self, newer: Result<Option<NodeKeys>, String>) -> Option<Arc<NodeKeys>> {
+        match newer {
             Ok(Some(keys)) => {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
                 self.keys = Arc::new(keys);
@@ -72,8 +118,6 @@ impl RosterFile {
             }
             Ok(None) => None,
             Err(refused) => {
-                // It is tried again: what keeps it from being read may pass.
-                self.stamp = None;
                 if self.refused.as_ref() != Some(&refused) {
                     error!("the roster is refused: {refused}");
                     self.refused = Some(refused);

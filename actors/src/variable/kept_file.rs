@@ -4,17 +4,18 @@
 //!  "blastema-variables 1\n" │ values, by the codec │ CRC-32C of all before, little-endian
 //! ```
 //!
-//! The whole file is written beside the old one, synchronised to the disk, and then renamed over
-//! it: whatever ends the process, or the power, leaves the old file or the new one.
+//! The whole file is replaced: whatever ends the process, or the power, leaves the old file or the
+//! new one.
 
 use crate::platform;
 use crate::platform::file_lock::{FileLock, beside};
+use crate::platform::replace_file::replace_file;
 use blastema_core::DeliveryError;
 use blastema_core::contract::codec;
 use blastema_core::variables::PersistedValue;
 use crc::{CRC_32_ISCSI, Crc};
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -65,14 +66,7 @@ fn save(path: &Path, values: &Vec<PersistedValue>) -> io::Result<()> {
     codec::encode_bounded(values, FILE_MAX, &mut encoded).map_err(io::Error::other)?;
     let mut bytes = [MAGIC, &encoded].concat();
     bytes.extend(CHECK.checksum(&bytes).to_le_bytes());
-    let new = beside(path, "new");
-    let mut file = File::create(&new)?;
-    file.write_all(&bytes)?;
-    file.sync_all()?;
-    fs::rename(&new, path)?;
-    // That it has its name now is the folder's content.
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    replace_file(path, &bytes)
 }
 
 /// Told whether the values are on the disk.

@@ -5,6 +5,7 @@ mod attacker;
 mod media;
 mod processes;
 mod relay;
+mod rosters;
 mod start;
 
 use blastema::prelude::*;

@@ -200,7 +200,13 @@ impl Signer {
         let path = roster_path(&self.path, &roster.robot);
         write(&path, &roster.sign(seed), PUBLIC, existing)?;
         let (path, serial, nodes) = (path.display(), roster.serial, roster.nodes().len());
-        said(&format!("{path}: serial {serial}, {nodes} nodes: copy it to all nodes\n"))
+        let whereto = match existing {
+            Existing::Keep => "copy it beside each node's key",
+            Existing::Replace => {
+                "copy it beside the key of one node that runs, which gives it to the others"
+            }
+        };
+        said(&format!("{path}: serial {serial}, {nodes} nodes: {whereto}\n"))
     }
 }
 

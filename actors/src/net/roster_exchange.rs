@@ -1,0 +1,173 @@
+//! Gives the newest roster to every node that this one has a session with.
+//!
+//! ```text
+//!  have:    0 │ serial 8
+//!  roster:  1 │ signed text
+//! ```
+//!
+//! A node says which serial number it has when a session begins, and when it has a newer roster.
+//! The one with the lower number is given the text. It believes the signature of the robot, not the
+//! node that sends it.
+
+use super::keys::NodeKeys;
+use super::peer_messages::{ActorMessageReceived, PeerChannel};
+use super::roster_watch::{RosterChanged, RosterOffer, RosterWatch};
+use crate::registry::Registry;
+use crate::runtime::guardian::answers_the_monitor;
+use actix::prelude::*;
+use blastema_contract::router::InjectPanic;
+use blastema_contract::session::PeerStatusChanged;
+use blastema_core::NodeName;
+use blastema_core::net::NodeId;
+use blastema_core::sorted::SortedMap;
+use bytes::Bytes;
+use std::sync::{Arc, Weak};
+
+const HAVE: u8 = 0;
+const ROSTER: u8 = 1;
+
+/// Speaks with the other nodes of rosters.
+pub(super) struct RosterActor {
+    keys: Arc<NodeKeys>,
+    channel: PeerChannel,
+    /// Nodes that a session is open with.
+    peers: SortedMap<NodeId, NodeName>,
+    /// It ends with the node's network.
+    watch: Weak<RosterWatch>,
+}
+
+/// What a node says of its roster.
+#[derive(Debug, PartialEq, Eq)]
+enum RosterMessage {
+    Have(u64),
+    Roster(String),
+}
+
+impl RosterMessage {
+    fn encode(&self) -> Bytes {
+        match self {
+            RosterMessage::Have(serial) => [&[HAVE][..], &serial.to_be_bytes()].concat().into(),
+            RosterMessage::Roster(text) => [&[ROSTER][..], text.as_bytes()].concat().into(),
+        }
+    }
+
+    fn decode(bytes: &[u8]) -> Option<Self> {
+        match bytes.split_first()? {
+            (&HAVE, serial) => {
+                Some(RosterMessage::Have(u64::from_be_bytes(serial.try_into().ok()?)))
+            }
+            (&ROSTER, text) => Some(RosterMessage::Roster(str::from_utf8(text).ok()?.to_owned())),
+            _ => None,
+        }
+    }
+}
+
+/// Takes the rosters of other nodes from now on.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct AttachRosterWatch(pub(super) Weak<RosterWatch>);
+
+impl RosterActor {
+    pub(super) fn new(
+        keys: Arc<NodeKeys>,
+        registry: &Registry,
+        reader: Recipient<ActorMessageReceived>,
+    ) -> Self {
+        let channel = PeerChannel::at(super::named("roster"), registry, reader);
+        RosterActor { keys, channel, peers: SortedMap::new(), watch: Weak::new() }
+    }
+
+    fn tell_serial(&mut self, node: &NodeName) {
+        let have = RosterMessage::Have(self.keys.serial());
+        self.channel.send(node, &have.encode());
+    }
+}
+
+answers_the_monitor!(RosterActor);
+
+impl Actor for RosterActor {
+    type Context = Context<Self>;
+}
+
+impl Supervised for RosterActor {}
+
+impl Handler<AttachRosterWatch> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, AttachRosterWatch(watch): AttachRosterWatch, _: &mut Context<Self>) {
+        self.watch = watch;
+    }
+}
+
+impl Handler<PeerStatusChanged> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, seen: PeerStatusChanged, _: &mut Context<Self>) {
+        match seen {
+            PeerStatusChanged::Opened { node, .. } => {
+                self.tell_serial(&node);
+                self.peers.insert(NodeId::of(&node), node);
+            }
+            PeerStatusChanged::Ended { node } | PeerStatusChanged::Left { node } => {
+                self.peers.remove(&NodeId::of(&node));
+            }
+        }
+    }
+}
+
+impl Handler<ActorMessageReceived> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, message: ActorMessageReceived, _: &mut Context<Self>) {
+        self.channel.read_one();
+        let Some(from) = self.peers.get(&message.from).cloned() else { return };
+        let own = self.keys.serial();
+        match RosterMessage::decode(&message.bytes) {
+            Some(RosterMessage::Have(serial)) if serial < own => {
+                let roster = RosterMessage::Roster(self.keys.roster_text().to_owned());
+                self.channel.send(&from, &roster.encode());
+            }
+            Some(RosterMessage::Have(serial)) if serial > own => self.tell_serial(&from),
+            Some(RosterMessage::Roster(text)) => {
+                if let Some(watch) = self.watch.upgrade() {
+                    watch.offer(RosterOffer { from, text });
+                }
+            }
+            Some(RosterMessage::Have(_)) | None => {}
+        }
+    }
+}
+
+impl Handler<RosterChanged> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, RosterChanged(keys): RosterChanged, _: &mut Context<Self>) {
+        self.keys = keys;
+        let peers: Vec<_> = self.peers.values().cloned().collect();
+        peers.iter().for_each(|node| self.tell_serial(node));
+    }
+}
+
+impl Handler<InjectPanic> for RosterActor {
+    type Result = ();
+
+    fn handle(&mut self, _: InjectPanic, _: &mut Context<Self>) {
+        panic!("the exchange of rosters panics on purpose");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_come_back_as_they_were_and_nothing_else_is_understood() {
+        for message in [RosterMessage::Have(7), RosterMessage::Roster("text".to_owned())] {
+            let bytes = message.encode();
+            assert_eq!(RosterMessage::decode(&bytes), Some(message));
+        }
+        for bytes in [&[][..], &[0], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9], &[1, 0xff], &[2]] {
+            assert_eq!(RosterMessage::decode(bytes), None);
+        }
+    }
+}
