@@ -150,10 +150,12 @@ pub(crate) fn run(rounds: usize) {
 }
 
 fn over(medium: &str, rounds: usize) {
-    let keys = BenchKeys::new(&["guarded", "vault"]);
+    let keys = BenchKeys::new(&["guarded", "vault", "near", "middle", "far"]);
     let [open_near, open_far, sealed_near, sealed_far] =
         addresses().map(|address| address.to_string());
     let [echo, near, left, right, far, single_near, single_far] =
+        addresses().map(|address| address.to_string());
+    let [sealed_end, sealed_left, sealed_right, sealed_beyond] =
         addresses().map(|address| address.to_string());
     let start = |arguments: &[&str]| Peer::start("remote", &texts(arguments));
     let _echo = start(&["bare", medium, &echo]);
@@ -163,6 +165,12 @@ fn over(medium: &str, rounds: usize) {
     // The same nodes without keys: those above have a third neighbour, or one thread.
     let _open = start(&["node", medium, "vault", &open_far, "guarded", &open_near]);
     let vault = keys.of("vault");
+    let (middle, beyond) = (keys.of("middle"), keys.of("far"));
+    let ends = ["near", &sealed_end, &sealed_right, "far", &sealed_beyond];
+    let _sealed_middle =
+        start(&[&["sealed", &middle, medium, "middle", &sealed_left], &ends[..]].concat());
+    let _sealed_far =
+        start(&["sealed", &beyond, medium, "far", &sealed_beyond, "middle", &sealed_right]);
     let _vault = start(&["sealed", &vault, medium, "vault", &sealed_far, "guarded", &sealed_near]);
     blastema::run(async {
         let link = network(medium, 0, &[open_near, "vault".into(), open_far]);
@@ -181,6 +189,10 @@ fn over(medium: &str, rounds: usize) {
         let node = Node::builder("near").network(link).start().await.expect("the node starts");
         let one = reached(&node, "middle:mirror").await;
         let two = reached(&node, "far:mirror").await;
+        let link = network(medium, 0, &[sealed_end, "middle".into(), sealed_left]);
+        let sealed_node = Node::builder("near").keys(keys.of("near")).network(link).start().await;
+        let sealed_node = sealed_node.expect("the node starts");
+        let two_sealed = reached(&sealed_node, "far:mirror").await;
         let title = format!("request and reply of 64 B between processes, {medium}");
         let mut table = Table::new(title, "us");
         let echo = echo.parse().expect("an address is printed as it is read");
@@ -191,6 +203,7 @@ fn over(medium: &str, rounds: usize) {
             table.add("Sender::ask, two nodes without keys", asked(&without_seals).await);
             table.add("Sender::ask, two nodes with keys", asked(&behind_seals).await);
             table.add("Sender::ask, two hops", asked(&two).await);
+            table.add("Sender::ask, two hops with keys", asked(&two_sealed).await);
         }
         table.print();
         let (one, two) = ("Sender::ask, one hop", "Sender::ask, two hops");
@@ -198,9 +211,12 @@ fn over(medium: &str, rounds: usize) {
         let [open_ratio, sealed] = ["without", "with"]
             .map(|keys| table.ratio(&format!("Sender::ask, two nodes {keys} keys")));
         println!("with keys it takes {:.2} times as long", sealed / open_ratio);
+        let behind = table.ratio("Sender::ask, two hops with keys") / table.ratio(two);
+        println!("two hops with keys take {behind:.2} times as long as without");
         open.shutdown().await;
         guarded.shutdown().await;
         node.shutdown().await;
+        sealed_node.shutdown().await;
         alone.shutdown().await;
     });
 }
