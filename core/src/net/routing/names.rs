@@ -50,8 +50,8 @@ pub(super) struct UnusedLink {
 pub(super) struct Namesakes {
     /// Which advertises links in this node's name, how often it was outdone, and when last.
     outdone: Option<(Incarnation, u8, Instant)>,
-    /// Which is reached by the neighbours, and since when they say so.
-    taken: Option<(Incarnation, Instant)>,
+    /// Which is reached by the neighbours, since when they say so, and when they did last.
+    taken: Option<(Incarnation, Instant, Instant)>,
     /// The last fault that was reported, so that it is reported once.
     reported: Option<Incarnation>,
     /// Until when this node uses no link.
@@ -166,13 +166,14 @@ impl Router {
             self.refusals.unexpected += 1;
             return;
         }
-        match self.namesakes.taken {
-            Some((other, since)) if other == by => {
-                if since + RESTARTED_WITHIN <= self.now {
-                    self.report_namesake(by, false);
-                }
-            }
-            _ => self.namesakes.taken = Some((by, self.now)),
+        let now = self.now;
+        let goes_on = |&(other, _, last): &(Incarnation, Instant, Instant)| {
+            other == by && now < last + RESTARTED_WITHIN / 2
+        };
+        let since = self.namesakes.taken.filter(goes_on).map_or(now, |(_, since, _)| since);
+        self.namesakes.taken = Some((by, since, now));
+        if since + RESTARTED_WITHIN <= now {
+            self.report_namesake(by, false);
         }
     }
 
