@@ -66,6 +66,9 @@ pub enum GiveUpReason {
         /// The bound.
         limit: usize,
     },
+    /// A user has ordered the child to start while it was put into the safe state.
+    #[error("it is started again, on request")]
+    StartedAgain,
     /// The supervisor lost this request when it was restarted.
     #[error("its supervisor was restarted")]
     Forgotten,
