@@ -1,8 +1,8 @@
 //! Which action answers a fault, and what comes next when it does not help.
 //!
 //! ```text
-//!  fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
-//!                                   └─ done ─► recovered, its symptoms are judged again
+//! fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
+//!                                  └─ done ─► recovered, its symptoms are judged again
 //! ```
 //!
 //! There is one case per place at a time: a second fault of the place joins it. A symptom waits
@@ -132,9 +132,9 @@ impl Recoverer {
         }
     }
 
-    /// A recoverer that begins with what this one had not settled, after its body has failed.
+    /// A recoverer that begins with what this one had not settled, after its actor has failed.
     #[must_use]
-    pub fn begun_anew(&self, now: Instant) -> Self {
+    pub fn restarted(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
         let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
         (next.orders, next.standstill) = (self.orders, self.standstill);

@@ -129,7 +129,7 @@ pub enum SupervisorOutput {
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -139,7 +139,7 @@ pub enum SupervisorOutput {
     /// The request is fulfilled as far as it can be: the new incarnation waits for something that
     /// is not there yet, and tries again by itself.
     Waits {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -148,7 +148,7 @@ pub enum SupervisorOutput {
     },
     /// The request is not going to be fulfilled.
     GaveUp {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
