@@ -2,6 +2,9 @@
 //! threads, so they stand in one function.
 
 use blastema::prelude::*;
+use blastema::{Network, NodeBuilder};
+use blastema_tests::free_addresses;
+use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 struct Lamp;
@@ -18,6 +21,38 @@ async fn settled(at_most: usize) -> usize {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     threads()
+}
+
+/// Waits until no socket of this process has the address.
+async fn freed(at: SocketAddr) {
+    let patience = Instant::now() + Duration::from_secs(10);
+    while let Err(error) = UdpSocket::bind(at) {
+        assert!(Instant::now() < patience, "{at}: {error}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+/// Starts a node with a network and something wrong, in so many ways, on its own threads and here.
+async fn fail_after_a_network(at: SocketAddr) {
+    let beside = |network: Network| move |node: NodeBuilder| node.network(network);
+    let local = || Network::udp("second", ([127, 0, 0, 1], 0).into());
+    for here in [false, true] {
+        let needy = ChildSpec::new("lamp", || Lamp).depends_on(["socket"]);
+        let wrong: [Box<dyn FnOnce(NodeBuilder) -> NodeBuilder>; 5] = [
+            Box::new(beside(Network::new("cable", "serial:///dev/ttyS0?buad=9600"))),
+            Box::new(beside(local().peer("n", "nowhere"))),
+            Box::new(beside(local().beacons("239.255.0.1:7399"))),
+            Box::new(beside(local().discover(["a name"]))),
+            Box::new(move |node| node.child(needy)),
+        ];
+        for (number, spoil) in wrong.into_iter().enumerate() {
+            let node = Node::builder("m").network(Network::udp("lan", at));
+            let node = if here { node.on_this_thread() } else { node };
+            let started = spoil(node).start().await;
+            assert!(started.is_err(), "{number}");
+            freed(at).await;
+        }
+    }
 }
 
 #[test]
@@ -51,6 +86,7 @@ fn a_node_that_cannot_start_says_why_and_leaves_no_thread() {
             .child(ChildSpec::new("lamp", || Lamp))
             .inspection_socket("/no/m.window");
         assert!(matches!(unseen.start().await, Err(StartError::Shown(_))));
+        fail_after_a_network(free_addresses(1)[0]).await;
         assert!(settled(before).await <= before);
 
         for _ in 0..10 {

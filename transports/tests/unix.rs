@@ -159,7 +159,7 @@ fn whoever_claims_no_path_is_refused_and_counted() {
         for (before, words) in words.into_iter().enumerate() {
             let mut stranger = UnixStream::connect(&a).unwrap();
             stranger.write_all(words).unwrap();
-            // Who hangs up before he was heard has only thought better of it.
+            // A connection that is closed before its preamble was read is no refusal.
             let refused = async {
                 while left.transport.send(ReadCounters).await.unwrap().refused == before as u64 {
                     tokio::task::yield_now().await;

@@ -205,7 +205,7 @@ impl Supervised for RecovererActor {
     fn restarting(&mut self, _: &mut Context<Self>) {
         self.wake = WakeTimer::default();
         self.engaged.clear();
-        self.machine = self.machine.begun_anew(platform::now());
+        self.machine = self.machine.restarted(platform::now());
     }
 }
 

@@ -51,9 +51,9 @@ impl<C: Component> ComponentChild<C> {
     /// `is_overdue`: it has had its time, and that is reported then.
     fn give_up(&mut self, is_overdue: bool) -> bool {
         let record = &self.cell.record;
-        let Some(incarnation) = self.cell.queue.owner() else { return false };
+        // At once: the guard may be about to pass the queue on to a replacement.
+        let Some(incarnation) = self.cell.queue.evict() else { return false };
         let mut keeps_thread = false;
-        self.cell.queue.leave(incarnation);
         let placement = record.take_placement();
         if let Some(placement) = &placement {
             record.keep_unwinding(incarnation, placement);

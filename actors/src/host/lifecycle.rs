@@ -141,6 +141,8 @@ pub(crate) struct IncarnationLifecycle {
     state: Lifecycle,
     /// At most one per hook, the next one first.
     hooks: SmallVec<[Hook; HOOK_COUNT]>,
+    /// The hook that has begun and not ended.
+    running: Option<Hook>,
     awaited: Option<Awaited>,
     /// Why it did not come to work. The supervisor, which waits for the start, hears of it when the
     /// incarnation has ended: only then may the next one begin.
@@ -160,6 +162,7 @@ impl IncarnationLifecycle {
         IncarnationLifecycle {
             state: Lifecycle::Created,
             hooks: smallvec![Hook::Initialize, Hook::Startup, Hook::Activated],
+            running: None,
             awaited: Some(Awaited::Start),
             start_failure: None,
             retried: None,
@@ -214,7 +217,9 @@ impl IncarnationLifecycle {
             return LifecycleStep::Rest;
         }
         if !self.hooks.is_empty() {
-            return LifecycleStep::Run(self.hooks.remove(0));
+            let hook = self.hooks.remove(0);
+            self.running = Some(hook);
+            return LifecycleStep::Run(hook);
         }
         match self.end {
             Some(end) => LifecycleStep::End(end),
@@ -225,6 +230,18 @@ impl IncarnationLifecycle {
 
     /// A hook has ended.
     pub(crate) fn handle_done(&mut self, hook: Hook, result: Result<(), Failure>) {
+        self.running = None;
+        let has_failed = match hook {
+            Hook::Initialize | Hook::Startup | Hook::Activated | Hook::Deactivated => {
+                matches!(self.state, Lifecycle::Error | Lifecycle::Fatal)
+            }
+            Hook::Reset => self.state == Lifecycle::Fatal,
+            _ => false,
+        };
+        // A failure that was declared while the hook ran counts, unless the hook fails for good.
+        if has_failed && result.as_ref().err().is_none_or(|failure| !failure.fatal) {
+            return;
+        }
         match (hook, result) {
             (
                 Hook::Initialize | Hook::Startup | Hook::Activated | Hook::Reset,
@@ -419,11 +436,13 @@ impl IncarnationLifecycle {
     /// Leave work, or return to it. Without effect where the state does not allow it.
     pub(crate) fn handle_activate(&mut self, active: bool) {
         match (self.state, active, self.end) {
-            (Lifecycle::Active, false, None) if self.hooks.is_empty() => {
+            (Lifecycle::Active, false, None) if !self.is_due(Hook::Deactivated) => {
                 self.hooks.push(Hook::Deactivated);
             }
             (Lifecycle::Initialized, true, None)
-                if self.hooks.is_empty() && self.retried.is_none() =>
+                if self.hooks.is_empty()
+                    && self.running != Some(Hook::Activated)
+                    && self.retried.is_none() =>
             {
                 self.hooks.push(Hook::Activated);
             }
@@ -431,9 +450,14 @@ impl IncarnationLifecycle {
         }
     }
 
+    /// The hook runs, or is to run.
+    fn is_due(&self, hook: Hook) -> bool {
+        self.running == Some(hook) || self.hooks.contains(&hook)
+    }
+
     /// The rate of execution has changed.
     pub(crate) fn handle_rate_changed(&mut self) {
-        if self.is_serving() {
+        if self.is_serving() && !self.is_due(Hook::Deactivated) {
             self.hooks.push(Hook::RateChanged);
         }
     }

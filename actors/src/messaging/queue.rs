@@ -245,6 +245,16 @@ impl<T> BoundedQueue<T> {
         self.change_owner_of(owner, None)
     }
 
+    /// Takes the queue from the incarnation that owns it, and says which that was.
+    pub(crate) fn evict(&self) -> Option<Incarnation> {
+        let mut queue = self.lock();
+        let owner = queue.owner;
+        let notices = self.change_owner(&mut queue, None);
+        drop(queue);
+        drop(notices);
+        owner
+    }
+
     fn change_owner_of(&self, from: Incarnation, to: Option<Incarnation>) -> bool {
         let mut queue = self.lock();
         let mine = queue.owner == Some(from);

@@ -48,6 +48,8 @@ use actix::prelude::*;
 use blastema_contract::monitor::Register;
 use blastema_contract::reports::AreYouAlive;
 use blastema_contract::strategy::EnterSafeState;
+#[cfg(feature = "network")]
+use blastema_contract::transport::Close;
 use blastema_core::detection::dependencies::Dependencies;
 use blastema_core::detection::hang::HangDetectorConfig;
 use blastema_core::detection::{Liveness, ObjectKind, Registration};
@@ -160,7 +162,13 @@ impl NodeAssembly {
                 watch_list: builder.watch_list.clone(),
                 ..environment(&parts, &node, &plan, arbiters.clone())
             }),
-            undone: StopOnFailure { arbiters, own, kept: false },
+            undone: StopOnFailure {
+                arbiters,
+                own,
+                #[cfg(feature = "network")]
+                transports: Vec::new(),
+                kept: false,
+            },
             placement: builder.placement,
             #[cfg(feature = "network")]
             networks: None,
@@ -469,16 +477,21 @@ fn rest_when_threads_run_out(
     }));
 }
 
-/// Ends the threads of a node that does not come to be.
+/// Ends the threads and transports of a node that does not come to be.
 struct StopOnFailure {
     arbiters: ArbiterPool,
     own: Vec<ArbiterHandle>,
+    #[cfg(feature = "network")]
+    transports: Vec<Recipient<Close>>,
     kept: bool,
 }
 
 impl Drop for StopOnFailure {
     fn drop(&mut self) {
         if !self.kept {
+            // The arbiter of a node that lives on one thread goes on.
+            #[cfg(feature = "network")]
+            self.transports.iter().for_each(|transport| transport.do_send(Close));
             self.arbiters.stop();
             for arbiter in &self.own {
                 arbiter.stop();

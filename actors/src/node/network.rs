@@ -1,6 +1,5 @@
 //! The networks of a node as they are described.
 
-#[cfg(feature = "ip")]
 mod beacons;
 pub(in crate::node) mod checks;
 mod claims;

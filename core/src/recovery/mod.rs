@@ -3,9 +3,9 @@
 //! ```text
 //!            Plan                    Rules
 //!             │                        │
-//! Fault ─► Recoverer ─RecoveryOrder─► strategy ─► Supervision ─► start, stop, abandon, reset, isolate
-//!          which action               which children, in which order,
-//!          by fault kind               and whether it is still worth it
+//! Fault ─► Recoverer ─RecoveryOrder─► strategy ─► Supervisor ─► start, stop, abandon, reset …
+//!          which action                           which children, in which order,
+//!          by fault kind                          and whether it is still worth it
 //! ```
 //!
 //! One master per decision. The [`Recoverer`] climbs the [`Plan`]'s ladder of actions for a kind

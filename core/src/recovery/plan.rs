@@ -45,7 +45,10 @@ pub enum PlanError {
         nearest: Option<String>,
     },
     /// The plan has an exception for a component that does not exist.
-    #[error("the plan has an answer to {kind} of {component}, but there is no such component{}", hint(.nearest))]
+    #[error(
+        "the plan has an answer to {kind} of {component}, but there is no such component{}",
+        hint(.nearest)
+    )]
     NoSuchComponent {
         /// The component that the plan names.
         component: ObjectName,
@@ -55,7 +58,10 @@ pub enum PlanError {
         nearest: Option<String>,
     },
     /// The plan names a strategy that was not given to the node.
-    #[error("the plan answers {what} by {strategy:?}, but no strategy of that name was handed over{}", hint(.nearest))]
+    #[error(
+        "the plan answers {what} by {strategy:?}, but no strategy of that name was handed over{}",
+        hint(.nearest)
+    )]
     NoSuchStrategy {
         /// What it answers.
         what: String,
@@ -104,7 +110,8 @@ pub enum PlanError {
     },
     /// Rungs behind an `Observe` can never be reached, because observing does not fail.
     #[error(
-        "the plan answers {what} by {action} behind observe, which never fails: let observe stand last"
+        "the plan answers {what} by {action} behind observe, which never fails: let observe stand \
+         last"
     )]
     Unreachable {
         /// What it answers.

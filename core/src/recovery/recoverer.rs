@@ -1,8 +1,8 @@
 //! Which action answers a fault, and what comes next when it does not help.
 //!
 //! ```text
-//!  fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
-//!                                   └─ done ─► recovered, its symptoms are judged again
+//! fault ─► case of its location ─► attempt ─► (back-off) ─► attempt ─► next rung ─► … ─► safe stop
+//!                                  └─ done ─► recovered, its symptoms are judged again
 //! ```
 //!
 //! There is one case per place at a time: a second fault of the place joins it. A symptom waits
@@ -47,8 +47,11 @@ enum Progress {
 
 #[derive(Clone, Debug)]
 struct Case {
-    /// Never empty, at most [`FAULTS_LIMIT`]. The first decides the ladder.
+    /// Never empty, at most [`FAULTS_LIMIT`].
     faults: Vec<Noted>,
+    /// The kind of the fault that opened the case: its ladder is climbed to the end, also when that
+    /// fault clears and others of the place remain.
+    kind: FaultKind,
     ladder: Ladder,
     rung: usize,
     attempt: u32,
@@ -129,9 +132,9 @@ impl Recoverer {
         }
     }
 
-    /// A recoverer that begins with what this one had not settled, after its body has failed.
+    /// A recoverer that begins with what this one had not settled, after its actor has failed.
     #[must_use]
-    pub fn begun_anew(&self, now: Instant) -> Self {
+    pub fn restarted(&self, now: Instant) -> Self {
         let seed = self.seed.wrapping_add(1);
         let mut next = Recoverer::new(self.node.clone(), self.plan.clone(), self.limits, seed);
         (next.orders, next.standstill) = (self.orders, self.standstill);
@@ -261,6 +264,7 @@ impl Recoverer {
             }
         }
         let case = Case {
+            kind: fault.kind.clone(),
             faults: vec![Noted { fault, since, over: false }],
             ladder,
             rung,
@@ -380,7 +384,6 @@ impl Recoverer {
         now: Instant,
     ) {
         let case = self.cases.remove(location).expect("a case that is settled is open");
-        let kind = case.faults[0].fault.kind.clone();
         let known = case.faults.iter().filter(|noted| noted.since < case.order);
         let faulty = known.map(|noted| noted.fault.incarnation).max();
         // Isolation leaves an incarnation alone that has followed the struck one.
@@ -413,7 +416,7 @@ impl Recoverer {
         }
         // Whether restarts go on is for the supervisor to say, and a route for the network.
         if !contained && !restarted && !is_late && *action != RecoveryAction::Reroute {
-            self.remember((location.clone(), kind), case.rung, case.attempt, now);
+            self.remember((location.clone(), case.kind), case.rung, case.attempt, now);
         }
         self.release_symptoms(&[ids(&cured), over].concat(), now);
         for noted in left {

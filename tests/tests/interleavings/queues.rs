@@ -9,7 +9,7 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::task::{Context, Waker};
 
-pub(crate) const MODELS: [Model; 7] = [
+pub(crate) const MODELS: [Model; 8] = [
     ("queue: what two send is taken once each, and no wake is lost", two_senders),
     (
         "queue: a message is taken by one incarnation, whichever owns the queue then",
@@ -19,6 +19,7 @@ pub(crate) const MODELS: [Model; 7] = [
         "queue: of an incarnation that dies and one who gives it up, one decides",
         death_and_abandonment,
     ),
+    ("queue: it is taken from the incarnation that owns it, also from a replacement", eviction),
     ("queue: a sender that waits for capacity gets it", waiting_for_space),
     ("queue: room that a sender gave up is the next one's", space_given_up),
     ("queue: what a stop meets is handed out or refused", push_and_stop),
@@ -124,6 +125,20 @@ fn death_and_abandonment() {
     let owner = if passed_on { SECOND } else { third };
     assert_eq!(queue.owner(), Some(owner));
     assert_eq!(take(&queue, owner, 1, &bell()), [7]);
+}
+
+fn eviction() {
+    let queue = queue(1);
+    let dying = {
+        let queue = queue.clone();
+        thread::spawn(move || queue.pass_on(FIRST, SECOND))
+    };
+
+    let evicted = queue.evict();
+
+    let passed_on = dying.join().expect("it does not panic");
+    assert_eq!(evicted, Some(if passed_on { SECOND } else { FIRST }));
+    assert_eq!(queue.owner(), None);
 }
 
 fn waiting_for_space() {

@@ -6,8 +6,6 @@ use blastema::{LinkState, Network};
 use blastema_tests::{Process, RobotKeys, addresses, free_addresses, role};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 const NODES: [&str; 2] = ["left", "right"];
@@ -127,14 +125,12 @@ fn a_stopped_process_goes_on_with_the_keys_that_it_had() {
 #[test]
 fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_kept() {
     blastema::run(async {
-        let ends = Arc::new(AtomicBool::new(false));
+        let busy = Arc::new(());
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let busy: Vec<_> = (0..4 * cores)
-            .map(|_| {
-                let ends = ends.clone();
-                std::thread::spawn(move || while !ends.load(SeqCst) {})
-            })
-            .collect();
+        for _ in 0..4 * cores {
+            let busy = Arc::downgrade(&busy);
+            std::thread::spawn(move || while busy.strong_count() > 0 {});
+        }
         let pair = Pair::start("udp").await;
         for number in 1..=50 {
             assert_eq!(ask(&pair.left, "right").await, number);
@@ -142,8 +138,7 @@ fn beside_four_times_as_many_busy_threads_as_processors_keys_are_agreed_on_and_k
         }
         let refusals = pair.left.links().await[0].refusals;
         assert_eq!(refusals.forged + refusals.malformed, 0, "{refusals:?}");
-        ends.store(true, SeqCst);
-        busy.into_iter().for_each(|thread| thread.join().expect("it spins"));
+        drop(busy);
         pair.left.shutdown().await;
     });
 }
@@ -165,11 +160,6 @@ fn a_revoked_node_loses_its_link_while_all_run_and_a_listed_one_gets_one() {
         until(async || !pair.is_up().await, "the link is down").await;
         let gone = async || pair.left.links().await[0].seal.is_none();
         until(gone, "its keys are gone").await;
-
-        // An old roster is not taken.
-        replace(&NODES, 1);
-        blastema::sleep(Duration::from_secs(5)).await;
-        assert!(!pair.is_up().await);
 
         replace(&NODES, 3);
         until(async || pair.is_up().await, "the link is back").await;

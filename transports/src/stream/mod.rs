@@ -302,7 +302,7 @@ impl<F: StreamFamily> Streams<F> {
                 tracing::debug!(%error, from = ?greeting.origin, "a connection came to nothing");
                 log_denial(&mut self.denials, &error);
                 match error.kind() {
-                    // Who hangs up has thought better of it: he was called meanwhile, perhaps.
+                    // The peer has closed it: our own connection to the peer may have come first.
                     io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
                         self.outlet.counters.errors += 1;
                     }

@@ -48,7 +48,7 @@ use std::task::{self, Poll, Waker};
 
 /// Messages per poll while they are quick; then neighbours and the control queue have their turn.
 const BUDGET: usize = 64;
-/// Nests kept at most; a component that takes more contracts than this pays a box for the others.
+/// Future slots kept at most; a component that takes more contracts than this pays a box for the others.
 const SLOTS_MAX: usize = 4;
 
 /// What is in service.

@@ -12,10 +12,12 @@ use std::rc::{Rc, Weak};
 use std::sync::Arc;
 use std::task::{self, Poll};
 
+type Executors = SortedMap<usize, Weak<dyn Any>>;
+
 thread_local! {
     /// The executors of this arbiter that have subscriptions, by the cell that they serve, for its
     /// hubs.
-    static EXECUTORS: RefCell<SortedMap<usize, Weak<dyn Any>>> = const { RefCell::new(SortedMap::new()) };
+    static EXECUTORS: RefCell<Executors> = const { RefCell::new(SortedMap::new()) };
 }
 
 /// The executor of a component that lives on this arbiter.

@@ -362,3 +362,74 @@ fn a_device_that_is_missing_at_work_is_a_failure_like_any_other() {
 
     assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error]);
 }
+
+#[test]
+fn a_hook_that_runs_is_not_ordered_a_second_time() {
+    for (state, active, hook) in
+        [(Initialized, true, Hook::Activated), (Active, false, Hook::Deactivated)]
+    {
+        let mut lifecycle = incarnation(state);
+        lifecycle.handle_activate(active);
+        assert_eq!(lifecycle.next(), LifecycleStep::Run(hook));
+
+        lifecycle.handle_activate(active);
+        lifecycle.handle_done(hook, Ok(()));
+
+        assert_eq!(run(&mut lifecycle), [], "{state}");
+    }
+    let mut starting = IncarnationLifecycle::new();
+    for hook in [Hook::Initialize, Hook::Startup] {
+        assert_eq!(starting.next(), LifecycleStep::Run(hook));
+        starting.handle_done(hook, Ok(()));
+    }
+    assert_eq!(starting.next(), LifecycleStep::Run(Hook::Activated));
+    starting.handle_activate(true);
+    starting.handle_done(Hook::Activated, Ok(()));
+    assert_eq!(run(&mut starting), []);
+}
+
+#[test]
+fn an_order_to_leave_work_is_not_lost_beside_a_changed_rate() {
+    let mut lifecycle = incarnation(Active);
+    lifecycle.handle_rate_changed();
+
+    lifecycle.handle_activate(false);
+
+    assert_eq!(run(&mut lifecycle), [Hook::RateChanged, Hook::Deactivated]);
+    assert_eq!(lifecycle.state, Initialized);
+
+    lifecycle.handle_activate(true);
+    run(&mut lifecycle);
+    lifecycle.handle_activate(false);
+    assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Deactivated));
+    lifecycle.handle_rate_changed();
+    lifecycle.handle_done(Hook::Deactivated, Ok(()));
+    assert_eq!(run(&mut lifecycle), [], "the component is not at work");
+}
+
+#[test]
+fn a_failure_that_a_hook_declares_counts_though_the_hook_succeeds() {
+    let outcomes = || [Ok(()), missing(), failed("returned")];
+    for (state, active) in [(Initialized, true), (Active, false)] {
+        for outcome in outcomes() {
+            let mut lifecycle = incarnation(state);
+            lifecycle.handle_activate(active);
+            let LifecycleStep::Run(hook) = lifecycle.next() else { panic!("a hook is due") };
+            lifecycle.handle_failure("declared".into());
+            lifecycle.handle_done(hook, outcome);
+
+            assert_eq!(run(&mut lifecycle), [Hook::Aborting, Hook::Error], "{hook:?}");
+            let reported = reports(&mut lifecycle);
+            assert_eq!(reported, [LifecycleReport::State(Error, Some("declared".into()))]);
+        }
+    }
+    for outcome in outcomes() {
+        let mut lifecycle = IncarnationLifecycle::new();
+        assert_eq!(lifecycle.next(), LifecycleStep::Run(Hook::Initialize));
+        lifecycle.handle_failure(Failure::fatal("declared"));
+        lifecycle.handle_done(Hook::Initialize, outcome);
+
+        assert_eq!(run(&mut lifecycle), [Hook::Finalize]);
+        assert_eq!(states(&reports(&mut lifecycle)), [Created, Fatal, Finalized]);
+    }
+}

@@ -102,9 +102,14 @@ impl NodeAssembly {
         }
         let judges = description.judges()?;
         let networks = (networks, description.keys.take(), judges, description.session_timeout);
+        let arbiter = match self.placement {
+            ActorPlacement::Here => None,
+            ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
+        };
+        self.undone.own.extend(arbiter.clone());
+        let transports = &mut self.undone.transports;
         let (networks, enrolments) =
-            make_networks(networks, self.placement, who, &self.parts, &self.environment)?;
-        self.undone.own.extend(networks.arbiter.clone());
+            make_networks(networks, (arbiter, transports), who, &self.parts, &self.environment)?;
         self.environment.services().find_by(networks.handle.finder());
         self.enrolments.extend(enrolments);
         self.networks = Some(networks);
@@ -149,28 +154,27 @@ fn make_networks(
         IsolationAuthority,
         Duration,
     ),
-    placement: ActorPlacement,
+    (arbiter, transports): (Option<ArbiterHandle>, &mut Vec<Recipient<Close>>),
     (node, incarnation): (&NodeName, Incarnation),
     parts: &FaultChainParts,
     environment: &ComponentEnvironment,
 ) -> Result<(Networks, Vec<Register>), StartError> {
     let FaultChainParts { guardian, chain, monitor, .. } = parts;
-    let arbiter = match placement {
-        ActorPlacement::Here => None,
-        ActorPlacement::Threads { .. } | ActorPlacement::ComponentsHere => Some(own_arbiter()?),
-    };
     let (mut specs, mut cables) = (Vec::new(), SortedMap::new());
     let (mut neighbours, mut enrolments) = (SortedSet::new(), Vec::new());
     let has_keys = keys.is_some();
     let rows: Vec<_> = networks.iter().map(|network| network.row(has_keys)).collect();
     rows.iter().for_each(NetworkRow::log);
     for network in networks {
-        let started = network.lay((node, has_keys), guardian, arbiter.as_ref())?;
+        let started = network.start((node, has_keys), guardian, arbiter.as_ref())?;
+        let beacons = started.spec.discovery.iter().filter_map(|spec| spec.beacons.as_ref());
+        let of_network = beacons.map(|(transport, _)| transport).chain([&started.spec.transport]);
+        transports.extend(of_network.map(|transport| transport.close.clone()));
         if let Some(cable) = started.cable {
             cables.insert(started.spec.name.to_string(), cable);
         }
         enrolments.extend(started.transports.into_iter().map(|name| middleware(name, None)));
-        neighbours.extend(started.neighbours);
+        neighbours.extend(started.spec.links.iter().filter_map(|link| link.neighbour.clone()));
         specs.push(started.spec);
     }
     let mut described = neighbours.clone();
@@ -178,9 +182,6 @@ fn make_networks(
     if let IsolationAuthority::Named(wardens) = &judges {
         described.extend(wardens.iter().cloned());
     }
-    let beacons = specs.iter().filter_map(|spec| spec.discovery.as_ref()?.beacons.as_ref());
-    let beacons = beacons.map(|(transport, _)| transport.close.clone());
-    let transports = specs.iter().map(|spec| spec.transport.close.clone()).chain(beacons).collect();
     let net_environment = NetEnvironment {
         node: node.clone(),
         incarnation,
@@ -227,6 +228,7 @@ fn make_networks(
         let port = RecovererPort::Remote(neighbour);
         chain.notifier.do_send(AddPort { port, recover, stand_down: None });
     }
+    let transports = transports.clone();
     Ok((Networks { handle, cables, rows, transports, arbiter, described }, enrolments))
 }
 

@@ -1,26 +1,82 @@
 //! The multicast group at which a node makes itself known.
 
+use super::Network;
 use crate::node::error::StartError;
-use blastema_transports::{Endpoint, UdpConfig};
-use std::net::{IpAddr, SocketAddr};
+use crate::runtime::guardian::Guardian;
+use actix::ArbiterHandle;
+#[cfg(feature = "ip")]
+use actix::Context;
+use blastema_contract::transport::Transport;
+use blastema_core::ObjectName;
+use blastema_transports::Reach;
+#[cfg(feature = "ip")]
+use blastema_transports::{Endpoint, Udp, UdpConfig};
+use std::net::SocketAddr;
 
-/// Where beacons are sent from, and heard: the interface that the network itself uses.
-pub(super) fn config(
-    network: &str,
-    (ip, interface): (IpAddr, Option<String>),
-    group: &str,
-) -> Result<UdpConfig, StartError> {
-    match format!("udp://{group}").parse() {
-        Ok(Endpoint::Udp(mut config)) if config.group.is_some() => {
-            (config.bind, config.interface) = (SocketAddr::new(ip, 0), interface);
-            Ok(config)
+/// Where beacons are sent from and received: the interface that the network itself uses. A program
+/// without UDP has none.
+pub(super) struct Beacons {
+    #[cfg(feature = "ip")]
+    socket: UdpConfig,
+    #[cfg(feature = "ip")]
+    group: SocketAddr,
+    #[cfg(not(feature = "ip"))]
+    none: std::convert::Infallible,
+}
+
+impl Network {
+    /// The socket of its beacons, if it has some.
+    pub(super) fn beacon_socket(&self) -> Result<Option<Beacons>, StartError> {
+        let Some(group) = &self.beacons else { return Ok(None) };
+        let wrong = |what| Err(StartError::Network(format!("network {}: {what}", self.name)));
+        #[cfg(feature = "ip")]
+        if let Some((interface, bind)) = self.medium.socket() {
+            let endpoint = format!("udp://{group}").parse();
+            if let Endpoint::Udp(mut socket) =
+                endpoint.map_err(|error| self.endpoint_error(error))?
+                && let Some(group) = socket.group
+            {
+                socket.bind = SocketAddr::new(bind.ip(), 0);
+                socket.interface = interface.map(str::to_owned);
+                return Ok(Some(Beacons { socket, group }));
+            }
+            return wrong(format!(
+                "{group} is no multicast group: write one, as in 239.255.0.1:7399"
+            ));
         }
-        Ok(_) => {
-            let text = format!(
-                "network {network}: {group} is no multicast group: write one, as in 239.255.0.1:7399"
-            );
-            Err(StartError::Network(text))
-        }
-        Err(error) => Err(StartError::Endpoint { network: network.to_owned(), error }),
+        wrong(format!("beacons go to {group} over udp and tcp only: leave them out"))
+    }
+}
+
+#[cfg(feature = "ip")]
+impl Beacons {
+    pub(super) fn reach(&self) -> Reach {
+        Endpoint::Udp(self.socket.clone()).reach()
+    }
+
+    pub(super) fn start(
+        self,
+        object: ObjectName,
+        guardian: &Guardian,
+        arbiter: Option<&ArbiterHandle>,
+    ) -> (Transport, SocketAddr) {
+        let make = move |_: &mut Context<Udp>| Udp::new(self.socket);
+        (Transport::from(guardian.start(object, arbiter, make)), self.group)
+    }
+}
+
+#[cfg(not(feature = "ip"))]
+impl Beacons {
+    pub(super) fn reach(&self) -> Reach {
+        match self.none {}
+    }
+
+    pub(super) fn start(
+        self,
+        _: ObjectName,
+        _: &Guardian,
+        _: Option<&ArbiterHandle>,
+    ) -> (Transport, SocketAddr) {
+        match self.none {}
     }
 }

@@ -33,8 +33,8 @@ pub(in crate::node) fn check_networks(
     let neighbours: SortedSet<_> = networks.iter().flat_map(Network::neighbours).collect();
     if neighbours.len() > NEIGHBOURS_MAX {
         let text = format!(
-            "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: leave out \
-             those that are reached over another one",
+            "{} neighbours are described, and a node tells the others of {NEIGHBOURS_MAX} only: \
+             leave out those that are reached over another one",
             neighbours.len()
         );
         return Err(StartError::Network(text));
@@ -102,13 +102,13 @@ impl Network {
         self.check_exposure(keys.is_some())
     }
 
-    /// On a sealed network frames have room for the seal, and each neighbour has a key, and one link.
+    /// On a sealed network frames have room for the seal; each neighbour has a key, and one link.
     fn check_sealed(&self, keys: &NodeKeys) -> Result<(), StartError> {
         let seal = self.seal_terms().map_or(0, |terms| terms.profile.overhead());
         if let Some(mtu) = self.set_mtu().filter(|mtu| *mtu < MTU_MIN + seal) {
             return Err(StartError::Network(format!(
-                "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: set \
-                 mtu={} at least",
+                "network {}: of frames of {mtu} bytes a seal takes {seal}, which leaves too few: \
+                 set mtu={} at least",
                 self.name,
                 MTU_MIN + seal
             )));
@@ -119,15 +119,15 @@ impl Network {
             if !known {
                 let (robot, serial) = (keys.robot(), keys.serial());
                 return Err(StartError::Keys(format!(
-                    "{neighbour}, a neighbour on network {}, is not in roster {serial} of {robot}: list \
-                     it by `blastema keys add {neighbour}`, and copy the new roster here",
+                    "{neighbour}, a neighbour on network {}, is not in roster {serial} of {robot}: \
+                     list it by `blastema keys add {neighbour}`, and copy the new roster here",
                     self.name
                 )));
             }
             if !neighbours.insert(neighbour) {
                 return Err(StartError::Network(format!(
-                    "two links of network {} lead to {neighbour}: on a sealed network each neighbour \
-                     has one; leave one out, or make it a network of its own",
+                    "two links of network {} lead to {neighbour}: on a sealed network each \
+                     neighbour has one; leave one out, or make it a network of its own",
                     self.name
                 )));
             }
@@ -148,7 +148,8 @@ impl Network {
         let Some(Interface::Named(name)) = &self.interface else { return None };
         if !is_interface(name) {
             return Some(format!(
-                "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without slash"
+                "{name:?} is no name of an interface: write one as in eth0, 1 to 15 letters without \
+                 slash"
             ));
         }
         let bound_to = self.medium.socket().and_then(|(named, _)| named);

@@ -33,15 +33,9 @@ impl Network {
     /// How far its frames travel, beacons included.
     fn reach(&self) -> Reach {
         let reach = self.medium.reach();
-        #[cfg(feature = "ip")]
-        if let (Some(group), Some((interface, bind))) = (&self.beacons, self.medium.socket()) {
-            let at = (bind.ip(), interface.map(str::to_owned));
-            // A group that cannot be read is refused when the network is started.
-            let beacons = super::beacons::config(&self.name, at, group);
-            let beacons = beacons.map(|config| blastema_transports::Endpoint::Udp(config).reach());
-            return reach.max(beacons.unwrap_or(reach));
-        }
-        reach
+        // A group that cannot be read is refused when the network is started.
+        let beacons = self.beacon_socket().ok().flatten();
+        beacons.map_or(reach, |beacons| reach.max(beacons.reach()))
     }
 
     /// Whether other processes can be on it.
@@ -55,10 +49,14 @@ impl Network {
         let (profile, forgeable_addresses) = match &self.medium {
             // Frames of a bus are small, and its cable is within the robot.
             Medium::At(Endpoint::Can(_) | Endpoint::Slcan(_)) => (SealProfile::Compact, false),
-            // A line may be a radio. A stream's other end is where it was when it connected.
-            Medium::At(Endpoint::Serial(_) | Endpoint::Tcp(_) | Endpoint::Unix(_)) => {
-                (SealProfile::Full, false)
-            }
+            // A line may be a radio.
+            #[cfg(feature = "serial")]
+            Medium::At(Endpoint::Serial(_)) => (SealProfile::Full, false),
+            // A stream's other end is where it was when it connected.
+            #[cfg(feature = "ip")]
+            Medium::At(Endpoint::Tcp(_)) => (SealProfile::Full, false),
+            #[cfg(feature = "unix")]
+            Medium::At(Endpoint::Unix(_)) => (SealProfile::Full, false),
             _ => (SealProfile::Full, true),
         };
         self.leaves_process().then_some(SealTerms { profile, forgeable_addresses })
@@ -67,10 +65,14 @@ impl Network {
     /// The largest frame that the user has set; `None` where the medium chooses it.
     pub(super) fn set_mtu(&self) -> Option<usize> {
         match &self.medium {
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Udp(config)) => config.mtu,
-            Medium::At(Endpoint::Serial(config)) => config.mtu,
+            #[cfg(feature = "ip")]
             Medium::At(Endpoint::Tcp(config)) => Some(config.mtu),
+            #[cfg(feature = "unix")]
             Medium::At(Endpoint::Unix(config)) => Some(config.mtu),
+            #[cfg(feature = "serial")]
+            Medium::At(Endpoint::Serial(config)) => config.mtu,
             Medium::At(Endpoint::Can(config)) => Some(config.node.mtu),
             Medium::At(Endpoint::Slcan(config)) => Some(config.node.mtu),
             _ => None,
@@ -96,8 +98,8 @@ impl Network {
     pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
         if self.insecure && has_keys {
             return Err(StartError::Network(format!(
-                "network {0} is insecure and the node has keys: give {0} keys on its other nodes, or \
-                 run a node of its own for it",
+                "network {0} is insecure and the node has keys: give {0} keys on its other nodes, \
+                 or run a node of its own for it",
                 self.name
             )));
         }

@@ -45,12 +45,13 @@ pub(in crate::node) fn check_service(carried: &Carried) -> Result<(), StartError
     } else if config.members.len() > MEMBERS_MAX {
         let listed = config.members.len();
         format!(
-            "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the failure of one or two"
+            "{listed} nodes cannot carry it, {MEMBERS_MAX} at most: three or five outlive the \
+             failure of one or two"
         )
     } else if !(HELLO_MIN..=HELLO_MAX).contains(&config.hello_interval) {
         format!(
-            "its primary cannot say hello every {:?}: give .hello_every(..) from {HELLO_MIN:?} to {HELLO_MAX:?}, such \
-             as 50 ms",
+            "its primary cannot say hello every {:?}: give .hello_every(..) from {HELLO_MIN:?} to \
+             {HELLO_MAX:?}, such as 50 ms",
             config.hello_interval
         )
     } else {

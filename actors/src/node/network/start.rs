@@ -1,6 +1,7 @@
-//! How a network that was described comes to be.
+//! Starts the transports of a network that was described.
 
 use super::{Admitted, Cable, Link, Medium, Network, Remote};
+#[cfg(feature = "serial")]
 use crate::net::keys::SealTerms;
 use crate::net::{DiscoverySpec, LinkSpec, NetworkSpec};
 use crate::node::error::StartError;
@@ -25,16 +26,15 @@ use blastema_transports::{Tcp, Udp};
 pub(in crate::node) struct StartedNetwork {
     pub(in crate::node) spec: NetworkSpec,
     pub(in crate::node) cable: Option<Cable>,
-    pub(in crate::node) neighbours: Vec<NodeName>,
     pub(in crate::node) transports: Vec<ObjectName>,
 }
 
 impl Medium {
     /// The address of a neighbour as this medium has it.
-    fn remote(&self, remote: Remote) -> Result<MediumAddress, EndpointError> {
+    fn remote(&self, remote: &Remote) -> Result<MediumAddress, EndpointError> {
         match (remote, self) {
-            (Remote::At(address), _) => Ok(address),
-            (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(&text),
+            (Remote::At(address), _) => Ok(address.clone()),
+            (Remote::Written(text), Medium::At(endpoint)) => endpoint.peer(text),
             (Remote::Written(_), Medium::Unreadable(error)) => Err(error.clone()),
             (Remote::Written(text), Medium::Memory(_)) => {
                 Ok(MediumAddress::Memory(text.as_str().into()))
@@ -74,6 +74,7 @@ impl Medium {
     }
 
     /// Lets the frames of a serial line hold a seal beside what they hold without one.
+    #[cfg(feature = "serial")]
     fn make_room_for(&mut self, seal: SealTerms) {
         if let Medium::At(Endpoint::Serial(config)) = self
             && config.mtu.is_none()
@@ -154,104 +155,92 @@ impl Medium {
 }
 
 impl Network {
-    /// Starts the transport, of this node.
-    pub(in crate::node) fn lay(
+    /// Starts the transports, of this node. Nothing runs where that is refused.
+    pub(in crate::node) fn start(
         self,
         (own, has_keys): (&NodeName, bool),
         guardian: &Guardian,
         arbiter: Option<&ArbiterHandle>,
     ) -> Result<StartedNetwork, StartError> {
+        let named = |kind: &str| {
+            let object = ObjectName::new(&format!("{kind}/{}", self.name));
+            object.map_err(StartError::name_of(format!("the name of network {:?}", self.name)))
+        };
+        let (object, sender, cable) = (named("transport")?, named("beacons")?, named("cable")?);
         let seal = self.seal_terms().filter(|_| has_keys);
-        let link_names: Vec<String> = self.link_names().collect();
-        let Network { name, mut medium, links, faults, interface, admission, beacons, .. } = self;
+        let links = self.link_specs()?;
+        let beacons = self.beacon_socket()?;
+        let admission = self.admission()?;
+        let Network { name, mut medium, faults, interface, .. } = self;
         medium.name_node(own);
+        #[cfg(feature = "serial")]
         if let Some(seal) = seal {
             medium.make_room_for(seal);
         }
-        let of = format!("the name of network {name:?}");
-        let object =
-            ObjectName::new(&format!("transport/{name}")).map_err(StartError::name_of(of))?;
-        let mut neighbours = Vec::new();
-        let mut specs = Vec::new();
-        for (link_name, link) in link_names.into_iter().zip(links) {
-            let Link { neighbour, remote, cost, hello_interval, expected_within, .. } = link;
-            let of = format!("the name of a neighbour on network {name}");
-            let node = NodeName::new(&neighbour).map_err(StartError::name_of(of))?;
-            let remote = medium
-                .remote(remote)
-                .map_err(|error| StartError::Endpoint { network: name.clone(), error })?;
-            neighbours.push(node.clone());
-            let neighbour = Some(node);
-            specs.push(LinkSpec {
-                name: link_name.into(),
-                remote,
-                neighbour,
-                cost,
-                hello_interval,
-                expected_within,
-            });
-        }
-        let mut transports = vec![object.clone()];
         let learned = medium.learned_by();
-        let beacons = match (beacons, medium.socket()) {
-            #[cfg(feature = "ip")]
-            (Some(group), Some((interface, bind))) => {
-                let object = ObjectName::new(&format!("beacons/{name}"))
-                    .map_err(StartError::name_of(format!("the name of network {name:?}")))?;
-                let at = (bind.ip(), interface.map(str::to_owned));
-                let config = super::beacons::config(&name, at, &group)?;
-                let group = config.group;
-                let make = move |_: &mut Context<Udp>| Udp::new(config);
-                transports.push(object.clone());
-                let transport = Transport::from(guardian.start(object, arbiter, make));
-                group.map(|group| (transport, group))
-            }
-            (Some(_), _) => {
-                let text = format!("network {name}: beacons are for udp and tcp: leave them out");
-                return Err(StartError::Network(text));
-            }
-            (None, _) => None,
-        };
-        let admission = match admission {
-            None if beacons.is_some() => {
-                let text = format!("network {name}: say whom the beacons are for, by discover()");
-                return Err(StartError::Network(text));
-            }
-            None => None,
-            Some(Admitted::AnyNode) => Some(DiscoveryAdmission::AnyNode),
-            Some(Admitted::Only(nodes)) => {
-                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
-                let of = format!("the name of a node that network {name} is discovered by");
-                Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?))
-            }
-        };
+        let mut transports = vec![object.clone()];
+        let mut transport = medium.start(&name, object, guardian, arbiter)?;
+        // Where nothing can be learned, nothing is announced either.
         let discovery = learned.zip(admission).map(|(medium, admission)| DiscoverySpec {
             medium,
             admission,
             hello_interval: HELLO_INTERVAL.default,
-            beacons,
+            beacons: beacons.map(|beacons| {
+                transports.push(sender.clone());
+                beacons.start(sender, guardian, arbiter)
+            }),
         });
-        let mut transport = medium.start(&name, object, guardian, arbiter)?;
-        let cable = match faults {
-            None => None,
-            Some(seed) => {
-                let of = format!("the name of network {name:?}");
-                let object =
-                    ObjectName::new(&format!("cable/{name}")).map_err(StartError::name_of(of))?;
-                transports.push(object.clone());
-                let (inner, config) =
-                    (transport.clone(), FaultInjectorConfig::new(seed, platform::now));
-                let make = move |_: &mut Context<FaultInjector>| FaultInjector::new(inner, config);
-                let faulty = guardian.start(object, arbiter, make);
-                transport = Transport::from(faulty.clone());
-                let there = |spec: &LinkSpec| {
-                    Some((spec.neighbour.as_ref()?.to_string(), spec.remote.clone()))
-                };
-                Some(Cable { faulty, neighbours: specs.iter().filter_map(there).collect() })
-            }
-        };
+        let cable = faults.map(|seed| {
+            transports.push(cable.clone());
+            let (inner, config) =
+                (transport.clone(), FaultInjectorConfig::new(seed, platform::now));
+            let make = move |_: &mut Context<FaultInjector>| FaultInjector::new(inner, config);
+            let faulty = guardian.start(cable, arbiter, make);
+            transport = Transport::from(faulty.clone());
+            let there =
+                |spec: &LinkSpec| Some((spec.neighbour.as_ref()?.to_string(), spec.remote.clone()));
+            Cable { faulty, neighbours: links.iter().filter_map(there).collect() }
+        });
         let name = name.into();
-        let spec = NetworkSpec { name, transport, interface, links: specs, discovery, seal };
-        Ok(StartedNetwork { spec, cable, neighbours, transports })
+        let spec = NetworkSpec { name, transport, interface, links, discovery, seal };
+        Ok(StartedNetwork { spec, cable, transports })
+    }
+
+    fn link_specs(&self) -> Result<Vec<LinkSpec>, StartError> {
+        let spec = |link: &Link| {
+            let of = format!("the name of a neighbour on network {}", self.name);
+            let neighbour = NodeName::new(&link.neighbour).map_err(StartError::name_of(of))?;
+            let remote = self.medium.remote(&link.remote);
+            Ok(LinkSpec {
+                name: self.link_name(link).into(),
+                remote: remote.map_err(|error| self.endpoint_error(error))?,
+                neighbour: Some(neighbour),
+                cost: link.cost,
+                hello_interval: link.hello_interval,
+                expected_within: link.expected_within,
+            })
+        };
+        self.links.iter().map(spec).collect()
+    }
+
+    pub(super) fn endpoint_error(&self, error: EndpointError) -> StartError {
+        StartError::Endpoint { network: self.name.clone(), error }
+    }
+
+    fn admission(&self) -> Result<Option<DiscoveryAdmission>, StartError> {
+        let name = &self.name;
+        match &self.admission {
+            None if self.beacons.is_some() => {
+                let text = format!("network {name}: say whom the beacons are for, by discover()");
+                Err(StartError::Network(text))
+            }
+            None => Ok(None),
+            Some(Admitted::AnyNode) => Ok(Some(DiscoveryAdmission::AnyNode)),
+            Some(Admitted::Only(nodes)) => {
+                let nodes: Result<_, _> = nodes.iter().map(|node| NodeName::new(node)).collect();
+                let of = format!("the name of a node that network {name} is discovered by");
+                Ok(Some(DiscoveryAdmission::Only(nodes.map_err(StartError::name_of(of))?)))
+            }
+        }
     }
 }

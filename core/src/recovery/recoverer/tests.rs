@@ -492,7 +492,7 @@ fn a_restarted_recoverer_continues_open_cases() {
     rig.find(fault(1, FaultKind::Hang, at("planner"), 1));
     rig.find(symptom(2, "laser", 1));
 
-    rig.machine = rig.machine.begun_anew(rig.now);
+    rig.machine = rig.machine.restarted(rig.now);
 
     assert_eq!(rig.outputs(), ["#2 restart here:planner against hang, 1"]);
     assert_eq!(rig.outcome(1, fails()), [""; 0]);

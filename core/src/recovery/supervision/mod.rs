@@ -29,10 +29,10 @@ mod steps;
 #[cfg(test)]
 mod tests;
 mod timers;
-mod vocabulary;
+mod types;
 
 pub use child::{ChildState, ChildStatus, ReplacementCause};
-pub use vocabulary::{CallId, GiveUpReason, SupervisorOutput};
+pub use types::{CallId, GiveUpReason, SupervisorOutput};
 
 use super::{ChildRules, Strategy, SupervisorRules};
 use crate::sorted::{SortedMap, SortedSet};

@@ -101,7 +101,8 @@ impl Supervisor {
         let Some(child) = self.children.get(&key) else { return Some(Ok(None)) };
         match wish {
             Wish::Leave => None,
-            Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::Forgotten)),
+            Wish::Rest if child.goal == ChildTarget::Leave => None,
+            Wish::Rest if child.goal != ChildTarget::Rest => Some(Err(GiveUpReason::StartedAgain)),
             Wish::Rest => (!child.is_alive()).then_some(Ok(None)),
             Wish::Work => {
                 if let (Phase::Escalated { reason }, true) = (&self.phase, self.rules.root) {

@@ -36,7 +36,7 @@ fn at_safe_rest_nothing_of_the_node_is_treated_and_everything_is_settled() {
     assert_eq!(rig.find(down), ["#2 reroute here -eth- against link down, 1"]);
     assert_eq!(rig.machine.cases.len(), 1);
 
-    rig.machine = rig.machine.begun_anew(rig.now);
+    rig.machine = rig.machine.restarted(rig.now);
     rig.outputs();
     assert_eq!(rig.find(panic_of(6, "lamp", 1)), [format!("6 {given_up}")]);
     rig.machine.handle_work();

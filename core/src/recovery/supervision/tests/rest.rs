@@ -93,3 +93,23 @@ fn isolating_all_reaches_every_child_once() {
     rig.machine.handle_isolate_all(false, rig.now);
     assert_eq!(rig.outputs(), ["admit a", "admit b", "admit c"]);
 }
+
+#[test]
+fn a_child_that_is_about_to_leave_is_let_go_when_it_has_left() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    assert_eq!(rig.remove("b"), ["stop b"]);
+
+    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b"]);
+    assert_eq!(rig.stopped("b", 1), ["left b", "1 let b go", "2 let b go"]);
+}
+
+#[test]
+fn a_child_that_is_started_again_before_it_rests_is_not_put_to_rest() {
+    let mut rig = Rig::serving(Strategy::OneForOne);
+    assert_eq!(rig.rest("b", ReplacementCause::Faulty), ["isolate b", "stop b"]);
+
+    let outputs = rig.restart_by_hand("b");
+
+    assert_eq!(outputs, ["admit b", "1 gave b up: it is started again, on request"]);
+    assert_eq!(rig.stopped("b", 1), ["start b #2"]);
+}

@@ -66,6 +66,9 @@ pub enum GiveUpReason {
         /// The bound.
         limit: usize,
     },
+    /// A user has ordered the child to start while it was put into the safe state.
+    #[error("it is started again, on request")]
+    StartedAgain,
     /// The supervisor lost this request when it was restarted.
     #[error("its supervisor was restarted")]
     Forgotten,
@@ -126,7 +129,7 @@ pub enum SupervisorOutput {
     },
     /// The request is fulfilled: the child is at work, or let go.
     Recovered {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -136,7 +139,7 @@ pub enum SupervisorOutput {
     /// The request is fulfilled as far as it can be: the new incarnation waits for something that
     /// is not there yet, and tries again by itself.
     Waits {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
@@ -145,7 +148,7 @@ pub enum SupervisorOutput {
     },
     /// The request is not going to be fulfilled.
     GaveUp {
-        /// The child.
+        /// The request.
         call: CallId,
         /// The child.
         child: ObjectName,
