@@ -59,7 +59,7 @@ pub(super) struct DiscoveryNetwork {
     pub(super) described: Vec<(NodeName, MediumAddress)>,
 }
 
-/// Who stands around it.
+/// The recipients that it reports to.
 pub(super) struct DiscoveryRecipients {
     pub(super) node: NodeName,
     pub(super) registry: Registry,

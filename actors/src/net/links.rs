@@ -65,7 +65,7 @@ fn link(wiring: &LinksRecipients, spec: &LinkSpec, now: Instant) -> Link {
 /// How often it is looked at what was refused.
 const REFUSAL_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Who stands around the links.
+/// The actors and recipients that the links report to.
 pub(super) struct LinksRecipients {
     pub(super) node: NodeName,
     pub(super) incarnation: Incarnation,
