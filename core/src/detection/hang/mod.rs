@@ -9,8 +9,9 @@
 //! A component that works and is late, by its rounds, its signs of life or its messages, is
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
 //! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
-//! processor for longer than it runs, it is the computer that is overloaded. An overload stands
-//! until nothing was late because of it for a while, by half of the limits that it exceeded.
+//! processor, and runs for less than two thirds of the time, it is the computer that is overloaded:
+//! such a thread says nothing about its components. An overload stands until nothing was late
+//! because of it for a while, by half of the limits that it exceeded.
 //!
 //! Time in which the scanner itself was not scheduled is charged to no component: it keeps a clock
 //! that goes on only while it looks, and measures everything by that. A computer on which it is
