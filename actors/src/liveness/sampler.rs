@@ -401,7 +401,6 @@ impl Sampler {
             let running = heartbeat.running();
             let known = running.and_then(|slot| self.activities.get(slot));
             let beat = heartbeat.beats();
-            let stands = self.scanner.stands(*id, beat);
             if heartbeat.owes_exits()
                 && let Some(inside) = known.and_then(|known| known.inside.upgrade())
             {
@@ -412,9 +411,8 @@ impl Sampler {
                 running,
                 activity: known.map(|known| known.read()),
                 fenced: heartbeat.is_fenced(),
-                used: heartbeat
-                    .thread()
-                    .filter(|_| stands)
+                used: running
+                    .and_then(|_| heartbeat.thread())
                     .and_then(ThreadNumber::used_while_ready),
             };
             self.scanner.handle_heartbeat(*id, reading);

@@ -35,7 +35,9 @@ impl ThreadNumber {
     pub(crate) fn processor_time(self) -> Option<ProcessorTime> {
         let text = self.read("schedstat")?;
         let mut nanos = text.split(' ').map(|field| field.parse().map(Duration::from_nanos));
-        Some(ProcessorTime { used: nanos.next()?.ok()?, waited: nanos.next()?.ok()? })
+        let time = ProcessorTime { used: nanos.next()?.ok()?, waited: nanos.next()?.ok()? };
+        // A kernel that does not count shows zeros.
+        Some(time).filter(|time| !time.used.is_zero())
     }
 
     fn read(self, file: &str) -> Option<String> {

@@ -33,8 +33,6 @@ pub(super) struct Counts {
     pub(super) expired: u64,
     /// What kept the component from its thread meanwhile.
     pub(super) root: Option<OverloadRoot>,
-    /// The share of its rounds, or of the ticks of its timers, that were missed.
-    share: f32,
 }
 
 /// The rounds of a component since it has had this interval.
@@ -103,9 +101,9 @@ impl Lateness {
         self.rounds.map_or(0, |rounds| rounds.total()) + self.missed_ticks
     }
 
-    /// The share of its rounds that the latest window has missed.
-    pub(super) fn missed_share(&self) -> f32 {
-        self.counts.share
+    /// The latest window has missed rounds, or ticks of timers.
+    pub(super) fn misses(&self) -> bool {
+        self.counts.missed > 0
     }
 
     /// Nothing is late, and the window has taken note of all that was counted.
@@ -127,7 +125,6 @@ impl Lateness {
     }
 
     /// Counts rounds. Answers what the latest window held if that and the one before it were bad.
-    #[expect(clippy::cast_precision_loss, reason = "a share need not be exact")]
     pub(super) fn handle_counts(
         &mut self,
         limits: &HangLimits,
@@ -165,13 +162,8 @@ impl Lateness {
             // A component that was late because of another is so until a window is good: the end of
             // a load is no fault of the components behind it.
             let root = root.or(self.counts.root.filter(|_| self.bad > 1));
-            let share = |missed: u64, due: u64| match due {
-                ROUNDS_LEAST.. => missed as f32 / due as f32,
-                _ => 0.0,
-            };
-            let share = share(missed_here, due_here).max(share(missed_ticks, ticks));
             let missed = missed_here + missed_ticks;
-            self.counts = Counts { missed, expired: expired_here, root, share };
+            self.counts = Counts { missed, expired: expired_here, root };
             self.window = next;
         }
         (self.bad >= WINDOWS).then_some(self.counts)

@@ -32,7 +32,7 @@ impl Arbiter {
     /// else the component that was on it most often, or the one that was so when an overload began
     /// and still is for half as often.
     pub(super) fn kept_by(&self, slot: SlotId, span: Duration) -> Option<OverloadRoot> {
-        if self.processor.was_scarce(span, self.overloaded.is_some()) {
+        if self.processor.was_scarce(span) {
             return Some(OverloadRoot::Computer);
         }
         if !self.is_saturated(span) {

@@ -9,13 +9,15 @@
 //! A component that works and is late, by its rounds, its signs of life or its messages, is
 //! *overloaded*; where another one keeps their thread, that one is, and the late ones are its
 //! victims. What a victim suffers is reported after its root. Where the thread itself waits for a
-//! processor for longer than it runs, it is the computer that is overloaded. An overload stands
-//! until nothing was late because of it for a while, by half of the limits that it exceeded.
+//! processor, and runs for less than two thirds of the time, it is the computer that is overloaded:
+//! such a thread says nothing about its components. An overload stands until nothing was late
+//! because of it for a while, by half of the limits that it exceeded.
 //!
-//! Time in which the scanner itself was not scheduled is charged to no component: it keeps a clock
-//! that goes on only while it looks, and measures everything by that. A computer on which it is
-//! late at every look is judged later, and no less. Nor is time charged in which a thread was ready
-//! to run and the operating system did not run it.
+//! A handler that keeps its thread is charged the time for which the thread was run, where it is
+//! ready to run: all of it, however late the looks come, and nothing else. Everything else is
+//! measured by a clock that goes on only while the scanner looks, so that time in which the scanner
+//! itself was not scheduled is charged to no component. A computer on which it is late at every
+//! look is judged later, and no less.
 
 mod entry;
 mod lateness;
@@ -43,24 +45,22 @@ use occupancy::Occupancy;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// A handler whose thread is not run hangs after so many times its limit.
-const STARVED_MAX: u32 = 10;
-
 #[derive(Debug)]
 struct Arbiter {
     beat: u64,
     running: Option<SlotId>,
     turn: Option<u64>,
     allowance: Duration,
-    /// When these were first seen.
+    /// At which look these were first seen.
     since: Instant,
+    /// How much of the time since then is charged to what is on the thread.
+    charged: Duration,
     /// When this beat was first seen.
     beat_since: Instant,
     /// What its thread had used of the processor at the last look, if it was ready to run.
     used: Option<Duration>,
-    /// For how long it was ready to run, stood, and was not run; of that, in this turn.
+    /// For how long it was ready to run, stood, and was not run.
     starved: Duration,
-    starved_in_turn: Duration,
     occupancy: Occupancy<SlotId>,
     processor: ProcessorShare,
     hang: Option<Hang>,
@@ -192,17 +192,9 @@ impl HangDetector {
         at + self.missed()
     }
 
-    /// Whether an arbiter has not beaten for two looks: perhaps the operating system does not run
-    /// its thread.
-    pub fn stands(&self, id: ArbiterId, beat: u64) -> bool {
-        self.arbiters.get(&id).is_some_and(|arbiter| {
-            arbiter.beat == beat && self.clock - arbiter.beat_since >= 2 * load::LOOK
-        })
-    }
-
     /// What an arbiter says.
     pub fn handle_heartbeat(&mut self, id: ArbiterId, reading: ArbiterSample) {
-        let now = self.clock;
+        let (now, at) = (self.clock, self.looked_at.unwrap_or(Instant::ORIGIN));
         let turn = reading.activity.map(|activity| activity.turn);
         let allowance = reading.activity.map_or(Duration::ZERO, |activity| activity.allowance);
         let arbiter = self.arbiters.entry(id).or_insert(Arbiter {
@@ -210,11 +202,11 @@ impl HangDetector {
             running: reading.running,
             turn,
             allowance,
-            since: now,
+            since: at,
+            charged: Duration::ZERO,
             beat_since: now,
             used: None,
             starved: Duration::ZERO,
-            starved_in_turn: Duration::ZERO,
             occupancy: Occupancy::default(),
             processor: ProcessorShare::default(),
             hang: None,
@@ -233,49 +225,45 @@ impl HangDetector {
         let changed = beats || arbiter.running != reading.running || turned;
         if changed {
             (arbiter.beat, arbiter.running) = (reading.beat, reading.running);
-            (arbiter.turn, arbiter.since) = (turn, now);
+            (arbiter.turn, arbiter.since) = (turn, at);
             arbiter.left = None;
         } else if arbiter.allowance != allowance && arbiter.hang.is_none() {
             // A declared operation begins or ends within the turn: each part has its own time.
-            arbiter.since = now;
+            arbiter.since = at;
         }
         arbiter.allowance = allowance;
-        let waited = match (std::mem::replace(&mut arbiter.used, reading.used), reading.used) {
-            (Some(before), Some(used)) => self.step.saturating_sub(used.saturating_sub(before)),
-            _ => Duration::ZERO,
+        // A thread that was ready to run did what it used of the processor, however late this look
+        // is. One that waits for something does so by this clock.
+        let charged = match (std::mem::replace(&mut arbiter.used, reading.used), reading.used) {
+            (Some(before), Some(used)) => used.saturating_sub(before),
+            _ => self.step,
         };
-        arbiter.starved += waited;
-        if arbiter.since < now {
-            arbiter.since = arbiter.since + waited;
-            arbiter.starved_in_turn += waited;
-        } else {
-            arbiter.starved_in_turn = Duration::ZERO;
+        arbiter.charged = (arbiter.charged + charged).min(at - arbiter.since);
+        if now - arbiter.beat_since >= 2 * load::LOOK {
+            arbiter.starved += self.step.saturating_sub(charged);
         }
         arbiter.fenced_since = reading.fenced.then(|| arbiter.fenced_since.unwrap_or(now));
-        let age = now - arbiter.since;
         let resumed = if changed { arbiter.hang.take() } else { None };
         let lost = !arbiter.lost
             && arbiter.fenced_since.is_some_and(|since| now - since >= self.config.grace);
         if let Some(hang) = resumed {
             self.resume(id, &hang, now);
         }
-        self.judge_arbiter(id, age);
+        self.judge_arbiter(id, at);
         if lost {
             self.lose(id, reading.running);
         }
     }
 
-    fn judge_arbiter(&mut self, id: ArbiterId, age: Duration) {
+    fn judge_arbiter(&mut self, id: ArbiterId, at: Instant) {
         let Some(arbiter) = self.arbiters.get(&id) else { return };
         let (Some(slot), None) = (arbiter.running, &arbiter.hang) else { return };
         let Some(culprit) = self.judged(slot) else { return };
         let limit = culprit.limits.max_block.max(arbiter.allowance);
-        let starved = arbiter.starved_in_turn;
-        let hangs = age >= limit || age + starved >= limit.saturating_mul(STARVED_MAX);
-        if !hangs || culprit.arbiter != id {
+        if arbiter.charged < limit || culprit.arbiter != id {
             return;
         }
-        let age = age + starved;
+        let age = at - arbiter.since;
         let object = culprit.object.clone();
         let victims = self.others_on(id, slot);
         if let Some(arbiter) = self.arbiters.get_mut(&id) {
@@ -331,8 +319,7 @@ impl HangDetector {
     /// What is known of every arbiter.
     pub fn arbiters(&self) -> impl Iterator<Item = (ArbiterId, ArbiterStatus)> + '_ {
         self.arbiters.iter().map(|(id, arbiter)| {
-            let hangs =
-                arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), self.shown(arbiter.since)));
+            let hangs = arbiter.hang.as_ref().map(|hang| (hang.culprit.clone(), arbiter.since));
             (*id, ArbiterStatus { busy: arbiter.occupancy.share(), hangs })
         })
     }

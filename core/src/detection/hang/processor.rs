@@ -3,7 +3,7 @@
 use super::load::SATURATED;
 use super::{ArbiterId, ComponentRecord, HangDetector, Silence};
 use crate::Instant;
-use crate::sorted::SortedMap;
+use crate::sorted::SortedSet;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -14,8 +14,9 @@ const SPAN: Duration = Duration::from_secs(2);
 const LEAST: f32 = 0.2;
 /// The same where no rounds are missed, and it is not known what the thread would have run.
 const LEAST_UNKNOWN: f32 = 0.5;
-/// Rounds that count as run at least, so that the work of a thread that ran none is bounded.
-const RUN_LEAST: f32 = 0.05;
+/// A thread that runs for this share of the time has a processor: what is late on it asks for too
+/// much.
+const MOST: f32 = 2.0 / 3.0;
 
 /// What a thread has had of the processors since it began.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,8 +32,8 @@ pub struct ProcessorTime {
 pub(super) struct ProcessorShare {
     /// In order; the first is as old as [`SPAN`], or there is none so old.
     seen: VecDeque<(Instant, ProcessorTime)>,
-    /// The share of their rounds that components on it have missed.
-    missed: f32,
+    /// A component on it has missed rounds.
+    misses: bool,
     is_scarce: bool,
 }
 
@@ -45,34 +46,26 @@ impl ProcessorShare {
         }
     }
 
-    /// Judges the latest looks, in which such a share of rounds was missed. `is_kept`: a component
-    /// is known to keep the thread.
-    pub(super) fn judge(&mut self, missed: f32, is_kept: bool) {
-        self.missed = missed;
-        self.is_scarce = self.was_scarce(SPAN, is_kept);
+    /// Judges the latest looks. `misses`: a component on it has missed rounds.
+    pub(super) fn judge(&mut self, misses: bool) {
+        self.misses = misses;
+        self.is_scarce = self.was_scarce(SPAN);
     }
 
-    /// The thread lacks a processor: it waits for one for a good part of the time, and would have
-    /// been in time with one of its own.
+    /// The thread lacks a processor: it waits for one for a good part of the time, and runs for so
+    /// little that what is late on it says nothing about its components.
     pub(super) fn is_scarce(&self) -> bool {
         self.is_scarce
     }
 
-    /// The same for so long a time only.
-    ///
-    /// What the thread ran for the rounds that were run, it would have run in proportion for those
-    /// that were missed. If all that leaves a processor nothing to spare, there is too much to do
-    /// on the thread, whatever else the computer runs. What was found last stands until the
-    /// contrary is clear.
-    pub(super) fn was_scarce(&self, span: Duration, is_kept: bool) -> bool {
+    /// The same for so long a time only. What was found last stands until the contrary is clear.
+    pub(super) fn was_scarce(&self, span: Duration) -> bool {
         let (used, waited) = self.shares(span);
-        let least = if self.missed > 0.0 { LEAST } else { LEAST_UNKNOWN };
-        let (least, full) = match (self.is_scarce, is_kept) {
-            (true, _) => (least / 2.0, 1.0),
-            (false, true) => (least, SATURATED - 0.2),
-            (false, false) => (least, SATURATED),
-        };
-        waited >= least && used < full * (1.0 - self.missed).max(RUN_LEAST)
+        let least = if self.misses { LEAST } else { LEAST_UNKNOWN };
+        match self.is_scarce {
+            true => waited >= least / 2.0 && used < SATURATED,
+            false => waited >= least && used < MOST,
+        }
     }
 
     /// The share of the time in which the thread ran, and in which it waited for a processor.
@@ -98,19 +91,16 @@ impl HangDetector {
         }
     }
 
-    /// Whether the arbiters lack a processor, by what the latest windows of their components
-    /// missed.
+    /// Whether the arbiters lack a processor.
     pub(super) fn judge_processors(&mut self) {
-        let mut missed: SortedMap<ArbiterId, f32> = SortedMap::new();
         // One that is silent does nothing, whatever the thread gets.
-        let works = |component: &&ComponentRecord| component.silence != Silence::Reported;
-        for component in self.awake().map(|(_, component)| component).filter(works) {
-            let share = missed.entry(component.judged.arbiter).or_default();
-            *share = share.max(component.lateness.missed_share());
-        }
+        let misses = |component: &&ComponentRecord| {
+            component.silence != Silence::Reported && component.lateness.misses()
+        };
+        let late = self.awake().map(|(_, component)| component).filter(misses);
+        let late: SortedSet<ArbiterId> = late.map(|component| component.judged.arbiter).collect();
         for (id, arbiter) in &mut self.arbiters {
-            let missed = missed.get(id).copied().unwrap_or_default();
-            arbiter.processor.judge(missed, arbiter.overloaded.is_some());
+            arbiter.processor.judge(late.contains(id));
         }
     }
 }
@@ -119,9 +109,9 @@ impl HangDetector {
 mod tests {
     use super::*;
 
-    /// So many looks of 100 ms, in each of which the thread ran and waited for so long, while such
-    /// a share of rounds was missed. Says whether it lacks a processor.
-    fn pass(share: &mut ProcessorShare, looks: u64, used: u64, waited: u64, missed: f32) -> bool {
+    /// So many looks of 100 ms, in each of which the thread ran and waited for so long, while rounds
+    /// were missed or not. Says whether it lacks a processor.
+    fn pass(share: &mut ProcessorShare, looks: u64, used: u64, waited: u64, misses: bool) -> bool {
         for _ in 0..looks {
             let (at, time) = share.seen.back().copied().unwrap_or_default();
             let time = ProcessorTime {
@@ -129,50 +119,47 @@ mod tests {
                 waited: time.waited + Duration::from_millis(waited),
             };
             share.note(at + Duration::from_millis(100), time);
-            share.judge(missed, false);
+            share.judge(misses);
         }
         share.is_scarce()
     }
 
     #[test]
-    fn a_thread_that_would_be_in_time_with_a_processor_of_its_own_lacks_one() {
-        for (used, waited, missed, scarce) in [
-            (1, 30, 0.3, true),
-            (15, 85, 0.0, true),
-            (5, 40, 0.0, false),
-            (15, 85, 0.9, false),
-            (1, 99, 1.0, true),
-            (95, 5, 0.0, false),
-            (70, 30, 0.3, false),
-            (1, 10, 0.5, false),
+    fn a_thread_that_waits_and_runs_for_less_than_two_thirds_of_the_time_lacks_a_processor() {
+        for (used, waited, misses, scarce) in [
+            (1, 30, true, true),
+            (15, 85, false, true),
+            (5, 40, false, false),
+            (15, 85, true, true),
+            (1, 99, true, true),
+            (60, 40, true, true),
+            (45, 22, true, true),
+            (95, 5, false, false),
+            (70, 30, true, false),
+            (1, 10, true, false),
         ] {
             let mut share = ProcessorShare::default();
-            let is_scarce = pass(&mut share, 40, used, waited, missed);
-            assert_eq!(is_scarce, scarce, "{used} {waited} {missed}");
+            let is_scarce = pass(&mut share, 40, used, waited, misses);
+            assert_eq!(is_scarce, scarce, "{used} {waited} {misses}");
         }
     }
 
     #[test]
     fn what_was_found_stands_until_the_contrary_is_clear() {
         let mut share = ProcessorShare::default();
-        assert!(pass(&mut share, 40, 60, 40, 0.2));
-        assert!(pass(&mut share, 40, 75, 25, 0.2));
-        assert!(!pass(&mut share, 40, 90, 10, 0.2));
-        assert!(!pass(&mut share, 40, 75, 25, 0.2));
-
-        assert!(pass(&mut share, 40, 50, 50, 0.2));
-        share.is_scarce = false;
-        assert!(share.was_scarce(SPAN, false));
-        assert!(!share.was_scarce(SPAN, true), "a component keeps the thread");
+        assert!(pass(&mut share, 40, 60, 40, true));
+        assert!(pass(&mut share, 40, 75, 25, true));
+        assert!(!pass(&mut share, 40, 90, 10, true));
+        assert!(!pass(&mut share, 40, 75, 25, true));
     }
 
     #[test]
     fn a_shorter_time_is_judged_by_its_latest_part() {
         let mut share = ProcessorShare::default();
-        assert!(!pass(&mut share, 40, 1, 0, 0.0));
-        assert!(!pass(&mut share, 2, 10, 90, 0.0));
+        assert!(!pass(&mut share, 40, 1, 0, false));
+        assert!(!pass(&mut share, 2, 10, 90, false));
 
-        assert!(share.was_scarce(Duration::from_millis(200), false));
+        assert!(share.was_scarce(Duration::from_millis(200)));
         assert!((share.shares(Duration::from_millis(200)).1 - 0.9).abs() < 0.01);
     }
 }

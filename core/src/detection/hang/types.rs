@@ -102,8 +102,7 @@ pub struct ArbiterSample {
     /// It has been fenced and has not come back yet.
     pub fenced: bool,
     /// How much of the processor its thread has used, if it is ready to run; `None` where it waits
-    /// for something, or where that is not known. Asked only where
-    /// [`stands`](super::HangDetector::stands).
+    /// for something, or where that is not known. Asked only where a component is on the thread.
     pub used: Option<Duration>,
 }
 
