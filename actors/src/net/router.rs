@@ -85,6 +85,17 @@ impl RouterActor {
         self.faults.declare(kind, detail);
     }
 
+    /// What a user does about two nodes of one name.
+    fn cure_of_namesakes(&self) -> &'static str {
+        match &self.keys {
+            Some(_) => {
+                "two processes, perhaps of two computers, have one key file: end one of them, or give \
+                 it a key of its own"
+            }
+            None => "end one of them, or give it another name",
+        }
+    }
+
     fn clear(&self, trouble: RouterAlarm) {
         let kind = match trouble {
             RouterAlarm::NameTaken => FaultKind::NameTaken,
@@ -241,24 +252,24 @@ impl MachineActor for RouterActor {
                 ),
             },
             RouterOutput::KeptOut { node, incarnation, by } => {
+                let cure = self.cure_of_namesakes();
                 self.declare(FaultKind::NameTaken, format!(
                     "a node called {node} has come up as {incarnation}, and {node} is reached as {by} \
-                     by another way: the new one is kept out; end it, or give it another name"
+                     by another way: the new one is kept out; {cure}"
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: true } => {
-                let name = &self.config.node;
+                let (name, cure) = (&self.config.node, self.cure_of_namesakes());
                 self.declare(FaultKind::NameTaken, format!(
-                    "another node called {name} has come up as {incarnation}: it is kept out; end \
-                     it, or give it another name"
+                    "another node called {name} has come up as {incarnation}: it is kept out; {cure}"
                 ));
             }
             RouterOutput::NameTaken { incarnation, first: false } => {
                 self.own_isolation.cast_out(incarnation);
-                let name = &self.config.node;
+                let (name, cure) = (&self.config.node, self.cure_of_namesakes());
                 self.declare(FaultKind::NameTaken, format!(
                     "another node called {name} was there before, as {incarnation}: this one is \
-                     kept out by all; give it another name, or end the other"
+                     kept out by all; {cure}"
                 ));
             }
         }

@@ -1,5 +1,6 @@
 //! Announcements: told to every neighbour until it confirms them, compared, outdone.
 
+use super::keys::SignatureCheck;
 use super::{DatabaseEntry, Router, RouterAlarm, RouterOutput};
 use crate::NodeName;
 use crate::net::wire::advertisement::{
@@ -130,8 +131,15 @@ impl Router {
                 better.insert(id.origin);
                 continue;
             }
-            if !self.is_of_its_origin(&advertisement, link) {
-                continue;
+            match self.check_signature(&advertisement, link) {
+                SignatureCheck::ByOrigin => {}
+                // Confirmed, so that it is not repeated, and not kept, so that it is asked for
+                // again when neighbours compare what they know.
+                SignatureCheck::Refused => {
+                    confirmed.push(id);
+                    continue;
+                }
+                SignatureCheck::Later => continue,
             }
             let held = self.advertisement(id.origin);
             if let Some(held) = held.filter(|held| held.node != advertisement.node) {

@@ -20,7 +20,7 @@ use crate::net::seal::{
     ChannelPurpose, ChannelStatus, FrameLane, NoiseCrypto, OpenedFrame, SealProfile, SealRefusals,
     Sealer, SealerConfig, SealerOutput, is_handshake, is_seal_frame,
 };
-use crate::net::trust::crypto::{AdvertisementSigner, PublicKeys, Seed};
+use crate::net::trust::crypto::{AdvertisementSigner, PublicKey, PublicKeys, Seed};
 use crate::net::trust::roster::NodeRoster;
 use crate::net::wire::advertisement::{Advertisement, SIGNATURE_LENGTH};
 use crate::net::wire::link_id::LinkId;
@@ -68,11 +68,12 @@ impl CheckBudget {
 
 /// What is known of an advertisement's signature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum SignatureCheck {
+pub(super) enum SignatureCheck {
     ByOrigin,
-    ByAnother,
-    /// The origin is not in the roster, or nothing is known about it: too many were checked.
-    Unknown,
+    /// It counts for nothing; it may do so when there is another roster.
+    Refused,
+    /// Too many were checked. The neighbour repeats it.
+    Later,
 }
 
 impl RouterKeys {
@@ -110,18 +111,19 @@ impl RouterKeys {
         self.signer.sign(&self.message(advertisement))
     }
 
-    fn check(&self, own: NodeId, advertisement: &Advertisement) -> SignatureCheck {
-        let Some(signature) = advertisement.signature else { return SignatureCheck::ByAnother };
-        let message = self.message(advertisement);
-        if advertisement.id.origin == own {
-            let is_ours = self.signer.public_key().has_signed(&message, &signature);
-            return if is_ours { SignatureCheck::ByOrigin } else { SignatureCheck::ByAnother };
-        }
-        match self.listed.get(&advertisement.id.origin) {
-            None => SignatureCheck::Unknown,
-            Some(keys) if keys.ed25519.has_signed(&message, &signature) => SignatureCheck::ByOrigin,
-            Some(_) => SignatureCheck::ByAnother,
-        }
+    /// The signature, and the key that checks it; `None` for one without a signature, and for an
+    /// origin that is not in the roster.
+    fn signed(
+        &self,
+        own: NodeId,
+        advertisement: &Advertisement,
+    ) -> Option<([u8; SIGNATURE_LENGTH], PublicKey)> {
+        let origin = advertisement.id.origin;
+        let key = match origin == own {
+            true => self.signer.public_key(),
+            false => self.listed.get(&origin)?.ed25519,
+        };
+        Some((advertisement.signature?, key))
     }
 
     /// Knows the peer's key, if it is listed.
@@ -192,22 +194,30 @@ impl Router {
     }
 
     /// Whether an advertisement is its origin's; without keys nothing says that it is not.
-    pub(super) fn is_of_its_origin(&mut self, advertisement: &Advertisement, from: LinkId) -> bool {
+    pub(super) fn check_signature(
+        &mut self,
+        advertisement: &Advertisement,
+        from: LinkId,
+    ) -> SignatureCheck {
         if advertisement.signature.is_some() != self.keys.is_some() {
             self.tell_of_keys(advertisement.id.origin, from);
+            self.refusals.forged += 1;
+            return SignatureCheck::Refused;
         }
-        let Some(adjacent) = self.links.get_mut(&from) else { return false };
-        let signed = match &self.keys {
-            None if advertisement.signature.is_none() => SignatureCheck::ByOrigin,
-            Some(keys) if adjacent.checks.take(self.now) => keys.check(self.id, advertisement),
-            None | Some(_) => SignatureCheck::Unknown,
+        let Some(keys) = &self.keys else { return SignatureCheck::ByOrigin };
+        let Some((signature, key)) = keys.signed(self.id, advertisement) else {
+            self.refusals.unexpected += 1;
+            return SignatureCheck::Refused;
         };
-        match signed {
-            SignatureCheck::ByOrigin => return true,
-            SignatureCheck::ByAnother => self.refusals.forged += 1,
-            SignatureCheck::Unknown => self.refusals.unexpected += 1,
+        let message = keys.message(advertisement);
+        if !self.links.get_mut(&from).is_some_and(|adjacent| adjacent.checks.take(self.now)) {
+            return SignatureCheck::Later;
         }
-        false
+        if key.has_signed(&message, &signature) {
+            return SignatureCheck::ByOrigin;
+        }
+        self.refusals.forged += 1;
+        SignatureCheck::Refused
     }
 
     /// Tells once for each link that one end of it has keys and the other has not.
