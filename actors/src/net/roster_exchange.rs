@@ -19,7 +19,7 @@ use blastema_contract::router::InjectPanic;
 use blastema_contract::session::PeerStatusChanged;
 use blastema_core::NodeName;
 use blastema_core::net::NodeId;
-use blastema_core::sorted::SortedMap;
+use blastema_core::sorted::{SortedMap, SortedSet};
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
 
@@ -32,6 +32,8 @@ pub(super) struct RosterActor {
     channel: PeerChannel,
     /// Nodes that a session is open with.
     peers: SortedMap<NodeId, NodeName>,
+    /// Those that were asked for their roster, which is newer.
+    asked: SortedSet<NodeId>,
     /// It ends with the node's network.
     watch: Weak<RosterWatch>,
 }
@@ -74,7 +76,13 @@ impl RosterActor {
         reader: Recipient<ActorMessageReceived>,
     ) -> Self {
         let channel = PeerChannel::at(super::named("roster"), registry, reader);
-        RosterActor { keys, channel, peers: SortedMap::new(), watch: Weak::new() }
+        RosterActor {
+            keys,
+            channel,
+            peers: SortedMap::new(),
+            asked: SortedSet::new(),
+            watch: Weak::new(),
+        }
     }
 
     fn tell_serial(&mut self, node: &NodeName) {
@@ -110,6 +118,7 @@ impl Handler<PeerStatusChanged> for RosterActor {
             }
             PeerStatusChanged::Ended { node } | PeerStatusChanged::Left { node } => {
                 self.peers.remove(&NodeId::of(&node));
+                self.asked.remove(&NodeId::of(&node));
             }
         }
     }
@@ -127,9 +136,13 @@ impl Handler<ActorMessageReceived> for RosterActor {
                 let roster = RosterMessage::Roster(self.keys.roster_text().to_owned());
                 self.channel.send(&from, &roster.encode());
             }
-            Some(RosterMessage::Have(serial)) if serial > own => self.tell_serial(&from),
+            Some(RosterMessage::Have(serial)) if serial > own => {
+                self.asked.insert(message.from);
+                self.tell_serial(&from);
+            }
             Some(RosterMessage::Roster(text)) => {
-                if let Some(watch) = self.watch.upgrade() {
+                let was_asked = self.asked.remove(&message.from);
+                if let Some(watch) = self.watch.upgrade().filter(|_| was_asked) {
                     watch.offer(RosterOffer { from, text });
                 }
             }

@@ -11,6 +11,7 @@ use crate::platform::key_files::FileStamp;
 use crate::platform::replace_file::replace_file;
 use actix::prelude::*;
 use blastema_core::NodeName;
+use blastema_core::sorted::SortedSet;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
@@ -18,8 +19,8 @@ use tracing::{error, info, warn};
 
 /// How often the file is looked at.
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
-/// So many rosters of other nodes wait to be checked; they are offered again.
-const OFFERS_MAX: usize = 4;
+/// So many rosters of other nodes wait to be checked, one of each node that was asked.
+const OFFERS_MAX: usize = 64;
 
 /// There is a newer roster.
 #[derive(Clone, Message)]
@@ -40,7 +41,7 @@ impl RosterWatch {
     pub(crate) fn start(keys: Arc<NodeKeys>, told: Vec<Recipient<RosterChanged>>) -> RosterWatch {
         let (offers, offered) = sync_channel(OFFERS_MAX);
         // The file may have been replaced since the node has read it.
-        let file = RosterFile { stamp: None, keys, refused: None };
+        let file = RosterFile { stamp: None, keys, refused: None, refused_of: SortedSet::new() };
         // Without the thread, a new roster counts when the node starts again.
         if let Err(error) = platform::start_thread("roster", move || watch(file, &offered, &told)) {
             error!("a newer roster will count at the next start only: {error}");
@@ -48,7 +49,7 @@ impl RosterWatch {
         RosterWatch(offers)
     }
 
-    /// Another node has a newer roster. It is dropped while others are checked.
+    /// Another node has a newer roster. It is dropped where too many wait.
     pub(super) fn offer(&self, offer: RosterOffer) {
         // The thread may not have started, which was told.
         let _ = self.0.try_send(offer);
@@ -56,14 +57,21 @@ impl RosterWatch {
 }
 
 fn watch(mut file: RosterFile, offered: &Receiver<RosterOffer>, told: &[Recipient<RosterChanged>]) {
-    loop {
-        let newer = match offered.recv_timeout(POLL_INTERVAL) {
-            Ok(offer) => file.take(&offer),
-            Err(RecvTimeoutError::Timeout) => file.look(),
-            Err(RecvTimeoutError::Disconnected) => return,
-        };
+    let tell = |newer: Option<Arc<NodeKeys>>| {
         if let Some(keys) = newer {
             told.iter().for_each(|to| to.do_send(RosterChanged(keys.clone())));
+        }
+    };
+    loop {
+        let offer = match offered.recv_timeout(POLL_INTERVAL) {
+            Ok(offer) => Some(offer),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
+        // What was put beside the key counts first: it may be newer than what is offered.
+        tell(file.look());
+        if let Some(offer) = offer {
+            tell(file.take(&offer));
         }
     }
 }
@@ -74,6 +82,8 @@ struct RosterFile {
     stamp: Option<FileStamp>,
     /// Why a roster was refused, as it was logged.
     refused: Option<String>,
+    /// Nodes of which a roster was refused and logged since the last that was taken.
+    refused_of: SortedSet<NodeName>,
 }
 
 impl RosterFile {
@@ -94,6 +104,12 @@ impl RosterFile {
     /// The keys with the roster of another node, if that is newer.
     fn take(&mut self, RosterOffer { from, text }: &RosterOffer) -> Option<Arc<NodeKeys>> {
         let newer = self.keys.newer(text, &format!("the roster of node {from}"));
+        if newer.is_err() && self.refused_of.contains(from) {
+            return None;
+        }
+        if newer.is_err() {
+            self.refused_of.insert(from.clone());
+        }
         let keys = self.adopt(newer)?;
         let path = keys.roster_path();
         match replace_file(path, keys.roster_text().as_bytes()) {
@@ -114,6 +130,7 @@ impl RosterFile {
                 info!(robot = %keys.robot(), serial = keys.serial(), "a newer roster");
                 self.keys = Arc::new(keys);
                 self.refused = None;
+                self.refused_of.clear();
                 Some(self.keys.clone())
             }
             Ok(None) => None,

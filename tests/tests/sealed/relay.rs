@@ -11,7 +11,7 @@ use blastema_core::net::seal::{NoiseCrypto, Sealer, SealerConfig};
 use blastema_core::net::trust::key_file::KeyFile;
 use blastema_core::net::trust::roster::NodeRoster;
 use blastema_core::net::wire::advertisement::{
-    Advertisement, AdvertisementId, Edge, RoutingMessage,
+    Advertisement, AdvertisementId, Edge, RoutingMessage, SIGNATURE_LENGTH,
 };
 use blastema_core::net::wire::packet::{Packet, Payload};
 use blastema_core::net::{
@@ -265,8 +265,10 @@ impl Relay {
                 signature: None,
             };
             let unsigned = lie.clone();
+            lie.signature = Some([0; SIGNATURE_LENGTH]);
             let signed = RoutingMessage::Announce(vec![lie.clone()]).encode();
-            let message = [b"blastema advertisement 1\0ranger\0", &signed[1..]].concat();
+            let part = &signed[1..signed.len() - SIGNATURE_LENGTH];
+            let message = [b"blastema advertisement 1\0ranger\0", part].concat();
             lie.signature = Some(self.key.seed.advertisement_signer().sign(&message));
             [unsigned, lie]
         });

@@ -193,6 +193,7 @@ impl Router {
         }
         self.isolated_links.remove(&link);
         if self.isolated.contains(&id) {
+            self.unused.remove(&link);
             if self.links.remove(&link).is_some() {
                 self.announce_links();
             }
@@ -201,7 +202,7 @@ impl Router {
             }
             return;
         }
-        if health != LinkHealth::Down && self.is_kept_out(&neighbour) {
+        if health != LinkHealth::Down && self.is_kept_out(link, &neighbour) {
             return self.set_aside(link, LinkStatus { neighbour, health, cost, mtu });
         }
         self.unused.remove(&link);

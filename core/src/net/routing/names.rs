@@ -128,16 +128,21 @@ impl Router {
     /// Routes have changed: which links can be used again?
     pub(super) fn use_links_again(&mut self) {
         let unused = &self.unused;
-        let free = unused.iter().filter(|(_, unused)| !self.is_kept_out(&unused.status.neighbour));
+        let is_free = |link, unused: &UnusedLink| !self.is_kept_out(link, &unused.status.neighbour);
+        let free = unused.iter().filter(|(link, unused)| is_free(**link, unused));
         let free: Vec<_> = free.map(|(link, unused)| (*link, unused.status.clone())).collect();
         for (link, status) in free {
             self.handle_link(link, status, self.now);
         }
     }
 
-    /// Whether no link with this neighbour is used, for its name's sake or our own's.
-    pub(super) fn is_kept_out(&self, neighbour: &Neighbour) -> bool {
-        self.namesakes.yields_until.is_some() || self.name_holder(neighbour).is_some()
+    /// Whether a link with this neighbour is not used, for its name's sake or our own's.
+    ///
+    /// With keys the neighbour has proved who it is, and an advertisement may be a replay: the link
+    /// is used until it has led for a second to another incarnation than the one that outdoes it.
+    pub(super) fn is_kept_out(&self, link: LinkId, neighbour: &Neighbour) -> bool {
+        let is_judged = self.keys.is_none() || self.unused.contains_key(&link);
+        self.namesakes.yields_until.is_some() || is_judged && self.name_holder(neighbour).is_some()
     }
 
     /// A neighbour whose link is not used announces itself over and over: it is told why, and after

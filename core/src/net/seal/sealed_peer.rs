@@ -1,5 +1,6 @@
 //! What a sealer knows of one peer.
 
+use super::ChannelPurpose;
 use super::admission::CookieJar;
 use super::channel::{OpenError, PeerChannels};
 use super::cipher::{CipherSuite, PUBLIC_KEY, SealCrypto};
@@ -50,12 +51,21 @@ pub(super) enum Approach<H, A> {
 }
 
 impl<C: SealCrypto, A> SealedPeer<C, A> {
-    pub(super) fn new(public: [u8; PUBLIC_KEY], secret: [u8; 32], suite: CipherSuite) -> Self {
+    pub(super) fn new(
+        public: [u8; PUBLIC_KEY],
+        secret: [u8; 32],
+        (suite, purpose): (CipherSuite, ChannelPurpose),
+    ) -> Self {
         let secret = Zeroizing::new(secret);
+        // A handshake of one purpose is not taken for one of the other, and is refused unread.
+        let (filter, cookie) = match purpose {
+            ChannelPurpose::Link => ("filter", "cookie"),
+            ChannelPurpose::Path => ("path filter", "path cookie"),
+        };
         SealedPeer {
             public,
-            filter: MacKey::new(&*derived_key(&secret, "filter")),
-            cookie_cipher: CookieCipher::new(&derived_key(&secret, "cookie")),
+            filter: MacKey::new(&*derived_key(&secret, filter)),
+            cookie_cipher: CookieCipher::new(&derived_key(&secret, cookie)),
             channels: PeerChannels::default(),
             was_open: None,
             address: None,

@@ -29,8 +29,8 @@ use crate::net::wire::link_id::LinkId;
 use crate::{Incarnation, NodeName};
 use bytes::{BufMut, Bytes, BytesMut};
 
-/// The most neighbours that one node may have: its advertisement takes 626 bytes then, which is one
-/// frame of most media, and seven of the smallest.
+/// The most neighbours that one node may have: its advertisement takes 694 bytes then, which is one
+/// frame of most media, and eight of the smallest.
 pub const NEIGHBOURS_MAX: usize = 64;
 /// The bytes of one id.
 pub(crate) const ID_LENGTH: usize = 12;
@@ -51,7 +51,8 @@ const GAVE_UP: u8 = 5;
 pub struct AdvertisementId {
     /// Whose.
     pub origin: NodeId,
-    /// Rises with each. An incarnation begins at [`first_sequence`](AdvertisementId::first_sequence).
+    /// Rises with each. An incarnation begins at
+    /// [`first_sequence`](AdvertisementId::first_sequence).
     pub sequence: u64,
 }
 
@@ -144,8 +145,8 @@ impl Advertisement {
 
     /// Of two of one origin, everybody takes the greater, also of two that differ and have one id
     /// (RFC 2328, 13.1).
-    pub(crate) fn rank(&self) -> (AdvertisementId, Incarnation, &[Edge]) {
-        (self.id, self.incarnation, &self.edges)
+    pub(crate) fn rank(&self) -> impl PartialOrd + use<'_> {
+        (self.id, self.incarnation, &self.edges, self.signature)
     }
 
     /// The bytes that a signature covers.
