@@ -28,3 +28,38 @@ pub(crate) fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::thread;
+
+    #[test]
+    fn several_writers_at_once_leave_a_whole_file_and_no_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ranger.roster");
+        let texts = [1u8, 2, 3, 4].map(|letter| vec![letter; 1000]);
+        let write = |text: &[u8]| (0..20).try_for_each(|_| replace_file(&path, text));
+
+        thread::scope(|scope| {
+            let writers = texts.each_ref().map(|text| scope.spawn(|| write(text)));
+            for writer in writers {
+                writer.join().expect("no panic").expect("each can write");
+            }
+        });
+
+        assert!(texts.contains(&fs::read(&path).expect("it is there")));
+        assert_eq!(fs::read_dir(folder.path()).expect("it is ours").count(), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_renamed_leaves_no_file_behind() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("ranger.roster");
+        fs::create_dir(&path).expect("it is not there");
+
+        assert!(replace_file(&path, b"text").is_err(), "a folder is there");
+
+        assert_eq!(fs::read_dir(folder.path()).expect("it is ours").count(), 1);
+    }
+}
