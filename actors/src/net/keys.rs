@@ -86,7 +86,12 @@ impl NodeKeys {
     /// # Errors
     /// It is refused, and why.
     pub(super) fn reread(&self) -> Result<Option<NodeKeys>, String> {
-        self.newer(&read_public(&self.path)?, &self.path.display().to_string())
+        let text = read_public(&self.path).map_err(|error| {
+            format!(
+                "{error}: copy the newest one there, without which this node does not start again"
+            )
+        })?;
+        self.newer(&text, &self.path.display().to_string())
     }
 
     /// The keys with this roster; `None` if it is the one that is known.
@@ -201,7 +206,7 @@ fn roster_path(key: &Path, robot: &NodeName) -> PathBuf {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use blastema_core::net::trust::crypto::Seed;
     use blastema_core::net::trust::policy::Role;
@@ -225,17 +230,23 @@ mod tests {
         roster.sign(&Seed::new([9; 32]))
     }
 
-    #[test]
-    fn of_the_rosters_that_are_put_beside_a_key_only_a_newer_one_with_this_node_is_taken() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let (key, list) = (folder.path().join("base.key"), folder.path().join("ranger.roster"));
+    /// The keys of base, whose files are written into this folder.
+    pub(in crate::net) fn written(folder: &Path) -> NodeKeys {
+        let (key, list) = (folder.join("base.key"), folder.join("ranger.roster"));
         let signer = Seed::new([9; 32]).signer();
         let own =
             KeyFile { robot: name("ranger"), node: name("base"), seed: Seed::new([1; 32]), signer };
         fs::write(&key, own.to_text().as_bytes()).expect("a folder");
         fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("it is ours");
         fs::write(&list, roster(&[("base", 1), ("arm", 2)], 5)).expect("a folder");
-        let keys = NodeKeys::read(&key, &name("base")).expect("they fit");
+        NodeKeys::read(&key, &name("base")).expect("they fit")
+    }
+
+    #[test]
+    fn of_the_rosters_that_are_put_beside_a_key_only_a_newer_one_with_this_node_is_taken() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = written(folder.path());
+        let list = folder.path().join("ranger.roster");
         let reread = |text: &str| {
             fs::write(&list, text).expect("a folder");
             keys.reread().map(|keys| keys.map(|keys| keys.serial()))
@@ -254,5 +265,8 @@ mod tests {
         refused("blastema roster 1\n", "ranger.roster");
         let whole = roster(&[("base", 1)], 6);
         refused(&whole[..whole.len() / 2], "ranger.roster");
+        fs::remove_file(&list).expect("it is there");
+        let gone = keys.reread().map(|_| ()).expect_err("the file is gone");
+        assert!(gone.contains("ranger.roster") && gone.contains("does not start again"), "{gone}");
     }
 }

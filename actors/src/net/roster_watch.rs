@@ -90,7 +90,8 @@ impl RosterFile {
     /// The keys with a newer roster, if the file was replaced by one.
     fn look(&mut self) -> Option<Arc<NodeKeys>> {
         let now = FileStamp::of(self.keys.roster_path());
-        if now.is_none() || std::mem::replace(&mut self.stamp, now) == now {
+        // A file that is gone is looked for again each time.
+        if std::mem::replace(&mut self.stamp, now) == now && now.is_some() {
             return None;
         }
         let newer = self.keys.reread();
@@ -133,7 +134,10 @@ impl RosterFile {
                 self.refused_of.clear();
                 Some(self.keys.clone())
             }
-            Ok(None) => None,
+            Ok(None) => {
+                self.refused = None;
+                None
+            }
             Err(refused) => {
                 if self.refused.as_ref() != Some(&refused) {
                     error!("the roster is refused: {refused}");
@@ -141,6 +145,35 @@ impl RosterFile {
                 }
                 None
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::net::keys::tests::written;
+    use std::fs;
+
+    #[test]
+    fn a_file_that_is_gone_is_told_each_time_that_it_goes_and_is_read_when_it_is_back() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let keys = Arc::new(written(folder.path()));
+        let path = keys.roster_path().to_owned();
+        let mut file =
+            RosterFile { keys, stamp: None, refused: None, refused_of: SortedSet::new() };
+        assert!(file.look().is_none() && file.refused.is_none(), "it is the one that is known");
+
+        for _ in 0..2 {
+            let text = fs::read(&path).expect("it is there");
+            fs::remove_file(&path).expect("it is ours");
+            assert!(file.look().is_none());
+            let refused = file.refused.clone().expect("it is gone");
+            assert!(refused.contains("does not start again"), "{refused}");
+
+            fs::write(&path, text).expect("it is ours");
+            assert!(file.look().is_none());
+            assert_eq!(file.refused, None);
         }
     }
 }
