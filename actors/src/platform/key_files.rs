@@ -1,9 +1,10 @@
 //! Files of keys: which ones are refused for their permissions.
 
+use rustix::fs::OFlags;
 use rustix::process::geteuid;
-use std::fs::{self, File, Metadata};
+use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 use zeroize::Zeroizing;
 
@@ -18,9 +19,12 @@ const STICKY: u32 = 0o1000;
 /// What is wrong with the file or its folder, and the command that mends it. No error repeats a
 /// word of the file.
 pub fn read_secret(path: &Path) -> Result<Zeroizing<String>, String> {
-    let (mut file, metadata) = open(path)?;
+    let (mut file, metadata) = open(path, cure_of_secret)?;
     check_secret(path, &metadata)?;
-    check_folder(path)?;
+    check_folder(path, folder_of(path))?;
+    // The folder of the file itself, where a symbolic link stands for it.
+    let real = fs::canonicalize(path).map_err(|error| unreadable(path, &error))?;
+    check_folder(path, folder_of(&real))?;
     read(path, &mut file, &metadata)
 }
 
@@ -29,13 +33,15 @@ pub fn read_secret(path: &Path) -> Result<Zeroizing<String>, String> {
 /// # Errors
 /// Why the file cannot be read.
 pub fn read_public(path: &Path) -> Result<Zeroizing<String>, String> {
-    let (mut file, metadata) = open(path)?;
+    let (mut file, metadata) = open(path, |_| String::new())?;
     read(path, &mut file, &metadata)
 }
 
-fn open(path: &Path) -> Result<(File, Metadata), String> {
-    let failed = |error: io::Error| format!("{} cannot be read: {error}", path.display());
-    let file = File::open(path).map_err(failed)?;
+fn open(path: &Path, cure: fn(&io::Error) -> String) -> Result<(File, Metadata), String> {
+    let failed = |error: io::Error| unreadable(path, &error) + &cure(&error);
+    // A FIFO would keep the thread until another process writes to it.
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let file = OpenOptions::new().read(true).custom_flags(flags).open(path).map_err(failed)?;
     let metadata = file.metadata().map_err(failed)?;
     if !metadata.is_file() {
         return Err(format!("{} is no file: name a file of keys", path.display()));
@@ -54,8 +60,28 @@ fn read(path: &Path, file: &mut File, metadata: &Metadata) -> Result<Zeroizing<S
     let mut text = Zeroizing::new(String::with_capacity(metadata.len() as usize + 1));
     let most = metadata.len();
     let read = file.take(most).read_to_string(&mut text);
-    read.map_err(|error| format!("{} cannot be read: {error}", path.display()))?;
+    read.map_err(|error| match error.kind() {
+        io::ErrorKind::InvalidData => {
+            format!("{} is no text, as files of keys are: copy the file again", path.display())
+        }
+        _ => unreadable(path, &error),
+    })?;
     Ok(text)
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> String {
+    format!("{} cannot be read: {error}", path.display())
+}
+
+fn cure_of_secret(error: &io::Error) -> String {
+    match error.kind() {
+        io::ErrorKind::NotFound => ": copy the file there, or name the file that is meant".into(),
+        io::ErrorKind::PermissionDenied => {
+            let own = geteuid().as_raw();
+            format!(": it must belong to the user that runs this, uid {own}, with mode 600")
+        }
+        _ => String::new(),
+    }
 }
 
 /// Refuses a secret that other users can read, or that is theirs.
@@ -74,8 +100,7 @@ fn check_secret(path: &Path, file: &Metadata) -> Result<(), String> {
 }
 
 /// Refuses a folder in which other users can replace files.
-fn check_folder(path: &Path) -> Result<(), String> {
-    let folder = folder_of(path);
+fn check_folder(path: &Path, folder: &Path) -> Result<(), String> {
     let failed = |error| format!("{} cannot be looked at: {error}", folder.display());
     let mode = fs::metadata(folder).map_err(failed)?.mode() & 0o7777;
     if mode & 0o022 == 0 || mode & STICKY != 0 {
@@ -114,6 +139,7 @@ impl FileStamp {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustix::fs::{CWD, FileType, Mode};
     use std::fs::Permissions;
     use std::os::unix::fs::PermissionsExt;
 
@@ -142,5 +168,46 @@ mod tests {
             let cure = format!("(mode {mode:04o}): chmod go-w {}", folder.path().display());
             assert!(refused.ends_with(&cure), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_symbolic_link_to_a_folder_of_others_is_refused_as_that_folder_is() {
+        let (own, others) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (link, file) = (own.path().join("base.key"), others.path().join("base.key"));
+        fs::write(&file, "text").expect("it can be written");
+        fs::set_permissions(&file, Permissions::from_mode(0o600)).expect("it is ours");
+        std::os::unix::fs::symlink(&file, &link).expect("it is not there");
+        assert_eq!(read_secret(&link).map(|text| text.len()), Ok(4));
+
+        fs::set_permissions(others.path(), Permissions::from_mode(0o777)).expect("it is ours");
+
+        let refused = read_secret(&link).expect_err("others can write there");
+        assert!(refused.contains("chmod go-w") && refused.contains("mode 0777"), "{refused}");
+    }
+
+    #[test]
+    fn what_is_no_file_of_keys_is_refused_at_once_with_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        let (fifo, bytes) = (at("fifo"), at("bytes"));
+        let mode = Mode::from_raw_mode(0o600);
+        rustix::fs::mknodat(CWD, &fifo, FileType::Fifo, mode, 0).expect("it is not there");
+        fs::write(&bytes, [0xff, 0]).expect("it can be written");
+        fs::set_permissions(&bytes, Permissions::from_mode(0o600)).expect("it is ours");
+        let refused = |path: &Path, cure: &str| {
+            for read in [read_secret, read_public] {
+                let text = read(path).expect_err(cure);
+                assert!(text.ends_with(cure), "{text}");
+            }
+        };
+
+        refused(&fifo, "is no file: name a file of keys");
+        refused(folder.path(), "is no file: name a file of keys");
+        refused(&bytes, "is no text, as files of keys are: copy the file again");
+        let missing = read_secret(&at("none")).expect_err("there is none");
+        assert!(
+            missing.ends_with("copy the file there, or name the file that is meant"),
+            "{missing}"
+        );
     }
 }

@@ -56,13 +56,19 @@ impl NetworkDescription {
             let leaves_process = self.networks.iter().any(Network::leaves_process);
             env::var_os(KEYS_VARIABLE).filter(|path| leaves_process && !path.is_empty())
         };
-        let Some(file) = self.key_file.clone().or_else(|| found().map(PathBuf::from)) else {
-            return Ok(());
+        let (file, named_by) = match (self.key_file.clone(), found()) {
+            (Some(file), _) => (file, String::new()),
+            (None, Some(file)) => (file.into(), format!("{KEYS_VARIABLE}: ")),
+            (None, None) => return Ok(()),
         };
+        // The roster is read again and again, and the working directory may change.
+        let file = std::path::absolute(&file).unwrap_or(file);
         platform::random_bytes().map_err(|error| {
             StartError::Keys(format!("the system gives no random numbers (getrandom: {error})"))
         })?;
-        self.keys = Some(Arc::new(NodeKeys::read(&file, node).map_err(StartError::Keys)?));
+        let keys = NodeKeys::read(&file, node);
+        let keys = keys.map_err(|error| StartError::Keys(format!("{named_by}{error}")))?;
+        self.keys = Some(Arc::new(keys));
         Ok(())
     }
 

@@ -98,8 +98,8 @@ impl Network {
     pub(super) fn check_exposure(&self, has_keys: bool) -> Result<(), StartError> {
         if self.insecure && has_keys {
             return Err(StartError::Network(format!(
-                "network {0} is insecure and the node has keys: give {0} keys on its other nodes, \
-                 or run a node of its own for it",
+                "network {0} is insecure and the node has keys: leave `insecure` out and give the \
+                 other nodes on {0} keys, or run a node of its own for it",
                 self.name
             )));
         }

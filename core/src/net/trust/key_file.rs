@@ -41,7 +41,7 @@ impl KeyFile {
     /// The line that is wrong, and what to write. No error repeats a word of the text.
     pub fn parse(text: &str) -> Result<Self, TrustError> {
         let mut lines = Lines::new(text, KEY_FILE_BYTES)?;
-        lines.exactly(NODE_TITLE)?;
+        lines.title(NODE_TITLE)?;
         let robot = name(lines.value("robot")?)?;
         let node = name(lines.value("node")?)?;
         let seed = seed(lines.value("seed")?)?;
@@ -76,7 +76,7 @@ impl RobotFile {
     /// The line that is wrong, and what to write.
     pub fn parse(text: &str) -> Result<Self, TrustError> {
         let mut lines = Lines::new(text, KEY_FILE_BYTES + ROSTER_BYTES)?;
-        lines.exactly(ROBOT_TITLE)?;
+        lines.title(ROBOT_TITLE)?;
         let (at, robot) = lines.value("robot")?;
         let robot = name((at, robot))?;
         let seed = seed(lines.value("seed")?)?;

@@ -177,7 +177,7 @@ impl NodeRoster {
     /// The line that is wrong, and what to write.
     pub fn parse(text: &str) -> Result<Self, TrustError> {
         let mut lines = Lines::new(text, ROSTER_BYTES)?;
-        lines.exactly(TITLE)?;
+        lines.title(TITLE)?;
         let (line, robot) = lines.value("robot")?;
         let robot = NodeName::new(robot).map_err(|error| TrustProblem::Name(error).at(line))?;
         let (line, serial) = lines.value("serial")?;

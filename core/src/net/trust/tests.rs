@@ -63,7 +63,7 @@ fn a_key_file_that_is_wrong_names_the_line_and_repeats_no_word_of_it() {
         assert!(error.starts_with(expected), "{error}");
         assert!(!error.contains(&letters), "{error}");
     };
-    check("", "line 1: this line begins otherwise than it must: write `blastema node key 1`");
+    check("", "line 1: the file does not begin with `blastema node key 1`: it is empty");
     check(&text.replace("key 1", "key 2"), "line 1");
     check(&text.replace("robot ", "robbot "), "line 2");
     check(&text.replace("node    base", "node"), "line 3: this line begins otherwise");

@@ -39,6 +39,14 @@ pub enum TrustProblem {
     /// A word is none of those that are known there.
     #[error("a word is unknown: {0}")]
     UnknownWord(String),
+    /// The first line is that of no such file, or of a file of another kind.
+    #[error(
+        "the file does not begin with `{title}`: it is empty, or another kind of file; copy it again"
+    )]
+    OtherFile {
+        /// The first line that it must have.
+        title: &'static str,
+    },
     /// What is there after the end.
     #[error("nothing follows here: remove this line and those after it")]
     Excess,
@@ -136,11 +144,11 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// A line that is this.
-    pub(super) fn exactly(&mut self, text: &str) -> Result<(), TrustError> {
+    /// The first line, by which a kind of file is known.
+    pub(super) fn title(&mut self, title: &'static str) -> Result<(), TrustError> {
         match self.next() {
-            (_, words) if words.join(" ") == text => Ok(()),
-            (line, _) => Err(TrustProblem::expected(format!("`{text}`")).at(line)),
+            (_, words) if words.join(" ") == title => Ok(()),
+            (line, _) => Err(TrustProblem::OtherFile { title }.at(line)),
         }
     }
 
