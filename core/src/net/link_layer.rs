@@ -210,7 +210,13 @@ impl<C: SealCrypto, A: LinkAddress> LinkLayer<C, A> {
         };
         if sealer.channel(peer).is_none() {
             if was_open && let Some(link) = self.links.get_mut(number) {
-                link.handle_no_carrier("the neighbour's key is not in the roster any more", now);
+                let reason = match key {
+                    Some(_) => {
+                        "the roster has another key for the neighbour: start it with its new key file"
+                    }
+                    None => "the neighbour is not in the roster any more: it was revoked",
+                };
+                link.handle_no_carrier(reason, now);
             }
             if key.is_some() {
                 sealer.connect(peer, address, now);

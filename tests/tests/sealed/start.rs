@@ -2,11 +2,13 @@
 
 use super::{PATIENCE, ask, node, until};
 use blastema::prelude::*;
-use blastema::{Link, LinkState, Network, StartError};
+use blastema::{Link, LinkState, Network, NodeBuilder, StartError};
 use blastema_tests::{RobotKeys, free_addresses};
+use std::env;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 const NODES: [&str; 2] = ["left", "right"];
@@ -112,7 +114,8 @@ fn a_node_with_other_keys_gets_no_link_and_no_word() {
             for node in [&left, &impostor] {
                 let never_heard = async || {
                     let mut entries = node.faults().await.entries.into_iter();
-                    entries.any(|entry| entry.fault.detail.contains("never heard since the start"))
+                    let cause = "frames came that no node of this robot has sealed";
+                    entries.any(|entry| entry.fault.detail.contains(cause))
                 };
                 until(never_heard, "the neighbour does not come").await;
                 let link = &node.links().await[0];
@@ -129,4 +132,62 @@ fn a_node_with_other_keys_gets_no_link_and_no_word() {
             right.shutdown().await;
         }
     });
+}
+
+#[test]
+fn both_ends_are_told_of_the_key_that_one_of_them_lacks() {
+    blastema::run(async {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = RobotKeys::new(folder.path(), &NODES, 1);
+        for scheme in ["udp", "tcp"] {
+            let at = free_addresses(2);
+            let network = |own: usize, peer: &str| {
+                let endpoint = format!("{scheme}://{}", at[own]);
+                let link = Link::to(peer, &at[1 - own].to_string());
+                Network::new("lan", &endpoint).link(link.expected_within(Duration::from_secs(1)))
+            };
+            let left = node(&keys, "left", network(0, "right")).start().await.unwrap();
+            let right = Node::builder("right").work_threads(1).network(network(1, "left"));
+            let right = right.start().await.unwrap();
+
+            for (node, cause) in [
+                (&left, "perhaps right has no key, or an old one"),
+                (&right, "perhaps left has a key, and this node has none"),
+            ] {
+                let is_told = async || {
+                    let mut entries = node.faults().await.entries.into_iter();
+                    entries.any(|entry| entry.fault.detail.contains(cause))
+                };
+                until(is_told, cause).await;
+            }
+            left.shutdown().await;
+            right.shutdown().await;
+        }
+    });
+}
+
+#[test]
+fn a_relative_path_is_shown_from_the_root_on_and_the_variable_that_names_a_file_is_named() {
+    const OF_VARIABLE: &str = "/no/such.key";
+    let start = |file: Option<&str>| {
+        let builder = Node::builder("left").network(udp());
+        let builder = file.into_iter().fold(builder, NodeBuilder::keys);
+        let started = blastema::run(async { builder.start().await.map(|_| ()) });
+        started.expect_err("there is no such file").to_string()
+    };
+    if env::var_os("BLASTEMA_KEYS").is_some() {
+        let text = start(None);
+        assert!(text.starts_with("BLASTEMA_KEYS: /no/such.key cannot be read"), "{text}");
+        return;
+    }
+
+    let text = start(Some("such.key"));
+    let here = env::current_dir().expect("it is there").join("such.key");
+    assert!(text.starts_with(&format!("{} cannot be read", here.display())), "{text}");
+
+    // The variable of this process is also that of the tests beside this one.
+    let name = "start::a_relative_path_is_shown_from_the_root_on_and_the_variable_that_names_a_file_is_named";
+    let mut again = Command::new(env::current_exe().expect("it runs"));
+    let status = again.args(["--exact", name]).env("BLASTEMA_KEYS", OF_VARIABLE).status();
+    assert!(status.expect("it is started").success());
 }

@@ -6,6 +6,7 @@ use crate::net::LinkSpec;
 use crate::platform;
 use blastema_core::detection::LinkCondition;
 use blastema_core::net::link::PeerRefusal;
+use blastema_core::net::seal::SealRefusals;
 use blastema_core::net::{LinkId, Refusals};
 use blastema_core::{FaultKind, Incarnation, Instant};
 use std::time::Duration;
@@ -84,12 +85,28 @@ impl LinksActor {
         let Some(spec) = self.specs.get(&number) else { return };
         let who = spec.neighbour.as_ref().map_or("the neighbour", |node| node.as_str());
         let remote = &spec.remote;
-        let reason = match hello_received {
-            true => format!(
+        let unsealed = self.bundle.seal_refusals().map(SealRefusals::total);
+        let refusals = self.bundle.refused_of(number);
+        let reason = match unsealed {
+            _ if hello_received => format!(
                 "{who} is heard since the start, and does not hear us: check its address for us"
             ),
-            false => format!(
+            None if refusals.total() == 0 => format!(
                 "never heard since the start: check the address {remote}, the cable, and that {who} runs"
+            ),
+            None => format!(
+                "never heard since the start: what comes from {remote} is refused ({refusals}): perhaps \
+                 {who} has a key, and this node has none: give it a key of that robot; or {who} is of \
+                 another release"
+            ),
+            Some(0) => format!(
+                "never heard since the start: check the address {remote}, the cable, that {who} runs, \
+                 and by `blastema keys show` that both have keys of one roster"
+            ),
+            Some(frames) => format!(
+                "never heard since the start, and {frames} frames came that no node of this robot has \
+                 sealed: perhaps {who} has no key, or an old one; compare the files of both by \
+                 `blastema keys show`"
             ),
         };
         warn!(network = %self.wiring.network, link = %spec.name, "{reason}");

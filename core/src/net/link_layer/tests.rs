@@ -359,7 +359,8 @@ fn a_neighbour_that_is_revoked_loses_its_link_and_one_that_is_listed_again_gets_
     world.packet(0, "in plain text");
     world.run(2_000);
 
-    assert_eq!(world.states()[0], LinkState::Down);
+    let revoked = "the neighbour is not in the roster any more: it was revoked";
+    assert_eq!(world.changes(0).last(), Some(&(LinkState::Down, revoked)));
     assert_eq!(world.packets(0).len() + world.packets(1).len(), 0);
     assert!(world.ends[0].channel(LINK).is_none());
     let sealed = |frame: &Bytes| [0xb0, 0xd0].contains(&(frame[0] & 0xf0)) && frame[0] != 0xb1;
@@ -373,6 +374,11 @@ fn a_neighbour_that_is_revoked_loses_its_link_and_one_that_is_listed_again_gets_
     revoke(&mut world, Some(key(1)));
     world.run(100);
     assert_eq!(world.ends[0].channel(LINK).unwrap().since, since);
+
+    let public = NoiseCrypto::new([9; 32]).public_key();
+    revoke(&mut world, Some(NeighbourKey { public, ..key(1) }));
+    let replaced = "the roster has another key for the neighbour: start it with its new key file";
+    assert_eq!(world.changes(0).last(), Some(&(LinkState::Down, replaced)));
 }
 
 #[test]
