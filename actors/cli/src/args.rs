@@ -44,7 +44,7 @@ Examples:
 
 A node uses its key if its program says `.keys(\"base.key\")` at its builder, or the environment
 variable BLASTEMA_KEYS names the file. ROBOT.roster must be in the same folder. Both are read when
-the node starts.
+the node starts, and ROBOT.roster again when it is replaced.
 
 Exit status:
   0  it was done

@@ -193,6 +193,7 @@ fn the_help_says_what_nodes_do_with_keys() {
     for command in ["new", "show", "add", "revoke", "replace", "edit"] {
         let help = bench.done(&[command, "--help"]);
         assert!(help.contains(".keys(\"base.key\")") && help.contains("BLASTEMA_KEYS"), "{help}");
+        assert!(help.contains("ROBOT.roster again when it is replaced"), "{help}");
         assert!(help.contains("Exit status") && !help.contains("--push"), "{help}");
         assert!(bench.done(&["--help"]).contains(command));
     }
